@@ -66,6 +66,7 @@ ROOMS: dict[str, str] = {
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system log.table model bus safety control config readiness daemon",
     "dashboard": "errors ipc",
+    "live": "errors outputs signals ipc",
     "tune": (
         "errors version settings outputs system signals log model control config ipc daemon.joint_files doctor "
         "identify virtual"
@@ -73,7 +74,7 @@ ROOMS: dict[str, str] = {
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
-        "virtual published safety.causes doctor bench drills dashboard tune demo"
+        "virtual published safety.causes doctor bench drills dashboard live tune demo"
     ),
     "__init__": "errors version system ipc.client identify virtual model daemon.controller",
     "__main__": "system cli",

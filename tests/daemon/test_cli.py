@@ -50,6 +50,17 @@ def test_status_json_is_one_object(serving: Serving) -> None:
     assert status["faults"] == []
 
 
+def test_status_follows_with_an_object_on_each_line(serving: Serving) -> None:
+    """As a program reads it, until it ends the command."""
+    arguments = ["status", "--json", "--follow", "--socket", serving.path]
+    with subprocess.Popen(tsa(*arguments), stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        lines = [json.loads(process.stdout.readline()) for _ in range(3)]
+        process.terminate()
+    assert [line["schema"] for line in lines] == [1, 1, 1]
+    assert lines[0]["age"] < lines[2]["age"]
+
+
 def test_status_page_once(serving: Serving) -> None:
     """Without a terminal the page is printed once: values, parameters, histograms."""
     output = call(serving, "status").output

@@ -1,0 +1,181 @@
+"""`tsa live` as an independent WebSocket client reads it, next to a real socket server."""
+
+from __future__ import annotations
+
+import json
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+
+from tests.daemon.serving import PATIENCE, Serving
+from tests.daemon.test_server import loop_taking
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.mailbox import Command, Reading
+from tsa_ctrl.ipc.protocol import Event
+
+pytest.importorskip("foxglove")
+client = pytest.importorskip("websockets.sync.client")
+
+from tsa_ctrl.live import layouts  # noqa: E402 (after the check that the extra is there)
+from tsa_ctrl.live.server import Publisher  # noqa: E402
+
+
+class Loop:
+    """Play the loop of a daemon with 1 kHz, and publish it live."""
+
+    def __init__(self, path: Path, settable: bool) -> None:
+        self.serving = Serving(path, ["knee", "hip"])
+        self.publisher = Publisher(self.serving.path, 0, settable)
+        self._running = True
+        self._threads = [
+            threading.Thread(target=self._cycle, daemon=True),
+            threading.Thread(target=self.publisher.run, args=(1000.0, lambda: self._running), daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _cycle(self) -> None:
+        number = 0
+        nothing = Reading(*(float("nan") for _ in Reading._fields))._replace(limit_reason=0.0, permitted=1.0)
+        while self._running:
+            number += 1
+            rows = [nothing._replace(q_j=0.25 * axis, tau_m=0.001 * number) for axis in (1, 2)]
+            self.serving.mailbox.measure(time.monotonic(), number, 2, rows)
+            time.sleep(0.001)
+
+    def end(self) -> None:
+        self._running = False
+        for thread in self._threads:
+            thread.join(PATIENCE)
+        self.publisher.close()
+        self.serving.end()
+
+
+class Reader:
+    """A client of the Foxglove WebSocket protocol."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"])
+        self.channels: dict[str, Any] = {}
+        while len(self.channels) < 6:
+            message = json.loads(self.socket.recv(PATIENCE))
+            if message["op"] == "advertise":
+                self.channels |= {channel["topic"]: channel for channel in message["channels"]}
+
+    def subscribe(self, *topics: str) -> None:
+        wanted = [{"id": number, "channelId": self.channels[topic]["id"]} for number, topic in enumerate(topics)]
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def message(self) -> tuple[int, int, Any]:
+        """Return subscription, time (ns) and content of the next message."""
+        while True:
+            data = self.socket.recv(PATIENCE)
+            if isinstance(data, bytes) and data[0] == 1:
+                number, stamp = struct.unpack_from("<IQ", data, 1)
+                return number, stamp, data[13:]
+
+    def answer(self, operation: str) -> Any:
+        while True:
+            data = self.socket.recv(PATIENCE)
+            if isinstance(data, str) and (message := json.loads(data))["op"] == operation:
+                return message
+
+
+@pytest.fixture
+def loop(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Loop]:
+    found = Loop(tmp_path / "tsa.sock", getattr(request, "param", False))
+    yield found
+    found.end()
+
+
+def test_a_client_reads_the_signals_of_each_axis_with_their_times(loop: Loop) -> None:
+    """Each cycle at most once, in order; a value that is not known is left out."""
+    reader = Reader(loop.publisher.port)
+    assert set(reader.channels) == {
+        "/knee/signals", "/knee/status", "/hip/signals", "/hip/status", "/joint_states", "/events",
+    }  # fmt: skip
+    assert json.loads(reader.channels["/knee/signals"]["schema"])["properties"]["tau_m"]["type"] == "number"
+    reader.subscribe("/hip/signals")
+    found = [reader.message() for _ in range(100)]
+    values = [json.loads(content) for _, _, content in found]
+    assert all(value["q_j"] == 0.5 and "tau_j" not in value for value in values)
+    torques, times = [value["tau_m"] for value in values], [stamp for _, stamp, _ in found]
+    assert torques == sorted(set(torques))
+    assert times == sorted(set(times))
+    assert abs(times[-1] * 1e-9 - time.time()) < PATIENCE
+
+
+def test_joint_states_have_the_fields_of_ros(loop: Loop) -> None:
+    reader = Reader(loop.publisher.port)
+    assert reader.channels["/joint_states"]["schemaName"] == "sensor_msgs/JointState"
+    reader.subscribe("/joint_states")
+    _, stamp, content = reader.message()
+    state = json.loads(content)
+    assert state["name"] == ["knee", "hip"]
+    assert state["position"] == [0.25, 0.5]
+    assert state["effort"] == [0.0, 0.0]
+    assert state["header"]["stamp"]["sec"] == stamp // 10**9
+
+
+def test_the_status_has_the_signals_that_a_cycle_lacks(loop: Loop) -> None:
+    reader = Reader(loop.publisher.port)
+    reader.subscribe("/knee/status")
+    status = json.loads(reader.message()[2])
+    assert status["state"] == "operation_enabled"
+    assert {"sigma", "friction_term", "pretension", "tau_j_stretch", "tau_j_stretch_low"} <= set(status)
+    assert "tau_j_model" not in status
+
+
+def test_events_are_log_messages_also_for_a_client_that_comes_later(loop: Loop) -> None:
+    event = Event(0, 1.0, "knee", "stale PDO: gone", fault=True, cause_id="stale_pdo")
+    loop.serving.mailbox.publish_text(msgspec.json.encode([event]))
+    for _ in range(2):
+        reader = Reader(loop.publisher.port)
+        assert reader.channels["/events"]["schemaName"] == "foxglove.Log"
+        reader.subscribe("/events")
+        assert b"knee: stale PDO: gone" in reader.message()[2]
+
+
+def test_parameters_can_be_read_and_only_with_settable_be_set(loop: Loop) -> None:
+    reader = Reader(loop.publisher.port)
+    reader.socket.send(json.dumps({"op": "getParameters", "parameterNames": ["knee.compensation"], "id": "1"}))
+    (parameter,) = reader.answer("parameterValues")["parameters"]
+    assert (parameter["name"], parameter["value"]) == ("knee.compensation", 0.95)
+    change = {"op": "setParameters", "parameters": [{"name": "knee.compensation", "value": 0.5}], "id": "2"}
+    reader.socket.send(json.dumps(change))
+    (parameter,) = reader.answer("parameterValues")["parameters"]
+    assert parameter["value"] == 0.95
+    assert loop.serving.mailbox.take() is None
+
+
+@pytest.mark.parametrize("loop", [True], indirect=True)
+def test_a_settable_parameter_passes_the_daemon_and_its_bounds(loop: Loop) -> None:
+    reader = Reader(loop.publisher.port)
+    for value, taken in ((0.5, [Command(0, 0, 0.5)]), (9.0, [])):
+        change = {"op": "setParameters", "parameters": [{"name": "knee.compensation", "value": value}], "id": "2"}
+        with loop_taking(loop.serving) as commands:
+            reader.socket.send(json.dumps(change))
+            reader.answer("parameterValues")
+        assert commands == taken
+
+
+def test_a_port_that_is_taken_is_one_line(loop: Loop) -> None:
+    with pytest.raises(UsageError, match=r"port \d+ of 127\.0\.0\.1 cannot be opened .* choose another --port"):
+        Publisher(loop.serving.path, loop.publisher.port, False)
+
+
+def test_layouts_show_the_signals_of_each_axis(tmp_path: Path) -> None:
+    foxglove, plotjuggler = layouts.write(tmp_path / "new", ["knee", "hip"])
+    panels = json.loads(foxglove.read_text(encoding="utf-8"))["configById"]
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    curves = [curve.get("name") for curve in ElementTree.parse(plotjuggler).iter("curve")]
+    for axis in ("knee", "hip"):
+        assert f"/{axis}/signals.tau_j_des" in paths
+        assert f"/{axis}/signals/tau_j_des" in curves

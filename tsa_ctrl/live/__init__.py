@@ -1,0 +1,1 @@
+"""`tsa live`: signals, events and parameters of a running daemon on a WebSocket for Foxglove and PlotJuggler."""

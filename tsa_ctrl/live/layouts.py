@@ -1,0 +1,98 @@
+"""Layouts for Foxglove and PlotJuggler that show the signals of `tsa live`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+from tsa_ctrl.outputs import beside
+
+GROUPS = {  # of one axis: title, and the signals of its plot
+    "joint torque": ("tau_j_des", "tau_j", "tau_j_stretch", "tau_j_model"),
+    "motor torque": ("tau_m_cmd", "tau_m"),
+    "joint velocity": ("omega_j",),
+    "joint angle": ("q_j",),
+}
+
+
+def foxglove_layout(axes: Sequence[str]) -> str:
+    """Return a Foxglove layout: a column of plots for each axis, and the events."""
+    panels: dict[str, object] = {"Log!events": {"topicToRender": "/events"}, "Parameters!live": {}}
+    columns: list[object] = []
+    for axis in axes:
+        names = []
+        for title, signals in GROUPS.items():
+            name = f"Plot!{axis}-{title.replace(' ', '-')}"
+            names.append(name)
+            panels[name] = {
+                "title": f"{axis}: {title}",
+                "paths": [
+                    {"value": f"/{axis}/signals.{signal}", "enabled": True, "timestampMethod": "receiveTime"}
+                    for signal in signals
+                ],
+                "showLegend": True,
+                "isSynced": True,
+                "followingViewWidth": 10,
+            }
+        columns.append(_split(names, "column"))
+    plots = _split(columns, "row")
+    layout = {
+        "first": plots,
+        "second": _split(["Log!events", "Parameters!live"], "row"),
+        "direction": "column",
+        "splitPercentage": 75,
+    }
+    return json.dumps(
+        {
+            "configById": panels,
+            "globalVariables": {},
+            "userNodes": {},
+            "playbackConfig": {"speed": 1},
+            "layout": layout,
+        },
+        indent=1,
+    )
+
+
+def _split(panels: Sequence[object], direction: str) -> object:
+    """Return a mosaic that divides its area among the panels evenly."""
+    if len(panels) == 1:
+        return panels[0]
+    return {
+        "first": panels[0],
+        "second": _split(panels[1:], direction),
+        "direction": direction,
+        "splitPercentage": 100.0 / len(panels),
+    }
+
+
+def plotjuggler_layout(axes: Sequence[str]) -> str:
+    """Return a PlotJuggler layout: a tab for each axis, with the same plots one below the other."""
+    root = ElementTree.Element("root")
+    tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
+    for axis in axes:
+        tab = ElementTree.SubElement(tabs, "Tab", containers="1", tab_name=axis)
+        share = ";".join(f"{1.0 / len(GROUPS):.4f}" for _ in GROUPS)
+        sizes = {"sizes": share, "count": str(len(GROUPS)), "orientation": "-"}
+        splitter = ElementTree.SubElement(ElementTree.SubElement(tab, "Container"), "DockSplitter", sizes)
+        for title, signals in GROUPS.items():
+            area = ElementTree.SubElement(splitter, "DockArea", name=f"{axis}: {title}")
+            plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
+            for signal in signals:
+                ElementTree.SubElement(plot, "curve", name=f"/{axis}/signals/{signal}")
+    ElementTree.SubElement(tabs, "currentTabIndex", index="0")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def write(folder: Path, axes: Sequence[str]) -> list[Path]:
+    """Write both layouts into a folder and return their paths; raises UsageError if it cannot be written."""
+    written = []
+    for name, text in (("foxglove.json", foxglove_layout(axes)), ("plotjuggler.xml", plotjuggler_layout(axes))):
+        with beside(folder / name) as path:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return written

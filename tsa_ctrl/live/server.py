@@ -1,0 +1,227 @@
+"""Publish a running daemon on a WebSocket, from a process of its own: the loop is not aware of it.
+
+Topics: `/AXIS/signals` (each cycle, as far as the rate permits), `/AXIS/status` (`STATUS_RATE`), `/joint_states`
+(the fields of sensor_msgs/JointState) and `/events` (foxglove.Log). Messages are JSON; log times are wall-clock times.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import foxglove
+from foxglove.channels import LogChannel
+from foxglove.messages import Log, LogLevel, Timestamp
+from foxglove.websocket import Capability, Parameter, ServerListener
+
+from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.client import AxisMeasured, Client, Measured
+from tsa_ctrl.ipc.protocol import Event
+from tsa_ctrl.signals import BANDED, SIGNALS, Kind, Place, signals_of
+
+STATUS_RATE = 10.0  # Hz: the daemon writes a new status as often
+BACKLOG = 4096  # messages for a client that reads slowly: some seconds at 1 kHz
+EVENTS = "/events"  # topic
+RECENT = 50  # events that a new subscriber receives
+_TYPES = {Kind.CODE: "string", Kind.FLAG: "boolean", Kind.COUNT: "integer"}
+_NUMBERS = {"type": "array", "items": {"type": "number"}}
+_STAMP = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+JOINT_STATE = {
+    "title": "sensor_msgs/JointState",
+    "type": "object",
+    "properties": {
+        "header": {"type": "object", "properties": {"stamp": _STAMP, "frame_id": {"type": "string"}}},
+        "name": {"type": "array", "items": {"type": "string"}},
+        "position": _NUMBERS,
+        "velocity": _NUMBERS,
+        "effort": _NUMBERS,
+    },
+}
+
+
+def schema_of(title: str, place: Place) -> dict[str, Any]:
+    """Return the JSON schema of one axis' signals that are shown in a place."""
+    properties: dict[str, Any] = {}
+    for signal in signals_of(place):
+        if signal.kind is not Kind.AGE:
+            kind = _TYPES.get(signal.kind, "number")
+            properties[signal.name] = {"type": kind, "description": f"{signal.doc}, {signal.unit}"}
+    return {"title": title, "type": "object", "properties": properties}
+
+
+class Parameters(ServerListener):
+    """Answer requests for live parameters over an own connection to the daemon, whose roles decide."""
+
+    def __init__(self, path: str, settable: bool) -> None:
+        self._client = Client(path)
+        self._settable = settable
+        self._lock = threading.Lock()  # callbacks come from the threads of the WebSocket
+        self.subscribed = threading.Event()  # a client has subscribed to the events
+
+    def on_subscribe(self, client: Any, channel: Any) -> None:
+        """Note a new subscriber of the events."""
+        if channel.topic == EVENTS:
+            self.subscribed.set()
+
+    def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Parameter]:
+        """Return the parameters of these names, all without names."""
+        with self._lock:
+            status = self._client.ask(protocol.Status())
+        return [
+            Parameter(name, value=each["value"])
+            for axis in status["axes"]
+            for key, each in axis["parameters"].items()
+            if each["value"] is not None and ((name := f"{axis['name']}.{key}") in param_names or not param_names)
+        ]
+
+    def on_set_parameters(
+        self, client: Any, parameters: list[Parameter], request_id: str | None = None
+    ) -> list[Parameter]:
+        """Set parameters as `tsa set` does, and return their values afterwards."""
+        for parameter in parameters:
+            value = parameter.get_value()
+            if self._settable and isinstance(value, int | float) and not isinstance(value, bool):
+                try:
+                    with self._lock:
+                        self._client.ask(protocol.Set(parameter.name, float(value)))
+                except TsaError as error:
+                    self.rejected(f"{parameter.name}: {error}")
+            else:
+                self.rejected(f"{parameter.name}: parameters can only be read; start tsa live with --settable")
+        return self.on_get_parameters(client, [parameter.name for parameter in parameters])
+
+    rejected: Callable[[str], None] = print
+
+    def close(self) -> None:
+        self._client.close()
+
+
+class Publisher:
+    """Turn measurements, status and events of a daemon into messages of a WebSocket server."""
+
+    def __init__(self, path: str, port: int, settable: bool) -> None:
+        """Connect to the daemon and open the server.
+
+        Args:
+            path: of the daemon's socket.
+            port: of 127.0.0.1; 0 takes a free one.
+            settable: True lets clients change live parameters.
+
+        Raises:
+            BusError: no daemon answers.
+            UsageError: the port is taken.
+        """
+        self._client = Client(path)
+        status = self._client.ask(protocol.Status())
+        self.axes = [axis["name"] for axis in status["axes"]]
+        self._context = context = foxglove.Context()
+        self._signals = [
+            foxglove.Channel(f"/{name}/signals", schema=schema_of(f"{name} signals", Place.CLIENT), context=context)
+            for name in self.axes
+        ]
+        self._status = [
+            foxglove.Channel(f"/{name}/status", schema=schema_of(f"{name} status", Place.STATUS), context=context)
+            for name in self.axes
+        ]
+        self._joints = foxglove.Channel("/joint_states", schema=JOINT_STATE, context=context)
+        self._events = LogChannel(EVENTS, context=context)
+        self._recent: deque[Event] = deque(maxlen=RECENT)
+        self._listener = Parameters(path, settable)
+        self._listener.rejected = lambda text: self._log(text, LogLevel.Warning, time.time_ns())
+        try:
+            self._server = foxglove.start_server(
+                name=f"tsa {status['name']}",
+                port=port,
+                capabilities=[Capability.Parameters],
+                server_listener=self._listener,
+                context=context,
+                message_backlog_size=BACKLOG,
+            )
+        except RuntimeError as error:
+            raise UsageError(f"port {port} of 127.0.0.1 cannot be opened ({error}); choose another --port") from None
+        self.port = self._server.port
+        self.published = 0  # cycles
+
+    def run(self, rate: float, go_on: Callable[[], bool] = lambda: True) -> None:
+        """Publish until `go_on` returns False; `rate`: of the signals, Hz. Raises BusError when the daemon ends."""
+        last, due = -1, 0.0
+        for measured in self._client.cycles(rate):
+            if not go_on():
+                return
+            now = time.monotonic()
+            zero = time.time_ns() - round(now * 1e9)  # ns since the epoch at the zero of the monotonic clock
+            if measured.cycle != last:
+                last = measured.cycle
+                self._publish(measured, zero + round(measured.time * 1e9))
+            if now >= due:
+                due = now + 1.0 / STATUS_RATE
+                status = self._client.ask(protocol.Status())
+                self._publish_status(status["axes"], zero + round(now * 1e9))
+                if status["uptime"] is not None:
+                    self._publish_events(zero + round((now - status["age"] - status["uptime"]) * 1e9))
+
+    def _publish_events(self, start: int) -> None:
+        """Publish new events, and the recent ones for a new subscriber; `start` of the loop: ns since the epoch."""
+        new = self._client.events()
+        self._recent.extend(new)
+        if self._listener.subscribed.is_set():
+            self._listener.subscribed.clear()
+            new = list(self._recent)
+        for event in new:
+            text = f"{event.axis}: {event.text}" if event.axis else event.text
+            self._log(text, LogLevel.Error if event.fault else LogLevel.Info, start + round(event.t * 1e9))
+
+    def _publish(self, measured: Measured, wall: int) -> None:
+        """Publish one cycle; `wall` is its time, ns since the epoch."""
+        for channel, axis in zip(self._signals, measured.axes, strict=True):
+            channel.log(_values(axis), log_time=wall)
+        known = [axis for axis in measured.axes if axis.q_j is not None]
+        stamp = {"sec": wall // 10**9, "nsec": wall % 10**9}
+        self._joints.log(
+            {
+                "header": {"stamp": stamp, "frame_id": ""},
+                "name": [axis.name for axis in known],
+                "position": [axis.q_j for axis in known],
+                "velocity": [axis.omega_j or 0.0 for axis in known],
+                "effort": [_effort(axis) for axis in known],
+            },
+            log_time=wall,
+        )
+        self.published += 1
+
+    def _publish_status(self, axes: list[dict[str, Any]], wall: int) -> None:
+        """Publish the status of each axis, with the ends of each band as signals."""
+        for channel, axis in zip(self._status, axes, strict=True):
+            found = {name: axis[name] for name in SIGNALS if name in axis and name not in BANDED}
+            for name in BANDED:
+                if (band := axis.get(name)) is not None:
+                    found |= {name: band["value"], f"{name}_low": band["low"], f"{name}_high": band["high"]}
+            channel.log({name: value for name, value in found.items() if value is not None}, log_time=wall)
+
+    def _log(self, text: str, level: LogLevel, wall: int) -> None:
+        stamp = Timestamp(wall // 10**9, wall % 10**9)
+        self._events.log(Log(timestamp=stamp, level=level, message=text, name="tsa"), log_time=wall)
+
+    def close(self) -> None:
+        """Close the server and both connections."""
+        self._server.stop()
+        self._listener.close()
+        self._client.close()
+
+
+def _values(axis: AxisMeasured) -> dict[str, Any]:
+    """Return the known signals of one axis."""
+    found = {signal.name: getattr(axis, signal.name) for signal in signals_of(Place.CLIENT)}
+    return {name: value for name, value in found.items() if value is not None}
+
+
+def _effort(axis: AxisMeasured) -> float:
+    """Return the joint torque of the best source: its sensor, the tendon elongation, the model; N*m."""
+    for value in (axis.tau_j, axis.tau_j_stretch, axis.tau_j_model):
+        if value is not None:
+            return float(value)
+    return 0.0
