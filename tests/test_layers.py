@@ -59,7 +59,9 @@ ROOMS: dict[str, str] = {
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
-    "virtual": "errors display outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant",
+    "virtual": (
+        "errors settings display outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant"
+    ),
     # for people
     "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",

@@ -5,6 +5,7 @@ A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import math
 import os
@@ -47,6 +48,53 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise UsageError(f"{str(path)!r}: is no path ({error}); give the path of a TOML file") from None
     except RecursionError:
         raise UsageError(f"{path}: tables or lists are nested too deeply; give one of the documented files") from None
+
+
+MOST_TEXT = 1_000_000  # bytes of a file that `referenced` takes; longer is a table of data
+
+
+def referenced(path: str | Path) -> dict[str, str]:
+    """Return the text of a TOML file and of all files that it names, by their names relative to its folder.
+
+    A string in a TOML file names a file if one is there, or a drive profile if `drives/STRING.toml` is there.
+    Files that are longer than `MOST_TEXT` or not text are left out.
+    """
+    start = Path(path)
+    found: dict[str, str] = {}
+    waiting = [start]
+    while waiting:
+        file = waiting.pop()
+        name = os.path.relpath(file, start.parent)
+        if name in found:
+            continue
+        try:
+            if file.stat().st_size > MOST_TEXT:
+                continue
+            found[name] = text = file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            continue
+        if file.suffix == ".toml":
+            with contextlib.suppress(tomllib.TOMLDecodeError, RecursionError):
+                for word in _strings(tomllib.loads(text)):
+                    places = (file.parent / word, file.parent / "drives" / f"{word}.toml")
+                    waiting += [place for place in places if _is_file(place)]
+    return found
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # no path at all, or too long for one
+        return False
+
+
+def _strings(value: object) -> Iterator[str]:
+    """Yield every string in a parsed file that may name another file."""
+    if isinstance(value, str) and value:
+        yield value
+    elif isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from _strings(inner)
 
 
 def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:

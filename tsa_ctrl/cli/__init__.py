@@ -36,6 +36,7 @@ VERBS: dict[str, str] = {
     "bench": "find the highest rate of this machine, adapter and configuration",
     "help": "show the manual's pages, or the remedy of a fault",
     "dashboard": "open a local page to watch and tune",
+    "bundle": "write a field report of a run, from which it can be reproduced",
     "live": "publish signals on a WebSocket for Foxglove and PlotJuggler",
 }
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import tempfile
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,9 +13,12 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.virtual.result import Simulation
+
+MOST_LOG = 4_000_000_000  # bytes of a log in a field report: some hours of four axes
 
 
 @click.command(
@@ -22,8 +27,10 @@ if TYPE_CHECKING:
     "--fault 'torn_tendon@5'",
 )
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.argument("plant", type=click.Path(path_type=Path))
-@click.option("--seconds", required=True, type=Finite(0.1, 86_400.0), help="Of torque.")
+@click.argument("plant", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--seconds", type=Finite(0.1, 86_400.0), help="Duration with torque; required unless a virtual run is repeated."
+)
 @click.option("--record", type=click.Path(path_type=Path), help="CSV of the plant's own truth, as of tsa plant.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the daemon's own log, tsa.mcap.")
 @click.option("--seed", type=click.IntRange(0), help="Of all noise; default: the plant file's.")
@@ -34,8 +41,8 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     controller: Path,
-    plant: Path,
-    seconds: float,
+    plant: Path | None,
+    seconds: float | None,
     record: Path | None,
     out: Path | None,
     seed: int | None,
@@ -46,18 +53,89 @@ def command(
     """Run CONTROLLER.toml on PLANT.toml in virtual time: deterministic, faster than real time, no bus, no rights.
 
     T counts from the first cycle, as t in the log. Errors are the delivered joint torque (the plant's truth) less the
-    one wanted, from the end of the fade-in on. A fault is a result, too: exit status 0.
+    desired one, from the end of the fade-in on. The exit status is 0 after a fault as well.
+
+    In place of CONTROLLER.toml, a field report (tsa bundle) or the log of a virtual run: the run is repeated with its
+    files and arguments, and each record is compared with the log.
     """
     from tsa_ctrl.virtual.simulation import simulate_loop  # the loop and the plant, not loaded for --help
 
-    with _progress() as tick:
-        simulation = simulate_loop(
-            controller, plant, seconds, out=out, record=record, seed=seed, faults=faults, changes=changes, tick=tick
-        )
+    if controller.suffix.lower() in (".zip", ".mcap"):
+        simulation = _repeated(controller, plant, seconds, record, out, seed, faults, changes)
+    elif plant is None:
+        raise UsageError("PLANT.toml is missing; give the file of the simulated machine after CONTROLLER.toml")
+    elif seconds is None:
+        raise UsageError("--seconds is missing; give the duration with torque in s")
+    else:
+        with _progress() as tick:
+            simulation = simulate_loop(
+                controller, plant, seconds, out=out, record=record, seed=seed, faults=faults, changes=changes, tick=tick
+            )
     if as_json:
         click.echo(json.dumps(simulation.to_dict(), allow_nan=False))
     else:
         _show(simulation)
+
+
+def _repeated(
+    report: Path,
+    plant: Path | None,
+    seconds: float | None,
+    record: Path | None,
+    out: Path | None,
+    seed: int | None,
+    faults: tuple[str, ...],
+    changes: tuple[str, ...],
+) -> Simulation:
+    """Repeat the run of a field report or log, and print whether it gives the same records."""
+    from tsa_ctrl.virtual.replay import Replay, first_difference
+    from tsa_ctrl.virtual.simulation import simulate_loop
+
+    with tempfile.TemporaryDirectory() as folder:
+        log = report if report.suffix.lower() == ".mcap" else _log_of(report, Path(folder))
+        files = Path(folder, "files")
+        files.mkdir()
+        replay = Replay(log, files)
+        changed = plant is not None or seconds is not None or seed is not None or bool(faults or changes)
+        on, old = plant or replay.plant, replay.arguments
+        if on is None:
+            raise UsageError(f"{report}: is of a run on hardware; give a PLANT.toml to run its files on, and --seconds")
+        duration = seconds if seconds is not None else old.get("seconds")
+        if duration is None:
+            raise UsageError("--seconds is missing; give the duration with torque in s")
+        with _progress() as tick:
+            simulation = simulate_loop(
+                replay.controller,
+                on,
+                float(duration),
+                out=out,
+                record=record,
+                seed=seed if seed is not None else old.get("seed"),
+                faults=faults or old.get("faults", ()),
+                changes=changes or old.get("changes", ()),
+                tick=tick,
+            )
+        if changed:
+            click.echo("not compared with the log: other arguments", err=True)
+        elif difference := first_difference(log, {axis.name: axis.log for axis in simulation.axes}):
+            click.echo(f"differs from the log: {difference}", err=True)
+        else:
+            click.echo("equal to the log in each bit of each record", err=True)
+        return simulation
+
+
+def _log_of(report: Path, folder: Path) -> Path:
+    """Extract the log of a field report to a folder and return its path; raise UsageError for another file."""
+    if not report.is_file():
+        raise UsageError(f"{report}: no such file; give a field report of tsa bundle")
+    try:
+        with zipfile.ZipFile(report) as archive:
+            size = archive.getinfo("log.mcap").file_size
+            if size > MOST_LOG:
+                raise UsageError(f"{report}: its log has {size / 1e9:.1f} GB; allowed are {MOST_LOG / 1e9:g}")
+            return Path(archive.extract("log.mcap", folder))
+    except (OSError, KeyError, zipfile.BadZipFile) as error:
+        raise UsageError(f"{report}: not a field report ({error}); give a file that tsa bundle wrote") from None
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import partial
+from pathlib import Path
 
 import msgspec
 
@@ -42,6 +43,7 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
+from tsa_ctrl.settings import referenced
 
 
 class LoopPhase(Enum):
@@ -364,10 +366,12 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
 
 
 def log_header(configuration: Configuration) -> LogHeader:
-    """Return the header of the log: the files as they were read, and the names of the codes."""
-    files = {configuration.path.name: configuration.text}
-    for settings in configuration.file.axes:
-        files[settings.model] = (configuration.folder / settings.model).read_text(encoding="utf-8")
+    """Return the header of the log: all files of the configuration, and the names of the codes."""
+    files = {**referenced(configuration.path), configuration.path.name: configuration.text}
+    for axis in configuration.file.axes:
+        profile = Path("drives", f"{axis.drive.profile}.toml")  # "generic" is used without being named
+        if (configuration.folder / profile).is_file():
+            files[str(profile)] = (configuration.folder / profile).read_text(encoding="utf-8")
     return LogHeader(
         axes=tuple(axis.name for axis in configuration.file.axes),
         rate=configuration.file.controller.rate,

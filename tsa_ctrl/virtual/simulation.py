@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.signals import FIELD_NAMES
+from tsa_ctrl.virtual import replay
 from tsa_ctrl.virtual.lockstep import End, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
@@ -257,13 +258,14 @@ def simulate_loop(
     )
     if record is not None:
         refuse_inputs(Path(record), inputs, "--record")
-    run = Run(configuration, settings, seconds, out, record)
+    begun = [parse_fault_option(each) if isinstance(each, str) else each for each in faults]
+    made = [parse_set_option(each) if isinstance(each, str) else each for each in changes]
+    files = {}
+    if not isinstance(controller, Configuration) and not isinstance(plant, PlantSettings):
+        files = replay.described(configuration.path, Path(plant), seconds, seed, begun, made)
+    run = Run(configuration, settings, seconds, out, record, files)
     try:
-        return run.play(
-            [parse_fault_option(each) if isinstance(each, str) else each for each in faults],
-            [parse_set_option(each) if isinstance(each, str) else each for each in changes],
-            tick,
-        )
+        return run.play(begun, made, tick)
     finally:
         run.close()
 
@@ -290,7 +292,9 @@ class Run:
         seconds: float,
         out: str | Path | None = None,
         record: str | Path | None = None,
+        files: Mapping[str, str] | None = None,
     ) -> None:
+        """Build the run; `files`: text by name for the head of the log, in addition to the controller's files."""
         file = configuration.file
         self._configuration = configuration
         self._plant = plant
@@ -301,7 +305,9 @@ class Run:
         self._wire.attach(self.machine)
         self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
         self.machine.recorder = self._truth
-        self._records = Records(len(file.axes), None if out is None else Path(out), log_header(configuration))
+        header = log_header(configuration)
+        header.files.update(files or {})
+        self._records = Records(len(file.axes), None if out is None else Path(out), header)
         self.rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
         self.axes = control_axes(configuration, self.rig)
         self._tuners = tuners_of(self.axes, configuration.period)
