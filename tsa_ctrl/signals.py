@@ -7,6 +7,7 @@ this table. To add a signal, add one row.
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum, Flag, auto
 from typing import Any
@@ -157,6 +158,20 @@ COLUMNS: dict[str, Signal] = {signal.name: signal for signal in signals_of(Place
 """Columns of logs by name."""
 INPUTS: tuple[str, ...] = names_of(Place.INPUT)
 """Columns that every command accepts in a log."""
+JOINT_ANGLE = "q_j."
+"""Prefix of the column of another axis' joint angle in rad, NAME following: a joint that may bend the sheath."""
+
+
+def is_input(name: str) -> bool:
+    """Return True if every command accepts the column `name` in a log."""
+    return name in INPUTS or (name.startswith(JOINT_ANGLE) and len(name) > len(JOINT_ANGLE))
+
+
+def is_selected(name: str, wanted: Collection[str] | None) -> bool:
+    """Return True if `name` is among `wanted`, in which q_j includes the columns q_j.NAME of all joints."""
+    return wanted is None or name in wanted or (name.startswith(JOINT_ANGLE) and "q_j" in wanted)
+
+
 FIELDS: tuple[Signal, ...] = signals_of(Place.LOG)
 """Columns that the daemon records, in the order of its log."""
 FIELD_NAMES: tuple[str, ...] = names_of(Place.LOG)

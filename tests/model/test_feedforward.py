@@ -86,7 +86,7 @@ INVERTIBLE |= {  # nothing of the torque
     "pulley_slip": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)}),
     "joint_play": st.fixed_dictionaries({"gap": numbers(1e-4, 0.1)}),
 }
-NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag"}
+NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag", "routing_by_joint"}  # the last is read as [routing]
 
 
 class Motion:

@@ -192,3 +192,17 @@ def test_joint_torque_equals_the_reference(effects: dict[str, dict[str, Any]], e
     """Each state of the reference table, for each case, to 1e-9 N*m."""
     found = [expected_torque(effects, state) for state in STATES]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_joint_that_moves_as_this_one_bends_the_sheath_as_this_one() -> None:
+    """The references of configuration_dependent_bending hold for a hip with the same angle, in part or in full."""
+    gain = {"bending_per_joint_angle": 0.6}
+    expected = next(values for effects, values in CASES if effects == {"configuration_dependent_bending": gain})
+    for effects in (
+        {"routing_by_joint": {"hip": 0.6}},
+        {"routing_by_joint": {"hip": 0.4}, "configuration_dependent_bending": {"bending_per_joint_angle": 0.2}},
+    ):
+        for state, reference in zip(STATES, expected, strict=True):
+            log = {name: np.array([value]) for name, value in zip(COLUMNS, state, strict=True)}
+            found = predict(ACTUATOR.with_effects(effects), Signals(**log, joints={"hip": log["q_j"]}))[0]
+            assert found == pytest.approx(reference, abs=1e-9)

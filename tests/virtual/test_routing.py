@@ -16,6 +16,11 @@ from tests.virtual.files import Tables
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.simulate import simulate
+from tsa_ctrl.log.convert import convert
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.model.routing import Route, Routing
 
@@ -112,6 +117,33 @@ def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path:
     """The plant's hip moves exactly as the table says: 11.0 and 11.2 mN*m."""
     by_hip, by_table = knee(tmp_path, "imposed", 0.4), knee(tmp_path, "imposed", 0.4, table=True)
     assert by_hip == pytest.approx(by_table, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_log_of_two_joints_has_the_angle_of_the_other_one(tmp_path: Path) -> None:
+    """Model files are tried on the knee's log: 108 mN*m with the routing, 218 without. The diagnosis finds the gain.
+
+    The plant's tendons have friction all along the sheath, and no line of (3.55).
+    """
+    simulate_loop(*files(tmp_path, "imposed", 0.4), SECONDS, out=tmp_path / "out")
+    log = tmp_path / "out" / "tsa.mcap"
+    knee_log = load_log(f"{log}:joint")
+    hip = load_log(f"{log}:hip")
+    assert np.array_equal(knee_log["q_j.hip"], hip["q_j"][: len(knee_log)])
+    converted = {path.name: path for path in (each.path for each in convert(log, tmp_path / "csv"))}
+    assert "q_j.hip" in load_log(converted["tsa_joint.csv"])
+    kept = knee_log["t"] > knee_log["t"][0] + 2.5
+    names = [name for name in knee_log.columns if name not in {"theta", *knee_log.derived}]
+    part = Dataset.from_arrays({name: knee_log[name][kept] for name in names}, "knee")
+    errors = [simulate(part, load_tendon_sheath(tmp_path / name)).rms for name in ("followed.toml", "true.toml")]
+    assert errors[0] is not None
+    assert errors[1] is not None
+    assert errors[0] < 0.6 * errors[1]
+    first = diagnose([part], load_tendon_sheath(tmp_path / "true.toml")).causes[0]
+    assert first.effect == "routing_by_joint"
+    found = first.parameters["hip"]
+    assert isinstance(found, Quantity)
+    assert found.low < GAIN < found.high
 
 
 @pytest.mark.slow

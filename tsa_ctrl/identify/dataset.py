@@ -27,7 +27,7 @@ from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps, repair_timestamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.signals import COLUMNS, INPUTS
+from tsa_ctrl.signals import COLUMNS, INPUTS, JOINT_ANGLE, is_input
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,6 +131,27 @@ class Dataset(Displayed):
         for column in more:
             self[column]
 
+    def bent_by(self, model: Model) -> Dataset:
+        """Return this log with the wrap angle by the `[routing]` of `model` from the angles q_j.NAME, as column theta.
+
+        A log that lacks an angle keeps its column theta. Raises UsageError if it has neither.
+        """
+        routing = None if isinstance(model, RigidDrive) else model.routing
+        if routing is None or isinstance(model, RigidDrive):
+            return self
+        lacking = [joint for joint in routing.joints if f"{JOINT_ANGLE}{joint}" not in self.columns]
+        if lacking and "theta" in self.columns:
+            return self
+        if lacking:
+            raise UsageError(
+                f"{self.label or self.name}: column {JOINT_ANGLE}{lacking[0]} is missing, and [routing] of "
+                f"{model.source or 'the model'} names joint '{lacking[0]}'; log its angle (rad), name the axis "
+                "of a log of all joints (run.mcap:AXIS), or add column theta"
+            )
+        a, b = routing.wrap_angles_of({joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints})
+        theta = model.bending_angle + 0.5 * (a + b)
+        return dataclasses.replace(self, columns={**self.columns, "theta": theta}, derived=self.derived | {"theta"})
+
     @cached_property
     def _signals(self) -> Signals:
         present = {name: self.columns.get(name) for name in ("q_j", "q_m", "omega_m", "theta", "temperature")}
@@ -147,6 +168,11 @@ class Dataset(Displayed):
             acceleration_j=joint,
             acceleration_m=motor,
             **present,
+            joints={
+                name.removeprefix(JOINT_ANGLE): values
+                for name, values in self.columns.items()
+                if name.startswith(JOINT_ANGLE)
+            },
         )
 
     def signals(self) -> Signals:
@@ -244,7 +270,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
     if len(table) < FEWEST:
         raise UsageError(f"{table.label}: holds {len(table)} rows; at least {FEWEST} are needed: give a longer log")
     notes = list(table.notes)
-    for column in [key for key in columns if key != "t" and key in INPUTS and bool(np.isnan(columns[key]).all())]:
+    for column in [key for key in columns if key != "t" and is_input(key) and bool(np.isnan(columns[key]).all())]:
         if column == "tau_m":
             raise UsageError(f"{table.label}: column tau_m has no value in any row; log the drive's torque")
         del columns[column]
@@ -284,7 +310,7 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
 
 def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
     """What of a daemon's own log can be used, where devices were silent or the loop stood still; its first row."""
-    present = {name: np.isfinite(values) for name, values in columns.items() if name in INPUTS}
+    present = {name: np.isfinite(values) for name, values in columns.items() if is_input(name)}
     for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
         notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
         del columns[name]
@@ -324,7 +350,7 @@ def _longest_piece(t: Array) -> tuple[int, int]:
 
 def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:
     for name, values in columns.items():
-        if name not in INPUTS:
+        if not is_input(name):
             continue
         good = np.isfinite(values)
         if not good.all():

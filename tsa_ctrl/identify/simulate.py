@@ -70,6 +70,7 @@ class Simulation:
 
 def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
     """Predict with one model. Raises UsageError where the log lacks a column that it needs, or cannot be right."""
+    dataset = dataset.bent_by(model)
     admit(dataset, model)
     signals = dataset.signals()
     predicted = predict(model, signals)

@@ -153,11 +153,15 @@ def _sources(log: str | Path) -> list[_Source]:
 
 def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int) -> _Source:
     names = [name for name, there in zip(contents.fields, present.tolist(), strict=True) if there]
+    joints = contents.joint_angles() if "t" in names else {}
 
     def blocks() -> Blocks:
-        return (block for name, block in contents.blocks(names) if name == axis)
+        for name, block in contents.blocks(names):
+            if name == axis:
+                t = block[:, names.index("t")] if joints else block[:, 0]
+                yield np.column_stack([block, *(at(t) for at in joints.values())])
 
-    return _Source(axis, names, contents.codes, rows, blocks, tuple(contents.problems))
+    return _Source(axis, [*names, *joints], contents.codes, rows, blocks, tuple(contents.problems))
 
 
 def _of_table(table: Table) -> _Source:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.reader import DecompressionLimit
-from tsa_ctrl.signals import INPUTS
+from tsa_ctrl.signals import is_input, is_selected
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -111,8 +111,8 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
-    kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
-    numeric = [place for place in kept if wanted is not None or names[place] in INPUTS]
+    kept = [place for place, name in enumerate(names) if is_selected(name, wanted)]  # names may be empty
+    numeric = [place for place in kept if wanted is not None or is_input(names[place])]
     with _up_to(path, end) as file:
         columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
     return columns, [name for name in names if name not in columns], above

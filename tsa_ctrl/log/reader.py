@@ -13,7 +13,8 @@ import json
 import mmap
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
 from gzip import GzipFile
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, HEAD, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
+from tsa_ctrl.signals import JOINT_ANGLE
 
 ALWAYS = 256 << 20  # bytes that any file may unpack to: half an hour of one axis at 1 kHz as CSV
 RATIO = 200  # permitted compression ratio beyond that: logs of a rig at rest reach 60, of a moving rig 2 to 10
@@ -180,6 +182,23 @@ class LogFile:
                     column += values.astype(np.float64).tobytes()
         return {name: np.frombuffer(column, dtype=np.float64) for name, column in zip(names, found, strict=True)}
 
+    def joint_angles(self) -> dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]:
+        """Return for each column q_j.NAME a function of the times (s) of an axis' records; none for a single axis.
+
+        The axes of a log share the clock of the loop. Where axis NAME has no record of that time, the value is nan.
+        """
+        if len(self.axes) < 2 or not {"t", "q_j"} <= set(self.fields):
+            return {}
+        blocks: dict[str, list[NDArray[np.float64]]] = {axis: [] for axis in self.axes}
+        for axis, block in self.blocks(("t", "q_j")):
+            blocks[axis].append(block)
+        joined = {axis: np.concatenate(parts) for axis, parts in blocks.items() if parts}
+        return {
+            f"{JOINT_ANGLE}{axis}": partial(_at_times, rows[:, 0].copy(), rows[:, 1].copy())
+            for axis, rows in joined.items()
+            if not np.isnan(rows[:, 1]).all()
+        }
+
     def read_notes(self) -> list[Note]:
         """Return the events in order: faults with their cause, losses, the end."""
         for _ in self.blocks(()):
@@ -293,3 +312,9 @@ def _unpacked(content: bytes, counted: DecompressionLimit) -> bytes | None:
     except (*_DAMAGED, zstandard.ZstdError):
         return None
     return data if zlib.crc32(data) == chunk.uncompressed_crc else None
+
+
+def _at_times(known: NDArray[np.float64], values: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the values at the times `t`, and nan at a time that is not among the rising times `known`."""
+    place = np.minimum(np.searchsorted(known, t), len(known) - 1)
+    return np.where(known[place] == t, values[place], np.nan)

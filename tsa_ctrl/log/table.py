@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.csv_table import connected, doubles, opened, quoted, read_csv, said
+from tsa_ctrl.signals import is_selected
 
 _NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?\b|FLOAT|DOUBLE|DECIMAL")  # as DuckDB names types
 
@@ -118,6 +119,8 @@ def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> T
     axis = axis or log.axes[0]
     kept = [name for name in log.fields if wanted is None or name in wanted]
     columns = log.columns(axis, kept)
+    if wanted is None or "q_j" in wanted:
+        columns |= {name: at(columns["t"]) for name, at in log.joint_angles().items()} if "t" in columns else {}
     columns = {name: values for name, values in columns.items() if name == "t" or not np.isnan(values).all()}
     label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
     left_out = tuple(name for name in log.fields if name not in kept)
@@ -139,11 +142,11 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
                 raise UsageError(f"{path}: column {twice} stands twice; rename or remove one")
             numeric = [name for name, kind in kinds if _NUMERIC.match(kind)]
             for name, kind in kinds:
-                if wanted is not None and name in wanted and name not in numeric:
+                if wanted is not None and is_selected(name, wanted) and name not in numeric:
                     raise UsageError(f"{path}: column {name} is {kind}, not a number; convert it")
             columns = {}
             for name in numeric:
-                if wanted is None or name in wanted:  # read apart, so that only one is in memory twice
+                if is_selected(name, wanted):  # read apart, so that only one is in memory twice
                     query = f"SELECT CAST({quoted(name)} AS DOUBLE) AS x FROM read_parquet('{file}')"
                     columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
     except duckdb.Error as error:

@@ -14,7 +14,7 @@ from typing import Any
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
 from tsa_ctrl.model.effects.custom import NAMES
-from tsa_ctrl.model.effects.specification import Parameter, Setting, Specification, Stage
+from tsa_ctrl.model.effects.specification import Setting, Specification, Stage
 from tsa_ctrl.model.expression import FUNCTIONS, REMEMBERING
 
 CATALOGUE: Mapping[str, Specification] = MappingProxyType(
@@ -67,7 +67,7 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
     values: dict[str, Setting] = {}
     for key in given:
         if key not in known and spec.named:
-            values[key] = _constant(key, given[key], where)
+            values[key] = _constant(spec, key, given[key], where)
         elif key not in known:
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
             advice = f"did you mean '{near[0]}'?" if near else f"known keys are {', '.join(known) or 'none'}"
@@ -81,7 +81,7 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
         if not parameter.accepts(value):
             raise UsageError(f"{where}: {parameter.name} = {value!r}; allowed is {parameter.describe()}")
         values[parameter.name] = parameter.taken(value)
-    if spec.named:
+    if "expression" in values:
         _ = spec.build(values).program  # what is no formula is said before it is used
     return values
 
@@ -100,11 +100,12 @@ def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
     return [(op, number, *more, *[0.0] * (2 - len(more))) for op, number, more in steps]
 
 
-def _constant(key: str, value: object, where: str) -> float:
-    if key in NAMES or key in FUNCTIONS or key in REMEMBERING:
+def _constant(spec: Specification, key: str, value: object, where: str) -> float:
+    if spec.name == "custom" and (key in NAMES or key in FUNCTIONS or key in REMEMBERING):
         raise UsageError(f"{where}: '{key}' is a signal or a function already; give the constant another name")
-    if not Parameter().accepts(value):
-        raise UsageError(f"{where}: {key} = {value!r}; allowed is a number")
+    allowed = spec.parameter(key)
+    if not allowed.accepts(value):
+        raise UsageError(f"{where}: {key} = {value!r}; allowed is {allowed.describe()}")
     return float(value)  # type: ignore[arg-type]
 
 

@@ -22,6 +22,7 @@ from tsa_ctrl.model.curvature import Points, course_of
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 from tsa_ctrl.model.routing import Routing
 
+ROUTING_BY_JOINT = "routing_by_joint"  # the effect whose place in a file is [routing]
 Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
 
 
@@ -187,7 +188,17 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         origin=origin_of(file.provenance, where),
     )
     model = dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
-    return dataclasses.replace(model, effects=check_effects(file.effects, where))
+    return _with_routing_of_effects(dataclasses.replace(model, effects=check_effects(file.effects, where)))
+
+
+def _with_routing_of_effects(model: TendonSheath) -> TendonSheath:
+    """Return the model with its [effects.routing_by_joint], which a diagnosis finds, as part of its [routing]."""
+    if ROUTING_BY_JOINT not in model.effects:
+        return model
+    effects = {name: values for name, values in model.effects.items() if name != ROUTING_BY_JOINT}
+    return dataclasses.replace(
+        model, effects=effects, routing=Routing.sum_of(model.routing, model.effects[ROUTING_BY_JOINT])
+    )
 
 
 def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> float:
@@ -209,6 +220,8 @@ def dump_model(model: Model, template: str | Path | None = None, provenance: Map
     `template`: a model file whose comments and layout are kept. `provenance`: plain values or tables written to
     `[provenance]` (where the numbers came from: log names and hashes, date, version, intervals).
     """
+    if isinstance(model, TendonSheath):
+        model = _with_routing_of_effects(model)
     document = tomlkit.document() if template is None else tomlkit.parse(Path(template).read_text(encoding="utf-8"))
     for section, values in _sections(model).items():
         table = document.setdefault(section, tomlkit.table())

@@ -181,7 +181,7 @@ def missing_for(
     for alternatives in spec.columns if parameters is None or not spec.named else spec.needed_live(parameters):
         if rigid and not {"q_j", "omega_j"}.isdisjoint(alternatives):
             continue
-        if all(getattr(signals, name) is None for name in alternatives):
+        if not any(name in signals for name in alternatives):
             return alternatives
     return ()
 
@@ -218,6 +218,7 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
         theta=np.asarray(model.bending_angle) if signals.theta is None else signals.theta,
         sigma=sigma,
         start=float(signals.t[0]),
+        joints=signals.joints,
     )
 
 
@@ -326,6 +327,7 @@ def _part(state: State[Array], block: slice) -> State[Array]:
         theta=of(state.theta),
         sigma=of(state.sigma),
         start=state.start,
+        joints={name: of(angle) for name, angle in state.joints.items()},
     )
 
 

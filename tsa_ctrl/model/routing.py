@@ -17,8 +17,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.functions import Array
 
 MOST_GAIN = 10.0  # rad/rad; a sheath that turns ten times as far as its joint does not exist, a gain in degrees does
 Points = tuple[tuple[float, float], ...]  # (rad of the joint, rad of wrap angle beyond [sheath] bending_angle)
@@ -71,6 +73,17 @@ class Route:
         """Return the names of the joints that this sheath crosses."""
         return (*self.gains, *self.tables)
 
+    def plus(self, gains: Mapping[str, float]) -> Route:
+        """Return this route with more rad/rad of these joints; a table is turned by them between its ends."""
+        sums = {**self.gains}
+        tables = dict(self.tables)
+        for name, gain in gains.items():
+            if name in tables:
+                tables[name] = tuple((q, theta + gain * q) for q, theta in tables[name])
+            else:
+                sums[name] = sums.get(name, 0.0) + gain
+        return Route(sums, tables)
+
     def added(self, angles: Mapping[str, float]) -> float:
         """Return rad of wrap angle beyond that with all joints at 0; `angles`: rad by joint, of all joints."""
         bent = 0.0
@@ -78,6 +91,15 @@ class Route:
             bent += gain * angles[name]
         for name, points in self.tables.items():
             bent += _between(points, angles[name])
+        return bent
+
+    def added_over(self, angles: Mapping[str, Array]) -> Array:
+        """Return `added` over a log, rad, (n,); `angles`: rad by joint, (n,) each, of all joints."""
+        bent = np.zeros(len(next(iter(angles.values()))))
+        for name, gain in self.gains.items():
+            bent += gain * angles[name]
+        for name, points in self.tables.items():
+            bent += np.interp(angles[name], *np.transpose(points))
         return bent
 
     def added_by(self, joint: str, angle: float) -> float:
@@ -125,6 +147,14 @@ class Routing:
         first = Route.of(section)
         return cls(first, first if section.tendon_b is None else Route.of(section.tendon_b))
 
+    @classmethod
+    def sum_of(cls, routing: Routing | None, gains: Mapping[str, float]) -> Routing | None:
+        """Return a routing with more rad/rad of these joints, on both tendons."""
+        if not gains:
+            return routing
+        first, second = (Route({}, {}),) * 2 if routing is None else (routing.a, routing.b)
+        return cls(first.plus(gains), second.plus(gains))
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Return the names of all joints that bend either sheath, each once, in the order of the file."""
@@ -138,6 +168,10 @@ class Routing:
     def wrap_angles(self, bending_angle: float, angles: Mapping[str, float]) -> tuple[float, float]:
         """Return Theta_a and Theta_b, rad; `bending_angle`: Theta_0, rad, `angles`: rad by joint, of all joints."""
         return bending_angle + self.a.added(angles), bending_angle + self.b.added(angles)
+
+    def wrap_angles_of(self, angles: Mapping[str, Array]) -> tuple[Array, Array]:
+        """Return the wrap angles of a and b beyond Theta_0 over a log, rad, (n,) each; `angles`: (n,) by joint."""
+        return self.a.added_over(angles), self.b.added_over(angles)
 
     def path_changes(self, lever: float, angles: Mapping[str, float]) -> tuple[float, float]:
         """Return what the joints add to the path lengths of both tendons, m, by (3.52); `lever`: p + d/2, m."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Hashable
-from dataclasses import dataclass
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -44,24 +44,45 @@ class Signals:
     temperature: Array | None = None
     acceleration_j: Array | None = None
     acceleration_m: Array | None = None
+    joints: Mapping[str, Array] = field(default_factory=dict)  # rad, q_j.NAME of joints that may bend the sheath
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            column = getattr(self, field.name)
-            if column is None:
-                continue
-            column = np.ascontiguousarray(column, dtype=np.float64)
-            object.__setattr__(self, field.name, column)
-            if column.ndim != 1 or len(column) != len(self.t):
-                raise UsageError(
-                    f"signals: column '{field.name}' has shape {column.shape} where t has {self.t.shape}; "
-                    "give columns of one length"
-                )
+        for entry in dataclasses.fields(self):
+            if entry.name == "joints":
+                joints = {name: self._checked(f"q_j.{name}", angle) for name, angle in self.joints.items()}
+                object.__setattr__(self, "joints", joints)
+            elif (column := getattr(self, entry.name)) is not None:
+                object.__setattr__(self, entry.name, self._checked(entry.name, column))
         if len(self.t) == 0:
             raise UsageError("signals: no samples; give a log with at least one row")
 
+    def _checked(self, name: str, values: Array) -> Array:
+        column = np.ascontiguousarray(values, dtype=np.float64)
+        if column.ndim != 1 or len(column) != len(self.t):
+            raise UsageError(
+                f"signals: column '{name}' has shape {column.shape} where t has {self.t.shape}; "
+                "give columns of one length"
+            )
+        return column
+
     def __len__(self) -> int:
         return len(self.t)
+
+    def __contains__(self, column: str) -> bool:
+        """Return True if the log has this column, q_j.NAME included."""
+        joint = column.removeprefix("q_j.")
+        return joint in self.joints if joint != column else getattr(self, column) is not None
+
+    def means(self, factor: int) -> Signals:
+        """Return the means of `factor` samples each, without the incomplete group at the end."""
+
+        def mean(y: Array) -> Array:
+            whole = len(y) // factor * factor
+            return np.asarray(y[:whole].reshape(-1, factor).mean(axis=1))
+
+        columns = {entry.name: getattr(self, entry.name) for entry in dataclasses.fields(self)}
+        joints = {name: mean(angle) for name, angle in columns.pop("joints").items()}
+        return Signals(**{name: mean(y) for name, y in columns.items() if y is not None}, joints=joints)
 
     @cached_property
     def memo(self) -> dict[Hashable, Array]:

@@ -213,8 +213,8 @@ class Axis:
         _set(self.parameters, centre=_centre(curve, self.parameters[0]))
         if on_limb:
             _set(self.parameters, load=Load.LIMB)
-        self.routing = model.routing
-        joints, gains, starts, points = _routes(model.routing, self.name)
+        self.routing = Routing.sum_of(model.routing, settings.effects.get("routing_by_joint", {}))
+        joints, gains, starts, points = _routes(self.routing, self.name)
         steps = steps_of(settings.effects)
         self._arrays = Arrays(
             ring=np.zeros((2, DELAY_SAMPLES)),

@@ -19,7 +19,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.table import load_run, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
-from tsa_ctrl.signals import INPUTS
+from tsa_ctrl.signals import INPUTS, is_input
 from tsa_ctrl.system.process_supervisor import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
@@ -178,7 +178,7 @@ def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
     """Datasets between the skips that are too long to be bridged."""
     t = columns["t"]
-    present = {key: value for key, value in columns.items() if key in {"t", *INPUTS} and bool(np.isfinite(value).all())}
+    present = {key: value for key, value in columns.items() if is_input(key) and bool(np.isfinite(value).all())}
     pieces = []
     for first, end in stretches(t):
         if t[end - 1] - t[first] >= SHORTEST_PIECE:

@@ -28,6 +28,7 @@ from tsa_ctrl.model.effects.motor import MotorSideFriction, TorqueConstantError,
 from tsa_ctrl.model.effects.pretension import (
     ConfigurationDependentBending,
     PretensionRelaxation,
+    RoutingByJoint,
     StiffnessNonlinearity,
 )
 from tsa_ctrl.model.effects.stretch import JointPlay, PulleySlip, SeriesSpring, TendonCreep
@@ -39,6 +40,7 @@ EFFECTS: tuple[type[Any], ...] = (
     TorqueRipple,
     MotorSideFriction,
     ConfigurationDependentBending,
+    RoutingByJoint,
     StiffnessNonlinearity,
     PretensionRelaxation,
     StribeckFriction,

@@ -51,7 +51,8 @@ class Custom:
         stage=Stage.JOINT,
         summary="a formula of the model file",
         search=lambda name, scales: (),  # the user's own formula is no hypothesis
-        named=True,
+        constants=Parameter(),
+        hypothesis=False,
         live_columns=_columns,
         equation="τ_J ← τ_J − f(ω, q, τ, σ, t, T)",
     )

@@ -10,7 +10,8 @@ Source: Shigley's eccentric cam, small e; catalogue of effects.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Generic
 
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant
@@ -42,6 +43,7 @@ class State(Generic[F]):
     theta: F  # rad, bending angle before any effect
     sigma: F  # 1, direction: sign of omega, or the friction state z in [-1, 1]
     start: float  # s, the log's first sample
+    joints: Mapping[str, F] = field(default_factory=dict)  # rad, of joints that may bend the sheath, by name
 
 
 def unmoved(theta: float) -> State[float]:

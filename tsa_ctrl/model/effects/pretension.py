@@ -22,6 +22,7 @@ from tsa_ctrl.model.effects.specification import (
     positive,
 )
 from tsa_ctrl.model.functions import Array, F, Functions
+from tsa_ctrl.model.routing import MOST_GAIN
 
 LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less says nothing of the stiffness
 
@@ -45,6 +46,50 @@ class ConfigurationDependentBending:
 
     def bending(self, theta: F, state: State[F]) -> F:
         return theta + self.bending_per_joint_angle * state.q_j
+
+
+def _routes(name: str, s: Scales) -> list[Variant]:
+    """One gain for each of the other joints, all at once."""
+
+    def parameters(u: Array) -> dict[str, Value]:
+        return {joint: float(value) / reach for (joint, reach), value in zip(s.joints.items(), u, strict=True)}
+
+    coordinates = [Coordinate(joint, -MOST_GAIN * reach, MOST_GAIN * reach, 1e-3) for joint, reach in s.joints.items()]
+    zero = (0.0,) * len(coordinates)
+    return [Variant(name, tuple(coordinates), (zero,), tuple(range(len(coordinates))), parameters)]
+
+
+def _no_other_joint(s: Scales) -> str:
+    return "" if s.joints else "no column q_j.NAME of another joint that moves"
+
+
+@dataclass(frozen=True)
+class RoutingByJoint:
+    """Theta += sum of g_j q_j over other joints, beyond [routing]; path length and T_p follow by (3.50), (3.56).
+
+    A model file with this effect is read as one whose [routing] has these gains in addition.
+    """
+
+    constants: tuple[tuple[str, float], ...] = ()  # g_j by joint, rad/rad
+
+    specification: ClassVar = Specification(
+        name="routing_by_joint",
+        stage=Stage.BENDING,
+        summary="another joint bends the sheath otherwise than [routing] states",
+        search=_routes,
+        constants=Parameter("rad/rad", low=-MOST_GAIN, high=MOST_GAIN),
+        untestable=_no_other_joint,
+        live_columns=lambda parameters: tuple((f"q_j.{joint}",) for joint in parameters),
+        twins=(Twins(("configuration_dependent_bending", "parameter_error"), (Motion.JOINTS,)),),
+        asks=Motion.JOINTS,
+        rigid_drive=False,
+        equation="Θ ← Θ + Σ g_j q_j",
+    )
+
+    def bending(self, theta: F, state: State[F]) -> F:
+        for joint, gain in self.constants:
+            theta = theta + gain * state.joints[joint]
+        return theta
 
 
 def _bent_alike(s: Scales) -> str:

@@ -7,8 +7,8 @@ sine), which is linear where amplitude and phase are not.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
@@ -70,6 +70,7 @@ class Scales:
     derived_velocity: str  # column of the velocity that was derived from an angle; empty when it was measured
     plain: bool  # a drive without tendons: joint and motor are one
     offset: bool  # the base model has a constant torque, which is fitted
+    joints: Mapping[str, float] = field(default_factory=dict)  # half range of other joints that moved, rad, by name
 
 
 Search: TypeAlias = Callable[[str, Scales], Sequence[Variant]]  # of an effect by its name

@@ -51,6 +51,7 @@ class Motion(Enum):
     FREQUENCIES = f"{RANGE}, at two frequencies of motion at least"
     WARM = "heat and cool the drive while it moves, and log its temperature"
     BENDING = "repeat the same motion at two or more known bending angles (column theta) or known pretensions"
+    JOINTS = "move each other joint alone over its range, then all together, and log their angles (columns q_j.NAME)"
     GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
     LONGER = "record the same motion for several times as long"
     STIFFNESS = "measure the stiffness of a tendon by itself, with a known weight on a known length"
@@ -180,7 +181,8 @@ class Specification:
     columns: Columns = ()
     live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()
-    named: bool = False  # further parameters of any name, numbers, are its constants
+    constants: Parameter | None = None  # of further parameters of any name, numbers
+    hypothesis: bool = True  # False: the user's own formula, which no diagnosis proposes
     rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
@@ -195,7 +197,13 @@ class Specification:
 
     def parameter(self, name: str) -> Parameter:
         """That of the class; a constant that the file names is a plain number."""
-        return next((p for p in self.parameters if p.name == name), Parameter(name=name))
+        other = dataclasses.replace(self.constants or Parameter(), name=name)
+        return next((p for p in self.parameters if p.name == name), other)
+
+    @property
+    def named(self) -> bool:
+        """Return True if the effect takes further parameters of any name."""
+        return self.constants is not None
 
     def build(self, parameters: Mapping[str, Setting]) -> Any:
         """The effect with checked parameters; those that its class does not know are its `constants`."""

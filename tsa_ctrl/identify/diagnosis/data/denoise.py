@@ -8,6 +8,7 @@ little else.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +42,7 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     An acceleration keeps its own low-pass.
     """
     signals = log.signals()
-    clean: dict[str, Array] = {}
+    clean: dict[str, Any] = {}
     noise, error = 0.0, np.zeros(len(log))
     if log.period * SHARP < 0.21:
         clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,6 @@ from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.thinning import informative
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
-from tsa_ctrl.model.signals import Signals
 
 Log = Dataset | Mapping[str, ArrayLike]
 Logs = Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]
@@ -40,7 +40,7 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
     datasets = _datasets(logs)
     for log in datasets:
         _admit(log, model, target)
-    return _reduced(informative(datasets, hold_out), target)
+    return _reduced(informative([log.bent_by(model) for log in datasets], hold_out), target)
 
 
 def _datasets(logs: Logs) -> list[Dataset]:
@@ -82,8 +82,7 @@ def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
     `measured` (n): what the model predicts, N*m.
     """
     full, noise, error = denoised(log)
-    small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
-    signals = Signals(**{name: _means(y, factor) for name, y in small.items() if y is not None})
+    signals = full.means(factor)
     averages = _means(measured, factor), bin_, noise, _means(error, factor)
     return Run(log.name, signals, *averages, log, full, measured, factor * bin_)
 
@@ -92,14 +91,14 @@ def narrowed(run: Run, band: float) -> Run:
     """The run with derived motion up to `band` Hz; what does not change is shared with it, not made again."""
     factor = run.full_bin // run.bin
     clean, uncertain = denoised_within(run.raw, band)
-    small = {name: _means(y, factor) for name, y in clean.items()}
+    small: dict[str, Any] = {name: _means(y, factor) for name, y in clean.items()}
     noise, error = (
         (run.velocity_noise, run.velocity_error) if uncertain is None else (uncertain[0], _means(uncertain[1], factor))
     )
     return dataclasses.replace(
         run,
         signals=dataclasses.replace(run.signals, **small),
-        full=dataclasses.replace(run.full, **clean),
+        full=dataclasses.replace(run.full, **cast(dict[str, Any], clean)),
         velocity_noise=noise,
         velocity_error=error,
         band=band,

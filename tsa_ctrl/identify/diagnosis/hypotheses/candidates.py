@@ -15,6 +15,10 @@ from tsa_ctrl.model.effects.specification import Specification, Stage
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import missing_for
+from tsa_ctrl.model.signals import Signals
+
+LEAST_REACH = 0.02  # rad, of another joint: less bends a sheath by less than its friction is known
+SAME_JOINT = 0.02  # 1, of the range: encoder noise that smoothing removes; two joints that agree so well are one
 
 Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs can test
 
@@ -37,7 +41,7 @@ def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
     for name, spec in CATALOGUE.items():
-        if spec.named:
+        if not spec.hypothesis:
             continue  # the user's own formula is no hypothesis
         reason = _untestable(spec, frame, model, scales)
         if spec.stage is Stage.STRETCH and not reason:
@@ -99,7 +103,21 @@ def scales_of(frame: Frame, model: Model) -> Scales:
         derived_velocity=derived if any(derived in run.raw.derived for run in frame.runs) else "",
         plain=plain,
         offset=isinstance(model, RigidDrive) and model.torque_offset is not None,
+        joints={} if plain else _other_joints(signals),
     )
+
+
+def _other_joints(logs: Sequence[Signals]) -> dict[str, float]:
+    """Return the half range, rad, of each joint that all logs have as q_j.NAME, that moved and that is not this one."""
+    names = [name for name in logs[0].joints if all(name in log.joints for log in logs)]
+    ranges = {name: max(0.5 * float(np.ptp(log.joints[name])) for log in logs) for name in names}
+    own = [name for name in names if all(log.q_j is not None and _alike(log.q_j, log.joints[name]) for log in logs)]
+    return {name: reach for name, reach in ranges.items() if reach > LEAST_REACH and name not in own}
+
+
+def _alike(own: Array, other: Array) -> bool:
+    """Return True if both columns are one joint; q_j is denoised, q_j.NAME is not."""
+    return float(np.std(own - other)) < SAME_JOINT * max(float(np.ptp(own)), 1e-9)
 
 
 def _step(angles: Sequence[Array]) -> float:

@@ -104,7 +104,9 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
         slopes = _gradients(result, variant.parameters, point[index], index)
         spread = result.covariance[np.ix_(index, index)]
         entry: dict[str, Quantity | str] = {}
-        for parameter in CATALOGUE[variant.effect].parameters:
+        spec = CATALOGUE[variant.effect]
+        others = [name for name in values if spec.named and name not in {p.name for p in spec.parameters}]
+        for parameter in (*spec.parameters, *map(spec.parameter, others)):
             value = values.get(parameter.name)
             if value is None:
                 continue

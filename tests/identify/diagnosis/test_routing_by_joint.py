@@ -1,0 +1,99 @@
+"""A joint that bends the sheath otherwise than the file states: found, with the gain inside its interval."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.blind.routed import Gains, routed_case
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import Diagnosis, diagnose
+from tsa_ctrl.identify.calibrate import calibrate
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.report.page import write
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.simulate import simulate
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from
+from tsa_ctrl.model.routing import Routing
+
+NAME = "routing_by_joint"
+
+
+def diagnosed(name: str, seed: int) -> tuple[Diagnosis, Gains]:
+    case, gains = routed_case(name, seed, short=True)
+    logs = {log.name: log.columns for log in case.logs}
+    return diagnose(logs, model_from(tomllib.loads(case.model), "nominal")), gains
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["absent", "wrong", "two"])
+def test_the_missing_gain_of_each_joint_is_found(name: str, tmp_path: Path) -> None:
+    """The extended file states the sum of the file's gains and the missing ones in its [routing]."""
+    result, gains = diagnosed(name, 0)
+    (cause,) = result.causes
+    assert cause.effect == NAME
+    assert not cause.alternatives
+    for joint, missing in gains.missing.items():
+        found = cause.parameters[joint]
+        assert isinstance(found, Quantity)
+        assert found.value == pytest.approx(missing, rel=0.05)
+    write(result, tmp_path, plot=lambda *_: {})
+    written = load_tendon_sheath(tmp_path / "extended.toml")
+    assert not written.effects
+    assert written.routing is not None
+    for joint, true in gains.true.items():
+        assert written.routing.a.gains[joint] == pytest.approx(true, rel=0.05)
+
+
+@pytest.mark.slow
+def test_nothing_is_found_where_the_file_states_the_routing() -> None:
+    assert diagnosed("right", 0)[0].causes == ()
+
+
+def one_log(gains: dict[str, float] | None) -> tuple[Dataset, TendonSheath]:
+    """Return the log of a rig whose file is right but for friction and pretension; `gains`: of its routing."""
+    case, _ = routed_case("right", 1, short=True)
+    model = model_from(tomllib.loads(case.model), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    assert case.bench is not None
+    true = dataclasses.replace(model, friction_coefficient=case.bench.rig.mu, pretension=case.bench.rig.pretension)
+    if gains is not None:
+        true = dataclasses.replace(true, routing=Routing.sum_of(None, gains))
+    return Dataset.from_arrays(case.logs[0].columns, "run.csv"), true
+
+
+def test_a_simulation_follows_the_routing_of_the_file() -> None:
+    """The error is the sensors' noise and wrong signs at reversals; without the routing it is several times as much."""
+    log, model = one_log(None)
+    _, constant = one_log({})
+    followed, fixed = simulate(log, model).rms, simulate(log, constant).rms
+    assert followed is not None
+    assert fixed is not None
+    assert followed < 0.4 * fixed
+
+
+def test_a_calibration_takes_the_wrap_angle_of_the_routing_as_known() -> None:
+    """x and T_p are found apart, since the wrap angle varied by a known amount."""
+    log, model = one_log(None)
+    off = model.recalibrated(1.1 * model.friction_angle, 0.9 * model.pretension)
+    found = calibrate([log], off)
+    assert found.split
+    assert found.model.friction_angle == pytest.approx(model.friction_angle, rel=0.05)
+    assert found.model.pretension == pytest.approx(model.pretension, rel=0.05)
+
+
+def test_an_angle_that_the_log_lacks_is_one_line_with_the_remedy() -> None:
+    log, model = one_log(None)
+    columns = {name: log.columns[name] for name in ("t", "tau_m", "tau_j", "q_j")}
+    with pytest.raises(UsageError) as caught:
+        simulate(Dataset.from_arrays(columns, "run.csv"), model)
+    assert str(caught.value) == (
+        "run.csv: column q_j.hip is missing, and [routing] of nominal.toml names joint 'hip'; log its angle (rad), "
+        "name the axis of a log of all joints (run.mcap:AXIS), or add column theta"
+    )
+    measured = Dataset.from_arrays({**columns, "theta": np.full(len(log), model.bending_angle)}, "run.csv")
+    assert simulate(measured, model).rms is not None
