@@ -14,6 +14,7 @@ import pytest
 
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 
@@ -75,6 +76,40 @@ def test_both_directions_bound_the_friction(zero: float, radius: float, stiffnes
         joint.move(way)
     for low, high in joint.move(-0.6)[-300:]:
         assert 0.7 * FRICTION < low < FRICTION < high < 1.35 * FRICTION
+
+
+@pytest.mark.parametrize("left", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("first", [0.6, -0.6])
+def test_friction_that_is_lost_between_the_first_two_strokes_is_never_proven(left: float, first: float) -> None:
+    """One stroke in each direction shows the sum of two frictions only: the second may have all, or nearly none.
+
+    The strokes after the loss agree, and prove the rest.
+    """
+    joint = Joint(zero=3e-4)
+    joint.move(first)
+    joint.friction = left * FRICTION
+    for way in (-first, first, -first, first):
+        for low, high in joint.move(way):
+            assert low < left * FRICTION < high
+    assert high - low < 0.15 * FRICTION
+
+
+def test_the_third_stroke_of_a_healthy_joint_proves_what_the_file_left_open() -> None:
+    """The file permits 1.25 squared times its friction: at most 2 - 1.56 of it are proven by two strokes."""
+    joint = Joint()
+    joint.move(0.6)
+    low, _ = joint.move(-0.6)[-1]
+    assert 0.1 * FRICTION < low < 0.44 * FRICTION
+    low, _ = joint.move(0.3)[-1]
+    assert low > 0.8 * FRICTION
+
+
+def test_a_calibration_with_a_narrow_interval_proves_more_by_two_strokes() -> None:
+    half_loop = abs(sliding(MODEL).half_loop)
+    joint = Joint(dataclasses.replace(MODEL, half_loop_low=0.95 * half_loop))
+    joint.move(0.6)
+    low, _ = joint.move(-0.6)[-1]
+    assert 0.65 * FRICTION < low < 0.95 * FRICTION
 
 
 def test_a_joint_torque_sensor_proves_it_within_the_first_stroke() -> None:

@@ -13,6 +13,9 @@ motor torque that does not reach the joint:
 gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
 sigma g. One direction alone leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite.
 The numbers of a fit change between two strokes only, so that friction that is lost within a stroke is seen within it.
+One stroke in each direction gives the sum of two frictions: a friction g in both, or h in the first and 2 g - h in the
+second. Until a third stroke agrees, h may be the most that the model file permits, and 2 g - h is the lower bound.
+A third stroke that disagrees replaces the first one.
 
 A reading is kept as a share of the model's friction torque at that moment, so that it holds at another wrap angle.
 
@@ -49,6 +52,9 @@ SURE = 1.65  # standard deviations of a one-sided 95 % bound
 CERTAIN = 0.1  # of the friction torque: standard deviation below which the fit of whole strokes is kept within a stroke
 UNLIKE = 2.0  # times the variance of a sample: a stroke that adds more than this to the misfit is not of one friction
 MOST_SKIPPED = 4  # strokes in a row without a fit, after which the zero must have moved: a tendon or an encoder slipped
+REPEATED = 2  # strokes before the one that repeats a direction
+AGREES = 3.0  # standard deviations by which the third stroke may differ from the first two
+AVERAGED = 3.0 * SMOOTH  # rad of the joint after which 95 % of a reading are of this stroke
 FIT_EVERY = 32  # cycles between two fits before that
 ALIKE = 1.25  # of one direction's friction, at most in the other: the same sheaths; more is a zero that is wrong
 LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath gives no scale for a reading
@@ -94,6 +100,7 @@ class ProvenFriction:
         self._observer = observer
         self.usable = has_sensor
         self._shape = 0.0
+        self._most = _most_friction(model)
         if not has_sensor and observer is not None:
             line = stretch_line(model)
             self.usable = True
@@ -114,6 +121,11 @@ class ProvenFriction:
         self._kept = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)
         self._variance = 0.0  # m^2 of a sample, as the last fit left it
         self._skipped = 0  # strokes in a row that no fit explains
+        self._strokes = 0  # that have ended, as far as they count: the third one confirms the first two
+        self._is_repeated = self._has_sensor  # the third stroke has been read
+        self._repeated = 0.0  # rad of the joint that it was read
+        self._last = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)  # the stroke that ended last
+        self._mean = math.nan  # 1, friction torque of both directions by the fit, of the file's
         self._fit, self._scale = (0.0, 0.0, 0.0), 0.0
         self._covariance: tuple[float, ...] = ()  # of the fit, its upper triangle; empty before the first one
         self._settled = False
@@ -227,6 +239,10 @@ class ProvenFriction:
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
         self._read[side], self._spread[side] = value, deviation / self._modelled
+        if not self._is_repeated and self._strokes >= REPEATED:
+            self._repeated += way
+            agrees = abs(value - self._mean) <= AGREES * self._spread[side]
+            self._is_repeated = self._repeated > AVERAGED and agrees and self._settled
         self.reads = True
         self._held = math.nan
         self._bound(value, self._spread[side])
@@ -235,6 +251,8 @@ class ProvenFriction:
         modelled = self._modelled
         doubt = SURE * math.hypot(deviation, self._shape * share)
         low, high = share - doubt, share + doubt
+        if not self._is_repeated:
+            low, high = min(low, 2.0 * low - self._most), max(2.0 * high, high + 0.5 * self._most)
         if low > 0.0:  # nan while a direction has no reading
             for read in self._read:
                 if low > ALIKE * read:
@@ -251,6 +269,17 @@ class ProvenFriction:
         stroke, n = self._stroke(), self._sums[0]
         self._begin_stroke()
         if not n > 0.0:
+            return
+        last, self._last = self._last, stroke
+        if not self._is_repeated:
+            both = self._kept.faded(math.exp(-n * SAMPLE / MEMORY)).plus(stroke)
+            changed = self._misfit(both) - self._misfit(self._kept) >= UNLIKE * max(n, 1.0)
+            if changed and self._strokes >= REPEATED:  # the friction changed between two strokes: the last two count
+                both, self._settled = last.plus(stroke), False
+            self._strokes += 1
+            self._repeated = 0.0
+            self._kept = both
+            self._fit_to(both, True)
             return
         for before in (self._kept, _without_friction(self._kept)):
             both = before.faded(math.exp(-n * SAMPLE / MEMORY)).plus(stroke)
@@ -301,7 +330,8 @@ class ProvenFriction:
         if deviation < CERTAIN * self._expected:
             self._settled = whole
             self._held = math.nan
-            self._read = [self._scale * float(found[3]) / self._expected] * 2
+            self._mean = self._scale * float(found[3]) / self._expected
+            self._read = [self._mean] * 2
             self._spread = [deviation / self._expected] * 2
 
     def _learned(self, kappa: float, deviation: float, mean: Array, prior: Array) -> bool:
@@ -317,6 +347,17 @@ class ProvenFriction:
         spread = max(LEARNED, observer.stiffness_deviation) * self._compliance
         mean[2], prior[2] = softer * self._compliance, max(prior[2], (self._noise / spread) ** 2)
         return True
+
+
+def _most_friction(model: TendonSheath) -> float:
+    """Return the most friction torque that the model file permits, over the file's value (1).
+
+    The interval of a calibration is taken as symmetric; a file that was never calibrated has only [uncertainty].
+    """
+    half_loop = abs(sliding(model).half_loop)
+    if model.half_loop_low is not None and half_loop > 0.0:
+        return max(1.0, 2.0 - model.half_loop_low / half_loop)
+    return (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
 
 
 class _Sums(NamedTuple):
