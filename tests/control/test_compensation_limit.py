@@ -22,6 +22,7 @@ class Proof:
     def __init__(self, usable: bool = True) -> None:
         self.usable = usable
         self.low, self.high, self.reads = 0.0, math.inf, False
+        self.modelled = FRICTION
 
 
 def limit(proof: Proof, capacity: float = 0.4, seen: float = 0.95) -> CompensationLimit:

@@ -328,7 +328,7 @@ class CompensationLimit:
         """
         proven, credit = self.proven, self.credit
         low, high = proven.low, proven.high
-        if proven.reads and not self._confirmed and low >= self.bound.unseen * half_loop:
+        if proven.reads and not self._confirmed and low >= self.bound.unseen * proven.modelled:
             self._confirmed = True
             self.credit.capacity = self._capacity
         along = term if omega_j >= 0.0 else -term

@@ -66,6 +66,7 @@ class ProvenFriction:
 
     Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
     `reads`: True if this cycle has a reading, False if the bounds come from earlier cycles.
+    `modelled`: friction torque of the model file at the present wrap angle, N*m at the motor.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class ProvenFriction:
         self._r_m, self._r_j = r_m, r_j
         self._expected = abs(sliding(model).motor_half_loop)
         self._least = LEAST * self._expected + 1e-9
-        self._modelled = max(self._expected, self._least)
+        self.modelled = max(self._expected, self._least)
         self._per_torque = tuple(1.0 / sliding(model, sigma).slope for sigma in (-1.0, 1.0))
         self._gate = GATE * wound_by_friction(model) * r_m / r_j
         self._ratio = r_j / r_m
@@ -131,7 +132,7 @@ class ProvenFriction:
         self._settled = False
         self._read = [math.nan, math.nan]  # 1, of the model's friction torque, by direction
         self._spread = [math.inf, math.inf]
-        self._held = math.nan  # N*m, `_modelled` by which earlier readings are the bounds; nan after a new reading
+        self._held = math.nan  # N*m, `modelled` by which earlier readings are the bounds; nan after a new reading
         self.low, self.high, self.reads = 0.0, math.inf, False
         self._direction, self._gap, self._until = 0, 0.0, FIT_EVERY
         self._sums: tuple[float, ...] = ()
@@ -174,7 +175,7 @@ class ProvenFriction:
         """
         if not self.usable:
             return
-        self._modelled = modelled if modelled > self._least else self._least
+        self.modelled = modelled if modelled > self._least else self._least
         self.reads = False
         self._gap = 0.0
         last, self._omega = self._omega, omega_m
@@ -195,8 +196,8 @@ class ProvenFriction:
                 return
         else:
             self._way = 0.0
-        if self._held != self._modelled:
-            self._held = self._modelled
+        if self._held != self.modelled:
+            self._held = self.modelled
             reads = [each for each in self._read if each == each]
             if reads:
                 self._bound(min(reads), max(self._spread[k] for k in (0, 1) if self._read[k] == self._read[k]))
@@ -234,11 +235,11 @@ class ProvenFriction:
         if not math.isfinite(friction):
             return
         side = 1 if direction > 0 else 0
-        value, found = self._read[side], friction / self._modelled
+        value, found = self._read[side], friction / self.modelled
         value = found if value != value else value + way / (SMOOTH + way) * (found - value)
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
-        self._read[side], self._spread[side] = value, deviation / self._modelled
+        self._read[side], self._spread[side] = value, deviation / self.modelled
         if not self._is_repeated and self._strokes >= REPEATED:
             self._repeated += way
             agrees = abs(value - self._mean) <= AGREES * self._spread[side]
@@ -248,7 +249,7 @@ class ProvenFriction:
         self._bound(value, self._spread[side])
 
     def _bound(self, share: float, deviation: float) -> None:
-        modelled = self._modelled
+        modelled = self.modelled
         doubt = SURE * math.hypot(deviation, self._shape * share)
         low, high = share - doubt, share + doubt
         if not self._is_repeated:
