@@ -94,6 +94,15 @@ def test_friction_that_is_lost_between_the_first_two_strokes_is_never_proven(lef
     assert high - low < 0.15 * FRICTION
 
 
+def test_strokes_in_one_direction_do_not_confirm_each_other() -> None:
+    """A joint that moves on after a rest, or after a return that was too short for a reading."""
+    joint = Joint(zero=3e-4)
+    joint.move(0.6)
+    joint.friction = 0.1 * FRICTION
+    for way in (-0.2, 0.01, -0.2, 0.01, -0.2):
+        assert all(low < 0.1 * FRICTION for low, _ in joint.move(way))
+
+
 def test_the_third_stroke_of_a_healthy_joint_proves_what_the_file_left_open() -> None:
     """The file permits 1.25 squared times its friction: at most 2 - 1.56 of it are proven by two strokes."""
     joint = Joint()

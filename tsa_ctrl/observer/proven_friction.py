@@ -122,7 +122,8 @@ class ProvenFriction:
         self._kept = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)
         self._variance = 0.0  # m^2 of a sample, as the last fit left it
         self._skipped = 0  # strokes in a row that no fit explains
-        self._strokes = 0  # that have ended, as far as they count: the third one confirms the first two
+        self._strokes = 0  # that have ended, those in a row of one direction counted once
+        self._counted = 0  # direction of the last of them
         self._is_repeated = self._has_sensor  # the third stroke has been read
         self._repeated = 0.0  # rad of the joint that it was read
         self._last = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)  # the stroke that ended last
@@ -240,7 +241,7 @@ class ProvenFriction:
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
         self._read[side], self._spread[side] = value, deviation / self.modelled
-        if not self._is_repeated and self._strokes >= REPEATED:
+        if not self._is_repeated and self._strokes >= REPEATED and direction != self._counted:
             self._repeated += way
             agrees = abs(value - self._mean) <= AGREES * self._spread[side]
             self._is_repeated = self._repeated > AVERAGED and agrees and self._settled
@@ -251,9 +252,9 @@ class ProvenFriction:
     def _bound(self, share: float, deviation: float) -> None:
         modelled = self.modelled
         doubt = SURE * math.hypot(deviation, self._shape * share)
+        if not self._is_repeated and share < self._most:
+            doubt += self._most - share
         low, high = share - doubt, share + doubt
-        if not self._is_repeated:
-            low, high = min(low, 2.0 * low - self._most), max(2.0 * high, high + 0.5 * self._most)
         if low > 0.0:  # nan while a direction has no reading
             for read in self._read:
                 if low > ALIKE * read:
@@ -271,13 +272,14 @@ class ProvenFriction:
         self._begin_stroke()
         if not n > 0.0:
             return
-        last, self._last = self._last, stroke
+        last, again = self._last, self._counted == self._direction
+        self._last, self._counted = (last.plus(stroke) if again else stroke), self._direction
         if not self._is_repeated:
             both = self._kept.faded(math.exp(-n * SAMPLE / MEMORY)).plus(stroke)
             changed = self._misfit(both) - self._misfit(self._kept) >= UNLIKE * max(n, 1.0)
-            if changed and self._strokes >= REPEATED:  # the friction changed between two strokes: the last two count
+            if changed and self._strokes >= REPEATED and not again:  # friction changed: the last two strokes count
                 both, self._settled = last.plus(stroke), False
-            self._strokes += 1
+            self._strokes += not again
             self._repeated = 0.0
             self._kept = both
             self._fit_to(both, True)
