@@ -167,6 +167,8 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
+        self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of the wrap angles apart
+        self._routed = 0.0  # rad of the motor
         self.limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
@@ -261,8 +263,9 @@ class ControlAxis:
         """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
-        self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted)
         terms.theta = theta = self.bending.update()
+        self._routed = routed = self._path_arm * self.bending.difference
+        self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, routed)
         proven, law = self.compensation_limit.proven, self.law
         if not image.fresh:
             proven.miss(self._period)
@@ -272,7 +275,7 @@ class ControlAxis:
             proven.update(
                 image.tau_m,
                 image.omega_m,
-                image.q_m,
+                image.q_m - routed,
                 terms.q_j,
                 instruments.tau_j,
                 law.velocity,
@@ -333,7 +336,7 @@ class ControlAxis:
 
     def _stretch(self) -> float:
         """Rad that motor and joint are apart; nan without an encoder."""
-        return self.image.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
+        return self.image.q_m - self._routed - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def pass_over(self, periods: int) -> None:
         """Count periods that had no cycle, because the loop was late, wherever cycles are counted."""

@@ -68,6 +68,7 @@ class _Joint:
         self.name = name
         self.missing = read is None
         self.fading = False
+        self.difference = 0.0  # rad, half of Theta_a - Theta_b by this joint; kept while the angle is missing
         self._routes = (routing.a, routing.b)
         self._read = read
         self._span = span
@@ -95,7 +96,8 @@ class _Joint:
             added = self.extremes()[0]
         else:
             a, b = self._routes
-            added = 0.5 * (a.added_by(self.name, angle) + b.added_by(self.name, angle))
+            on_a, on_b = a.added_by(self.name, angle), b.added_by(self.name, angle)
+            added, self.difference = 0.5 * (on_a + on_b), 0.5 * (on_a - on_b)
             low, high = self._seen
             self._seen = min(low, angle), max(high, angle)
         if missing is not self.missing and self._added == self._added:
@@ -123,6 +125,7 @@ class Bending:
         self.commanded = nominal if settings.offset is None else settings.offset
         self.routing = routing
         self._joints: tuple[_Joint, ...] = ()
+        self._apart = routing is not None and not routing.alike
         self._measured: Callable[[], float] | None = None
 
     def connect(self, angles: Mapping[str, Callable[[], float]], ranges: Mapping[str, Span], period: float) -> None:
@@ -142,6 +145,11 @@ class Bending:
     def measure(self, read: Callable[[], float]) -> None:
         """Take the angle (rad) from a sensor; nan while it says nothing."""
         self._measured = read
+
+    @property
+    def difference(self) -> float:
+        """Return half of Theta_a - Theta_b at the last update, rad; 0 for tendons that are routed alike."""
+        return sum([joint.difference for joint in self._joints]) if self._apart else 0.0
 
     @property
     def missing(self) -> tuple[str, ...]:

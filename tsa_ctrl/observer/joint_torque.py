@@ -288,7 +288,13 @@ class JointTorque:
             self._combine()
 
     def update(
-        self, image: Measured, omega_j: float, tau_j: float, command: float = math.nan, enabled: bool = True
+        self,
+        image: Measured,
+        omega_j: float,
+        tau_j: float,
+        command: float = math.nan,
+        enabled: bool = True,
+        routed: float = 0.0,
     ) -> None:
         """Take one cycle.
 
@@ -298,6 +304,7 @@ class JointTorque:
             tau_j: N*m of the joint torque sensor, or nan.
             command: N*m that the motor is commanded.
             enabled: torque is permitted.
+            routed: rad of the motor by which paths of different lengths move it away from the joint.
         """
         if enabled and not self._enabled:
             self._faulty = False
@@ -307,11 +314,12 @@ class JointTorque:
         stretch = self.stretch
         if stretch is None:
             return
-        stretch.update(tau_m, omega_m, image.q_m, image.q_j, fresh)
+        q_m = image.q_m - routed
+        stretch.update(tau_m, omega_m, q_m, image.q_j, fresh)
         soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch.friction_angle)
         self._soft = self._soft + self._period if enabled and soft and self._shape_known else 0.0
         if self.elongation is not None and fresh:
-            self.elongation.update(image.q_m, image.q_j, command)
+            self.elongation.update(q_m, image.q_j, command)
         if stretch.confirmation.confirmed and not self._faulty:
             self.torque, self.low, self.high = stretch.torque, stretch.low, stretch.high
         else:
