@@ -54,7 +54,7 @@ def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
     logs, model = load_logs(sorted(folder.glob(pattern))), load_model(folder / file)
     result: Row = {"set": folder.name, "effect": effect, "size": size}
     if untouched is not None:
-        logs, result["number"] = with_hidden(logs, model, effect, size * untouched["rms"]["noise_floor"])
+        logs, result["number"] = with_hidden(logs, model, effect, size * untouched["rms"]["refitted"])
         if result["number"] is None:
             return result
     result["report"] = _kept(json.loads(diagnose(logs, model).to_json()))
@@ -112,7 +112,7 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     below: list[str] = []
     for name in (name for name in SETS if (name, "", 0.0) in by):
         untouched = by[name, "", 0.0]
-        floor = untouched["report"]["rms"]["noise_floor"]
+        floor = untouched["report"]["rms"].get("refitted", untouched["report"]["rms"]["noise_floor"])
         for effect in HIDDEN:
             found = [by.get((name, effect, size)) for size in sizes]
             if not any(found):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,6 +12,9 @@ from tsa_ctrl import outputs
 from tsa_ctrl.cli.finite import CUTOFF
 from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
+
+if TYPE_CHECKING:
+    from tsa_ctrl.identify.three_errors import ThreeErrors
 
 
 @click.command(
@@ -85,10 +89,24 @@ def command(
     for path, before in kept.items():
         click.echo(outputs.kept_words(path, before))
     for simulation in simulations:
+        if simulation.rms is not None:
+            click.echo(_parts(simulation.errors, simulation.name))
+    for simulation in simulations:
         if simulation.rms is None:
             click.echo(f"predicted only: the log has no {simulation.quantity} ({simulation.name})")
         else:
             click.echo(f"RMS error: {_shown(simulation.rms)} N*m ({simulation.name})")
+
+
+def _parts(errors: ThreeErrors, name: str) -> str:
+    """The three errors in one line, before the total."""
+    told = {
+        "while sliding": errors.sliding,
+        "in reversals": errors.reversals,
+        "sensor noise": errors.sensor_noise,
+    }
+    values = (f"{key} {'unknown' if value is None else f'{_shown(value)} N*m'}" for key, value in told.items())
+    return f"error {', '.join(values)} ({name})"
 
 
 def _shown(value: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import beyond_slack, predict
@@ -38,6 +39,7 @@ class Simulation:
     residual: Array | None
     beyond_slack: float
     slack_modelled: bool
+    errors: ThreeErrors = field(default_factory=ThreeErrors)  # unknown without a measured torque
 
     @property
     def rms(self) -> float | None:
@@ -65,6 +67,7 @@ class Simulation:
             "samples": len(self.predicted),
             "beyond_slack": self.beyond_slack,
             "quantity": self.quantity,
+            "errors": self.errors.to_dict(),
         }
 
 
@@ -83,7 +86,8 @@ def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
             "parameters do not fit this log: check its effects"
         )
     slack_modelled = isinstance(model, TendonSheath) and "tendon_slack" in model.effects
-    return Simulation(name, quantity, predicted, residual, beyond_slack(model, signals), slack_modelled)
+    errors = ThreeErrors() if residual is None else three_errors([dataset], [residual], quantity)
+    return Simulation(name, quantity, predicted, residual, beyond_slack(model, signals), slack_modelled, errors)
 
 
 def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[Simulation]:

@@ -122,7 +122,7 @@ def test_the_same_input_gives_the_same_json() -> None:
 
 def test_the_json_has_the_public_keys() -> None:
     data = json.loads(of_simple_log().to_json())
-    assert data["schema"] == 1
+    assert data["schema"] == 2
     assert data["verdict"] in {verdict.value for verdict in Verdict}
     assert {
         "causes",
@@ -133,8 +133,11 @@ def test_the_json_has_the_public_keys() -> None:
         "experiment",
         "rms",
         "gain",
+        "gain_all",
     } <= set(data)
-    assert set(data["rms"]) == {"as_given", "recalibrated", "extended", "noise_floor", "unit", "held_out"}
+    assert set(data["rms"]) == {"as_given", "recalibrated", "extended", "noise_floor", "refitted", "unit", "held_out"}
+    assert set(data["errors"]) == {"sliding", "reversals", "sensor_noise", "unit"}
+    assert 0.8 < data["errors"]["sensor_noise"] / 5e-3 < 1.25
     assert set(data["unexplained"]) == {"present", "description"}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 
 import numpy as np
@@ -58,7 +59,12 @@ def diagnose(
     Raises UsageError for logs that cannot be right, one line that names log and column. Logs that say nothing give the
     verdict `insufficient`, not an error.
     """
-    say = progress or (lambda _: None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # libraries warn of values that are not finite
+        return _diagnose(logs, model, hold_out, seed, progress or (lambda _: None))
+
+
+def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Progress) -> Diagnosis:
     rng = np.random.default_rng(seed)
     runs = prepare(logs, model, hold_out)
     say("audit")
@@ -93,7 +99,7 @@ def diagnose(
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         if formula is not None:  # what follows a formula is no noise
-            errors = dataclasses.replace(errors, noise_floor=min(errors.noise_floor, formula.rms[1]))
+            errors = dataclasses.replace(errors, refitted=min(errors.refitted, formula.rms[1]))
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # numbers beyond anything

@@ -57,8 +57,8 @@ def test_what_is_left_is_told_as_a_formula_with_its_gain_on_other_logs(found: Di
     assert found.unexplained
     assert found.formula is not None
     assert found.formula.gain > 0.7
-    assert found.rms.noise_floor is not None
-    assert found.rms.noise_floor <= found.formula.rms[1] < 1.1 * NOISE
+    assert found.rms.refitted is not None
+    assert found.rms.refitted <= found.formula.rms[1] < 1.1 * NOISE
     assert (found.formula.better, found.formula.logs) == (2, 2)
     assert found.to_dict()["formula"]["expression"] == found.formula.expression
     assert all(value.low < value.value < value.high for value in found.formula.constants.values())

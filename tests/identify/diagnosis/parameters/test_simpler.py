@@ -76,7 +76,7 @@ class Parts(SimpleNamespace):
 
 def _errors(**changed: float) -> HeldOut:
     values = {"as_given": 3.0, "recalibrated": 2.0, "extended": 1.0, "noise_floor": 0.5, "constant": 4.0, "line": 2.5}
-    return HeldOut(**{**values, **changed}, lost=(1.0,))
+    return HeldOut(**{**values, **changed}, refitted=0.5, sliding=(2.0, 1.0), lost=(1.0,))
 
 
 @pytest.mark.parametrize("simpler", ["as_given", "recalibrated", "constant", "line"])

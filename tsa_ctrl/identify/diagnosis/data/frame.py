@@ -41,6 +41,11 @@ class Run:
     told: float = math.nan  # mean probability of the direction that is taken there; nan where none is
 
     @property
+    def target_name(self) -> str:
+        """The column that the model predicts."""
+        return "tau_m" if self.full_target is self.raw.columns.get("tau_m") else "tau_j"
+
+    @property
     def count(self) -> int:
         """Number of score samples."""
         return len(self.target) // self.bin

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import ENOUGH, Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -25,6 +25,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 )
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS, backward_step
+from tsa_ctrl.identify.three_errors import known_direction, pooled, sensor_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
@@ -47,7 +48,9 @@ class HeldOut:
     as_given: float
     recalibrated: float
     extended: float
-    noise_floor: float
+    noise_floor: float  # the sensor's noise
+    refitted: float  # of the extended model fitted on the held-out samples themselves, without the structure it leaves
+    sliding: tuple[float, float]  # the simplest and the extended, where the direction is known
     lost: tuple[float, ...]
     constant: float  # the mean of the samples that were fitted on; what it is worse at, this or the other way round
     line: float  # a straight line in the motor torque, of a plain drive in the velocity, alike
@@ -66,6 +69,13 @@ class HeldOut:
         possible = simplest**2 - self.noise_floor**2
         won = simplest**2 - self.extended**2
         return float(won / possible) if possible > 0.0 else 0.0
+
+    @property
+    def sliding_gain(self) -> float:
+        """`gain` over the samples whose direction is known."""
+        simplest, extended = self.sliding
+        possible = simplest**2 - self.noise_floor**2
+        return float((simplest**2 - extended**2) / possible) if possible > 0.0 else 0.0
 
     @property
     def worthless(self) -> int | None:
@@ -101,14 +111,29 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
         if share <= 0.0 and (_is_late(found) or _hardly_shown(problem, extended, smaller, split)):
             share = _among_the_learned(problem, base, found, index)
         lost.append(float(np.clip(share, 0.0, 1.0)))
+    logs = [run.raw for run in frame.runs]
+    directed = [known_direction(log) for log in logs]
+    slides = split.held & np.concatenate([_whole_bins(*each) for each in zip(frame.runs, directed, strict=True)])
+    models = [base.hypothesis.base.given, *(each.hypothesis.model(each.point) for each in (recalibrated, extended))]
+    sliding = [rms_over(frame, model, slides) for model in models]
+    noises = [sensor_noise(log, log[problem.base.target], each) for log, each in zip(logs, directed, strict=True)]
+    told = pooled(noises, [len(log) for log in logs])
+    noise = rms["extended"] if told is None else told
     driver = "omega_j" if problem.base.target == "tau_m" else "tau_m"
     return HeldOut(
         **rms,
-        noise_floor=float(min(floor, rms["extended"])),
+        noise_floor=float(min(noise, rms["extended"])),
+        refitted=float(min(floor, rms["extended"])),
+        sliding=(min(sliding[0], sliding[1]), sliding[2]),
         lost=tuple(lost),
         constant=straight(split, ()),
         line=straight(split, (driver,)),
     )
+
+
+def _whole_bins(run: Run, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Score samples all of whose samples at the log's own rate are in `mask`."""
+    return np.asarray(mask[: run.count * run.full_bin].reshape(run.count, run.full_bin).all(axis=1))
 
 
 def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Split) -> Fit:

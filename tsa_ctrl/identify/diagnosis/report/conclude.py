@@ -17,9 +17,12 @@ from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, StretchRms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, told_torque, what_is_left
+from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import StretchCause
+from tsa_ctrl.identify.three_errors import three_errors
 from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.predict import predict
 
 
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
@@ -54,10 +57,16 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     not_testable = {**outcome.testable.not_testable, **unasked, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
     held = at_bounds(reported)
-    verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     worse = not by_torque and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
     extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)
     formula = _formula(outcome, worse)
+    runs = outcome.data.frame.runs
+    logs = [run.raw for run in runs]
+    residuals = [log[runs[0].target_name] - predict(extended, log.signals()) for log in logs]
+    parts = three_errors(logs, residuals, runs[0].target_name)
+    bent = None if left else not_flat(logs, residuals, runs[0].target_name, errors.noise_floor)
+    left = [bent] if bent is not None else left
+    verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     result = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -69,8 +78,17 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         experiment=advice(
             model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque, formula is not None
         ),
-        rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
-        gain=min(errors.gain, 1.0) if by_torque else 0.0,
+        rms=Rms(
+            errors.as_given,
+            errors.recalibrated,
+            errors.extended,
+            errors.noise_floor,
+            errors.refitted,
+            _simulated(outcome, model),
+        ),
+        gain=min(errors.sliding_gain, 1.0) if by_torque else 0.0,
+        gain_all=min(errors.gain, 1.0) if by_torque else 0.0,
+        errors=parts,
         model=_with_more(extended, beside.effects),
         at_bounds={} if worse else held,
         stretch=None if beside.rms is None else StretchRms(*beside.rms),

@@ -128,7 +128,7 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
         steps.append(("extended", result.rms.extended, EXTENDED))
     if result.formula is not None:
         steps.append(("with the formula", result.formula.rms[1], DESCRIBED))
-    steps.append(("noise floor", result.rms.noise_floor, "grey"))
+    steps.append(("sensor noise", result.rms.noise_floor, "grey"))
     factor, unit = torque_scale(result.rms)
     figure, (axes,) = _figure(1, 1, 2.8)
     for place, (name, value, colour) in enumerate(steps):

@@ -12,11 +12,12 @@ from typing import Any
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.details import Details
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.outputs import json_types
 
-SCHEMA = 1  # of diagnosis.json: it changes when a reader of the last one would go wrong
+SCHEMA = 2  # of diagnosis.json: it changes when a reader of the last one would go wrong
 DIGITS = 6  # significant, of every number written: more is rounding of this machine
 
 
@@ -66,7 +67,8 @@ class Rms:
     as_given: float | None = None
     recalibrated: float | None = None
     extended: float | None = None
-    noise_floor: float | None = None
+    noise_floor: float | None = None  # the noise of the sensor
+    refitted: float | None = None  # the extended model after a fit to the held-out samples
     simulated: float | None = None
 
 
@@ -99,7 +101,10 @@ class Diagnosis:
     `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
     named, or the given one when the logs say nothing. `at_bounds`: (value, low, high, unit) of its friction angle or
     pretension where [uncertainty] holds it. `formula`: what it leaves, where that follows one. `stretch`: None where
-    the logs lack an angle. `details` holds the curves that `report.pictures.plot` draws.
+    the logs lack an angle.
+    `errors`: of `model` over all samples of all logs, as `tsa simulate` prints them.
+    `gain`: over held-out samples whose direction is known; `gain_all`: over all that are held out.
+    `details` holds the curves that `report.pictures.plot` draws.
     """
 
     verdict: Verdict
@@ -116,6 +121,8 @@ class Diagnosis:
     at_bounds: Mapping[str, tuple[float, float, float, str]] = field(default_factory=dict)
     formula: Formula | None = None
     stretch: StretchRms | None = None
+    errors: ThreeErrors = field(default_factory=ThreeErrors)
+    gain_all: float = 0.0
     details: Details | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -153,6 +160,7 @@ class Diagnosis:
                 "recalibrated": _rounded(self.rms.recalibrated),
                 "extended": _rounded(self.rms.extended),
                 "noise_floor": _rounded(self.rms.noise_floor),
+                "refitted": _rounded(self.rms.refitted),
                 "unit": "N*m",
                 "held_out": True,
             },
@@ -165,7 +173,9 @@ class Diagnosis:
             "stretch": None
             if self.stretch is None
             else {"without": _rounded(self.stretch.without), "extended": _rounded(self.stretch.extended), "unit": "m"},
+            "errors": {k: _rounded(v) if isinstance(v, float) else v for k, v in self.errors.to_dict().items()},
             "gain": _rounded(self.gain),
+            "gain_all": _rounded(self.gain_all),
             "summary": self.sentence,
         }
 

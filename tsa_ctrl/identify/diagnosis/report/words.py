@@ -52,9 +52,9 @@ def sentence(result: Diagnosis) -> str:
     how = "as given" if recalibration_is_worse(rms) else "recalibrated"
     off = f"the simulation is off by {told_torque(best)} RMS on held-out data"
     if result.verdict is Verdict.CONSISTENT:
-        return f"Nothing is wrong with the model beyond its parameters: {how}, {off}, which is noise."
+        return f"Nothing is wrong with the model beyond its parameters: {how}, {off}; noise is {noise_of(result)}."
     if result.verdict is Verdict.UNEXPLAINED:
-        noise = f"{how.capitalize()}, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
+        noise = f"{how.capitalize()}, {off} where noise is {noise_of(result)}, and no effect explains it"
         if result.formula and result.formula.gain > MOSTLY:
             follows = f"{noise}; a formula takes {result.formula.gain:.0%} of it"
             return _short(f"{follows}: {result.formula.expression}.", f"{follows}.")
@@ -68,6 +68,11 @@ def sentence(result: Diagnosis) -> str:
     )
     left = "; more is left" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
     return _with_causes(result, f"{gained}{left}")
+
+
+def noise_of(result: Diagnosis) -> str:
+    """The noise of the sensor, as text, table and picture have it."""
+    return told_torque(result.rms.noise_floor)
 
 
 def _of_the_stretch(result: Diagnosis) -> str:
@@ -93,10 +98,19 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         kept = "" if result.causes else ": the file's parameters are kept"
         figures = f"{told_torque(result.rms.recalibrated)} RMS instead of {told_torque(result.rms.as_given)}"
         out.append(f"Recalibration alone makes it worse on held-out data, {figures}{kept}.")
+    if result.errors.sensor_noise is not None:
+        errors = result.errors
+        out.append(
+            f"With the written model, on all samples: error while sliding {told_torque(errors.sliding)}, in reversals "
+            f"{told_torque(errors.reversals)}, sensor noise {told_torque(errors.sensor_noise)}."
+        )
     if result.verdict is Verdict.CONSISTENT and result.detection_limit:
         out.append(_visible(result))
     if result.of_torque:
-        out.append(f"The causes gain {result.gain:.0%} of what could be explained.")
+        out.append(
+            f"The causes gain {result.gain:.0%} of what could be explained down to the sensor noise while the joint "
+            f"slides, {result.gain_all:.0%} with reversals; extended.toml has them."
+        )
     if result.unexplained:
         out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")
     for name, (value, low, high, unit) in result.at_bounds.items():
@@ -204,7 +218,7 @@ def captions(result: Diagnosis) -> dict[str, str]:
         return {}
     return {
         "worst.png": "Measured and simulated torque where the simulation is worst",
-        "staircase.png": "Error on held-out data, from the model as given to the noise floor",
+        "staircase.png": "Error on held-out data, from the model as given to the sensor noise",
         "ranking.png": _ranked(result),
         "residual.png": "What is left, against speed, load, angle, time and temperature",
         "reversals.png": "What is left after reversals, against time and against displacement",

@@ -1,0 +1,71 @@
+"""Is the error of the extended model flat while the joint slides: against time, angle, speed and load, both ways?
+
+A model explains a log if what it leaves looks the same wherever one looks. The plain look is the mean error in some
+ranges of a signal. Each mean is taken twice, from alternate pieces of time: noise differs between the two, a dependence
+does not, so the product of both is the dependence's mean square without what noise adds to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.three_errors import known_direction
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import hold_direction
+
+RANGES = 10  # of each signal, with as many samples in each
+PIECES = 16  # of time in each range of time, alternately of one half and of the other
+# Of the sensor's noise: an error of sliding is then 1.25 times the noise (root of 1 + 0.75^2), and that is how well the
+# noise itself is known (0.8 to 1.25)
+LEAST = 0.75
+FEWEST = 40  # samples of a range in each half
+
+
+def not_flat(logs: Sequence[Dataset], residuals: Sequence[Array], target: str, noise: float) -> Finding | None:
+    """The signal that the sliding error depends on most, where that is more than LEAST of the noise.
+
+    `residuals` (n,): measured minus predicted column `target`, N*m, as is the noise.
+    """
+    known = [known_direction(log) for log in logs]
+    rest = np.concatenate([each[slides] for each, slides in zip(residuals, known, strict=True)])
+    if noise <= 0.0 or len(rest) < 2 * FEWEST * RANGES:
+        return None
+    signals: dict[str, list[Array]] = {"the time": [], "the joint angle": [], "the speed": [], "the load": []}
+    ways, halves, start = [], [], 0.0
+    for log, residual, slides in zip(logs, residuals, known, strict=True):
+        s = log.signals()
+        angle = np.cumsum(s.omega_j) * log.period if s.q_j is None else s.q_j
+        moment = start + np.arange(len(log)) * log.period
+        of = (moment, angle, s.omega_j, log[target] - residual)
+        for values, column in zip(signals.values(), of, strict=True):
+            values.append(np.asarray(column[slides], dtype=np.float64))
+        ways.append(hold_direction(s.omega_j)[slides])
+        halves.append((np.arange(len(log)) * RANGES * PIECES // max(len(log), 1) % 2 == 0)[slides])
+        start = float(moment[-1])
+    way, half = np.concatenate(ways), np.concatenate(halves)
+    total = float(rest @ rest)
+    best = None
+    for name, parts in signals.items():
+        square = dependent(rest, np.concatenate(parts), way, half)
+        if square > (LEAST * noise) ** 2 and (best is None or square * len(rest) / total > best.share):
+            best = Finding(name, min(square * len(rest) / total, 1.0), math.sqrt(square) / noise, True)
+    return best
+
+
+def dependent(rest: Array, values: Array, way: Array, half: NDArray[np.bool_]) -> float:
+    """Mean square of what of `rest` (m,) follows `values` (m,) and the direction, (N*m)^2; noise counts as 0."""
+    edges = np.quantile(values, np.linspace(0.0, 1.0, RANGES + 1)[1:-1])
+    cell = np.searchsorted(edges, values) * 2 + (way > 0.0)
+    sums = [np.bincount(cell[use], rest[use], 2 * RANGES) for use in (half, ~half)]
+    counts = [np.bincount(cell[use], minlength=2 * RANGES) for use in (half, ~half)]
+    enough = (counts[0] >= FEWEST) & (counts[1] >= FEWEST)
+    if not enough.any():
+        return 0.0
+    means = [each[enough] / count[enough] for each, count in zip(sums, counts, strict=True)]
+    return float(np.sum((counts[0] + counts[1])[enough] * means[0] * means[1]) / len(rest))

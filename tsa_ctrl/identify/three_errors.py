@@ -1,0 +1,187 @@
+"""Three errors of a simulation: while sliding, in reversals, and the noise of the sensor, which no model removes.
+
+One number for a whole log mixes them: a model may be right while the joint slides and wrong for 20 ms after each
+reversal, and neither says how small the error could become. Every command takes the three numbers from here.
+
+The noise is that of the log, not of a model. The measured torque is freed of what motion and motor torque say of it (a
+line for each, in both directions), only where the direction is known. What is left above the motion's frequencies is
+noise. Below them it is the smaller of what is left there and what the slope above continues to: no unknown effect
+counts as noise, and no model is asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import Signals, hold_direction
+
+Mask = NDArray[np.bool_]
+
+AFTER_REVERSAL = 0.020  # s on either side of a reversal: what is late by less shows there and nowhere else
+UNKNOWN = 2.5  # times a velocity's noise: a slower motion has no direction of its own
+ABOVE = 12.0  # times the frequency below which MOTION of the velocity's power lies: friction turns with its harmonics
+MOTION = 0.99
+HIGHEST = 0.5  # of the band up to half the rate: the noise above the motion needs as much of it
+CONTINUED = 1.2  # power of 1/f up to which noise rises below the motion's frequencies; electronics have 1
+LOWEST = 0.2  # Hz, below which noise counts as flat: a log of seconds shows less than a wave of it
+BANDS = 6  # per octave, of the smoothed spectrum
+LONGEST = 300_000  # samples that the noise is taken from: five minutes at 1 kHz
+FEWEST = 64  # samples with a known direction, below which there is no spectrum
+
+
+@dataclass(frozen=True)
+class ThreeErrors:
+    """RMS errors in N*m; None where a log has no such samples."""
+
+    sliding: float | None = None
+    reversals: float | None = None  # within AFTER_REVERSAL of one, or where the direction is uncertain
+    sensor_noise: float | None = None
+
+    def to_dict(self) -> dict[str, float | str | None]:
+        """The `errors` of the JSON outputs."""
+        return {
+            "sliding": self.sliding,
+            "reversals": self.reversals,
+            "sensor_noise": self.sensor_noise,
+            "unit": "N*m",
+        }
+
+
+def three_errors(logs: Sequence[Dataset], residuals: Sequence[Array], target: str) -> ThreeErrors:
+    """The three errors of residuals (n,) in N*m, all logs together; `target`: the column that is predicted."""
+    known = [known_direction(log) for log in logs]
+    noise = [sensor_noise(log, log[target], slides) for log, slides in zip(logs, known, strict=True)]
+    return ThreeErrors(
+        sliding=_rms([each[slides] for each, slides in zip(residuals, known, strict=True)]),
+        reversals=_rms([each[~slides] for each, slides in zip(residuals, known, strict=True)]),
+        sensor_noise=pooled(noise, [len(log) for log in logs]),
+    )
+
+
+def pooled(values: Sequence[float | None], counts: Sequence[int]) -> float | None:
+    """RMS of RMS values over so many samples each, without those that are unknown."""
+    told = [(value, count) for value, count in zip(values, counts, strict=True) if value is not None]
+    total = sum(count for _, count in told)
+    return math.sqrt(sum(value**2 * count for value, count in told) / total) if total else None
+
+
+def known_direction(log: Dataset) -> Mask:
+    """Samples (n,) at which the joint surely moves one way, further than AFTER_REVERSAL from where it turns."""
+    omega = log.signals().omega_j
+    velocity = "omega_j" if "omega_j" in log else "omega_m"
+    if velocity in log.derived:
+        noise = log.motion.smoothed(velocity.replace("omega", "q")).errors[1]
+    else:
+        noise = white_deviation(omega)
+    sure = np.abs(omega) > UNKNOWN * noise
+    turns = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
+    changed = np.zeros(len(omega) + 1, dtype=np.int64)  # up where a turn's surroundings begin, down after
+    width = max(1, round(AFTER_REVERSAL / log.period))
+    np.add.at(changed, np.maximum(turns + 1 - width, 0), 1)
+    np.add.at(changed, np.minimum(turns + 1 + width, len(omega)), -1)
+    return np.asarray(sure & (np.cumsum(changed[:-1]) == 0))
+
+
+def white_deviation(y: Array) -> float:
+    """Standard deviation of white noise on a smooth signal, from its third differences, which motion hardly has."""
+    third = np.abs(np.diff(y, 3))
+    return float(np.median(third)) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
+
+
+def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
+    """RMS of the noise of the measured torque `target` (n,), N*m, from the spectrum away from the motion."""
+    count = min(len(log), LONGEST)
+    start = (len(log) - count) // 2
+    part = slice(start, start + count)
+    used = known[part]
+    if int(used.sum()) < FEWEST:
+        return None
+    signals = log.signals()
+    rest = _freed(signals, part, target[part], used)
+    frequency = np.asarray(np.fft.rfftfreq(count, log.period), dtype=np.float64)
+    window = np.hanning(count)  # slow errors stay at their frequencies
+    # summed over all lines, of both signs, the mean square
+    density = np.square(np.abs(np.fft.rfft(rest * window))) / (used.mean() * count * float(window @ window))
+    edge = min(ABOVE * _motion_band(signals.omega_j[part], log.period), HIGHEST * frequency[-1])
+    bands = _bands(frequency, density)
+    return math.sqrt(_below_continued(bands, edge) * 2.0)
+
+
+def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
+    """What lines in motor torque and motion, both ways, leave of the torque; 0 where the direction is not known."""
+    omega, tau = signals.omega_j[part], signals.tau_m[part]
+    angle = np.cumsum(omega) * signals.period if signals.q_j is None else signals.q_j[part]
+    angle = (angle - angle.mean()) / max(float(np.std(angle)), np.finfo(np.float64).tiny)
+    sigma = hold_direction(omega)
+    shapes = [
+        np.ones(len(omega)),
+        omega,
+        signals.acceleration[part],
+        angle,
+        angle**2,
+        np.linspace(-1.0, 1.0, len(omega)),
+    ]
+    if target is not tau and not np.array_equal(target, tau):
+        shapes += [tau, np.abs(tau)]
+    for more in (signals.theta, signals.temperature):
+        if more is not None and np.ptp(more[part]) > 0.0:
+            own = (more[part] - more[part].mean()) / np.std(more[part])
+            shapes += [own, own**2, own * tau] if more is signals.theta else [own]
+    columns = np.column_stack([*shapes, *(sigma * shape for shape in shapes)])
+    columns /= np.maximum(np.sqrt(np.mean(columns[used] ** 2, axis=0)), np.finfo(np.float64).tiny)
+    factors: Array = np.linalg.lstsq(columns[used], target[used], rcond=None)[0]
+    rest = target - columns @ factors
+    index = np.arange(len(rest))
+    bridged = np.interp(index, index[used], rest[used])  # a step down to 0 would be at all frequencies
+    return np.where(used, rest, bridged)
+
+
+def _motion_band(omega: Array, period: float) -> float:
+    """Hz, below which MOTION of the velocity's power lies."""
+    power = np.abs(np.fft.rfft(omega - omega.mean())) ** 2
+    total = np.cumsum(power)
+    if total[-1] <= 0.0:
+        return 0.0
+    return float(np.fft.rfftfreq(len(omega), period)[int(np.searchsorted(total, MOTION * total[-1]))])
+
+
+def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
+    """Mean frequency, mean density and number of lines in bands that widen with frequency, without the mean's line."""
+    number = np.floor(BANDS * np.log2(frequency[1:] / frequency[1])).astype(np.int64)
+    lines = np.bincount(number)
+    centre = np.bincount(number, frequency[1:])
+    level = np.bincount(number, density[1:])
+    return [(float(c / n), float(d / n), int(n)) for c, d, n in zip(centre, level, lines, strict=True) if n]
+
+
+def _below_continued(bands: Sequence[tuple[float, float, int]], edge: float) -> float:
+    """Sum of the density over all bands; below `edge` at most what the slope above it continues to."""
+    above = [band for band in bands if band[0] > edge]
+    total = sum(density * lines for _, density, lines in above)
+    if not above:
+        return total
+    first = above[0][0]
+    near = [band for band in above if band[0] <= 4.0 * first and band[1] > 0.0] or above[:1]
+    slope = 0.0
+    if len(near) > 2:
+        f, d, n = (np.array(each) for each in zip(*near, strict=True))
+        slope = float(np.polyfit(np.log(f), np.log(d), 1, w=np.sqrt(n))[0])
+    slope = min(0.0, max(slope, -CONTINUED))
+    level = float(np.mean([density for _, density, _ in near[:3]]))
+    for frequency, density, lines in bands:
+        if frequency <= edge:
+            continued = level * (max(frequency, LOWEST) / first) ** slope
+            total += min(density, continued) * lines
+    return total
+
+
+def _rms(parts: Sequence[Array]) -> float | None:
+    count = sum(len(part) for part in parts)
+    return math.sqrt(sum(float(part @ part) for part in parts) / count) if count else None
