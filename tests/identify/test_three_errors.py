@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.conftest import ROOT
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.data.prepare import prepare
 from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
 from tsa_ctrl.identify.three_errors import three_errors
+from tsa_ctrl.model.parameters import load_model
 
 NOISE = 4e-3  # N*m
 PERIOD = 2e-3  # s
@@ -57,7 +60,8 @@ def test_a_log_without_motion_has_no_error_of_sliding() -> None:
 
 @pytest.mark.parametrize(("shape", "signal"), [("time", "the time"), ("angle", "the joint angle"), ("none", None)])
 def test_an_error_that_is_not_flat_is_seen(shape: str, signal: str | None) -> None:
+    nominal = load_model(ROOT / "config" / "actuator.toml")
     missed = {"time": T / 10.0 - 1.5, "angle": np.sin(3.0 * np.cumsum(OMEGA) * PERIOD), "none": 0.0 * T}[shape]
     residual = noise(4) + 3.0 * NOISE * missed
-    found = not_flat([log(residual)], [residual], "tau_j", NOISE)
+    found = not_flat(prepare([log(residual)], nominal), [residual], NOISE)
     assert (found and found.what) == signal

@@ -64,7 +64,10 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     logs = [run.raw for run in runs]
     residuals = [log[runs[0].target_name] - predict(extended, log.signals()) for log in logs]
     parts = three_errors(logs, residuals, runs[0].target_name)
-    bent = None if left else not_flat(logs, residuals, runs[0].target_name, errors.noise_floor)
+    # Of a model without a cause the flatness is not judged: logs of seconds leave its recalibration too free
+    bent = (
+        None if left or not causes else not_flat(runs, full_residuals(outcome.data.frame, extended), errors.noise_floor)
+    )
     left = [bent] if bent is not None else left
     verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     result = Diagnosis(

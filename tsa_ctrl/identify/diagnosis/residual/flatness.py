@@ -13,40 +13,40 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
-from tsa_ctrl.identify.three_errors import known_direction
+from tsa_ctrl.identify.three_errors import UNKNOWN, known_direction
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
 RANGES = 10  # of each signal, with as many samples in each
 PIECES = 16  # of time in each range of time, alternately of one half and of the other
-# Of the sensor's noise: an error of sliding is then 1.25 times the noise (root of 1 + 0.75^2), and that is how well the
-# noise itself is known (0.8 to 1.25)
-LEAST = 0.75
+# Of the sensor's noise: what is larger than the noise is no noise. Slow noise alone reaches 0.75 in logs of 15 s.
+LEAST = 1.0
 FEWEST = 40  # samples of a range in each half
 
 
-def not_flat(logs: Sequence[Dataset], residuals: Sequence[Array], target: str, noise: float) -> Finding | None:
+def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> Finding | None:
     """The signal that the sliding error depends on most, where that is more than LEAST of the noise.
 
-    `residuals` (n,): measured minus predicted column `target`, N*m, as is the noise.
+    `residuals` (n,): measured minus predicted torque of each run at the log's own rate, N*m, as is the noise. A sample
+    counts only if the denoised velocity also shows its direction: a wrong one is an error of the log, not of the model.
     """
-    known = [known_direction(log) for log in logs]
+    known = [known_direction(run.raw) & _sure(run) for run in runs]
     rest = np.concatenate([each[slides] for each, slides in zip(residuals, known, strict=True)])
     if noise <= 0.0 or len(rest) < 2 * FEWEST * RANGES:
         return None
     signals: dict[str, list[Array]] = {"the time": [], "the joint angle": [], "the speed": [], "the load": []}
     ways, halves, start = [], [], 0.0
-    for log, residual, slides in zip(logs, residuals, known, strict=True):
-        s = log.signals()
-        angle = np.cumsum(s.omega_j) * log.period if s.q_j is None else s.q_j
-        moment = start + np.arange(len(log)) * log.period
-        of = (moment, angle, s.omega_j, log[target] - residual)
+    for run, residual, slides in zip(runs, residuals, known, strict=True):
+        s = run.full
+        angle = np.cumsum(s.omega_j) * s.period if s.q_j is None else s.q_j
+        moment = start + np.arange(len(s)) * s.period
+        of = (moment, angle, s.omega_j, run.full_target - residual)
         for values, column in zip(signals.values(), of, strict=True):
             values.append(np.asarray(column[slides], dtype=np.float64))
         ways.append(hold_direction(s.omega_j)[slides])
-        halves.append((np.arange(len(log)) * RANGES * PIECES // max(len(log), 1) % 2 == 0)[slides])
+        halves.append((np.arange(len(s)) * RANGES * PIECES // max(len(s), 1) % 2 == 0)[slides])
         start = float(moment[-1])
     way, half = np.concatenate(ways), np.concatenate(halves)
     total = float(rest @ rest)
@@ -56,6 +56,13 @@ def not_flat(logs: Sequence[Dataset], residuals: Sequence[Array], target: str, n
         if square > (LEAST * noise) ** 2 and (best is None or square * len(rest) / total > best.share):
             best = Finding(name, min(square * len(rest) / total, 1.0), math.sqrt(square) / noise, True)
     return best
+
+
+def _sure(run: Run) -> NDArray[np.bool_]:
+    """Samples (n,) at the log's own rate at which the denoised velocity is beyond its error."""
+    error = np.repeat(run.velocity_error, run.full_bin // run.bin)
+    error = np.concatenate([error, np.full(max(0, len(run.full) - len(error)), error[-1])])[: len(run.full)]
+    return np.asarray(np.abs(run.full.omega_j) > UNKNOWN * error)
 
 
 def dependent(rest: Array, values: Array, way: Array, half: NDArray[np.bool_]) -> float:
