@@ -1,12 +1,12 @@
 """Three errors of a simulation: while sliding, in reversals, and the noise of the sensor, which no model removes.
 
-One number for a whole log mixes them: a model may be right while the joint slides and wrong for 20 ms after each
-reversal, and neither says how small the error could become. Every command takes the three numbers from here.
+A model may be correct during sliding and wrong for 20 ms after each reversal. One RMS value does not show this. Every
+command takes the three errors from this module.
 
-The noise is that of the log, not of a model. The measured torque is freed of what motion and motor torque say of it (a
-line for each, in both directions), only where the direction is known. What is left above the motion's frequencies is
-noise. Below them it is the smaller of what is left there and what the slope above continues to: no unknown effect
-counts as noise, and no model is asked.
+The sensor noise is estimated from the log alone. A linear regression on motor torque and motion, with separate
+coefficients for each direction, is subtracted from the measured torque. Above the frequencies of the motion, the
+spectrum of the residual is noise. At lower frequencies the noise is the smaller of the measured spectrum and the
+extrapolated spectrum. Therefore an unknown effect does not count as noise.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tsa_ctrl.model.signals import Signals, hold_direction
 
 Mask = NDArray[np.bool_]
 
-AFTER_REVERSAL = 0.020  # s on either side of a reversal: what is late by less shows there and nowhere else
+AFTER_REVERSAL = 0.020  # s on either side of a reversal: a delay below this value is visible only there
 UNKNOWN = 2.5  # times a velocity's noise: a slower motion has no direction of its own
 ABOVE = 12.0  # times the frequency below which MOTION of the velocity's power lies: friction turns with its harmonics
 MOTION = 0.99  # of the power: a reversal has the rest in its harmonics
@@ -33,7 +33,7 @@ CONTINUED = 1.2  # power of 1/f up to which noise rises below the motion's frequ
 LOWEST = 0.2  # Hz, below which noise counts as flat: a log of seconds shows less than a wave of it
 BANDS = 6  # per octave, of the smoothed spectrum
 LONGEST = 300_000  # samples that the noise is taken from: five minutes at 1 kHz
-FEWEST = 64  # samples with a known direction, below which there is no spectrum
+FEWEST = 64  # samples with a known direction, the least for a spectrum
 
 
 @dataclass(frozen=True)
