@@ -113,12 +113,17 @@ def test_the_third_stroke_of_a_healthy_joint_proves_what_the_file_left_open() ->
     assert low > 0.8 * FRICTION
 
 
-def test_a_calibration_with_a_narrow_interval_proves_more_by_two_strokes() -> None:
+def test_the_interval_of_a_calibration_counts_for_the_joint_that_was_tuned_only() -> None:
+    """It proves more by two strokes; of a file that may be another joint's, [uncertainty] counts."""
     half_loop = abs(sliding(MODEL).half_loop)
-    joint = Joint(dataclasses.replace(MODEL, half_loop_low=0.95 * half_loop))
-    joint.move(0.6)
-    low, _ = joint.move(-0.6)[-1]
-    assert 0.65 * FRICTION < low < 0.95 * FRICTION
+    found = {}
+    for trusted in (False, True):
+        joint = Joint(dataclasses.replace(MODEL, half_loop_low=0.95 * half_loop))
+        joint.proven.trusted = trusted
+        joint.move(0.6)
+        found[trusted], _ = joint.move(-0.6)[-1]
+    assert 0.1 * FRICTION < found[False] < 0.44 * FRICTION
+    assert 0.65 * FRICTION < found[True] < 0.95 * FRICTION
 
 
 def test_a_joint_torque_sensor_proves_it_within_the_first_stroke() -> None:

@@ -304,6 +304,7 @@ class CompensationLimit:
     def trusted(self, value: bool) -> None:
         """State for the nodes that a bring-up found whether the file is theirs; nothing is confirmed on them yet."""
         self._trusted, self._confirmed = value, False
+        self.proven.trusted = value
         self.credit.capacity = self._capacity if value else self._untrusted_capacity
 
     def update(

@@ -67,6 +67,7 @@ class ProvenFriction:
     Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
     `reads`: True if this cycle has a reading, False if the bounds come from earlier cycles.
     `modelled`: friction torque of the model file at the present wrap angle, N*m at the motor.
+    `trusted`: True if a tuning of this joint wrote the model file, so that the interval of its calibration counts.
     """
 
     def __init__(
@@ -101,7 +102,8 @@ class ProvenFriction:
         self._observer = observer
         self.usable = has_sensor
         self._shape = 0.0
-        self._most = _most_friction(model)
+        self._uncertain, self._calibrated = _most_friction(model)
+        self.trusted = False
         if not has_sensor and observer is not None:
             line = stretch_line(model)
             self.usable = True
@@ -252,8 +254,9 @@ class ProvenFriction:
     def _bound(self, share: float, deviation: float) -> None:
         modelled = self.modelled
         doubt = SURE * math.hypot(deviation, self._shape * share)
-        if not self._is_repeated and share < self._most:
-            doubt += self._most - share
+        if not self._is_repeated:
+            most = self._calibrated if self.trusted else self._uncertain
+            doubt += max(0.0, most - share)
         low, high = share - doubt, share + doubt
         if low > 0.0:  # nan while a direction has no reading
             for read in self._read:
@@ -352,15 +355,16 @@ class ProvenFriction:
         return True
 
 
-def _most_friction(model: TendonSheath) -> float:
-    """Return the most friction torque that the model file permits, over the file's value (1).
+def _most_friction(model: TendonSheath) -> tuple[float, float]:
+    """Return the most friction torque by [uncertainty], and by the calibration's interval, over the file's value (1).
 
-    The interval of a calibration is taken as symmetric; a file that was never calibrated has only [uncertainty].
+    The interval is taken as symmetric. Without one, the second value is the first.
     """
+    uncertain = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
     half_loop = abs(sliding(model).half_loop)
-    if model.half_loop_low is not None and half_loop > 0.0:
-        return max(1.0, 2.0 - model.half_loop_low / half_loop)
-    return (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    if model.half_loop_low is None or not half_loop > 0.0:
+        return uncertain, uncertain
+    return uncertain, max(1.0, 2.0 - model.half_loop_low / half_loop)
 
 
 class _Sums(NamedTuple):
