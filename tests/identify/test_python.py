@@ -16,6 +16,7 @@ from tests.conftest import ROOT
 from tsa_ctrl.display import Displayed
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -87,18 +88,36 @@ def test_a_calibration_shows_its_estimates_and_errors() -> None:
     quantity = Quantity(0.26, 0.25, 0.27, "1")
     model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
     assert isinstance(model, TendonSheath)
-    estimates = dict.fromkeys(("friction_angle", "pretension", "slope", "half_loop_torque"), quantity)
-    rms = {"rms_before": 0.08, "rms_after": 0.02, "rms_given": 0.07, "rms_written": 0.03}
     found = Calibration(
-        **estimates,
+        friction_angle=quantity,
+        pretension=quantity,
+        slope=quantity,
+        half_loop_torque=quantity,
         split=True,
         condition_number=3.0,
         admitted_seconds=10.0,
         refused=(),
-        **rms,
+        rms_before=0.08,
+        rms_after=0.02,
+        rms_given=0.07,
+        rms_written=0.03,
         experiment="",
         notes=(),
         model=model,
     )
     assert "friction angle: 0.26 (0.25 to 0.27)" in shown(found)
     assert "held-out error: 0.08 -> 0.02 N·m" in repr(found)
+
+
+def test_a_diagnosis_shows_its_causes_and_errors() -> None:
+    cause = Cause(
+        "stribeck_friction", ("presliding_hysteresis",), 0.97, {"static_excess": Quantity(0.61, 0.55, 0.67, "1")}, 0.9
+    )
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    rms = Rms(0.08, 0.06, 0.015, 0.014)
+    found = Diagnosis(Verdict.EXPLAINED, "A sentence: more", (cause,), {}, "", {}, {}, Experiment(""), rms, 0.98, model)
+    line = shown(found)
+    assert "verdict: explained" in line
+    assert "stribeck_friction (or presliding_hysteresis): static_excess 0.61 (0.55 to 0.67)" in line
+    assert "nominal 0.08, recalibrated 0.06, extended 0.015, sensor noise 0.014" in line
+    shown(Diagnosis(Verdict.INSUFFICIENT, "Too short.", (), {}, "", {}, {}, Experiment(""), Rms(), 0.0, model))

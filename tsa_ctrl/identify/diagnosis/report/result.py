@@ -7,8 +7,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tsa_ctrl.display import Displayed, bars
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.details import Details
 from tsa_ctrl.identify.quantity import Quantity
@@ -16,6 +17,9 @@ from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.outputs import json_types
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 2  # of diagnosis.json: it changes when a reader of the last one would go wrong
 DIGITS = 6  # significant, of every number written: more is rounding of this machine
@@ -94,8 +98,8 @@ class Experiment:
         return "\n".join(["t,tau_j_des", *rows]) + "\n"
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Displayed):
     """Result of `diagnose`; `to_json` is the contents of diagnosis.json; `report.page.write` makes the whole report.
 
     `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
@@ -130,6 +134,31 @@ class Diagnosis:
         """The causes without those that only the stretch shows."""
         beside, _ = of_the_stretch([cause.effect for cause in self.causes])
         return tuple(cause for cause in self.causes if cause.effect not in beside)
+
+    def facts(self) -> dict[str, str]:
+        """Return the verdict, each cause with its parameters, and the errors on held-out data."""
+        found = {"verdict": self.verdict.value}
+        for cause in self.causes:
+            values = ", ".join(f"{name} {value}" for name, value in cause.parameters.items())
+            others = f" (or {', '.join(cause.alternatives)})" if cause.alternatives else ""
+            found[cause.effect + others] = values
+        errors = [f"{name} {value:.4g}" for name, value in self._rms_errors().items()]
+        return {**found, "error (N·m)": ", ".join(errors) or "-"}
+
+    def _rms_errors(self) -> dict[str, float]:
+        """Return the known RMS errors by name, N*m."""
+        rms = self.rms
+        every = {
+            "nominal": rms.as_given,
+            "recalibrated": rms.recalibrated,
+            "extended": rms.extended,
+            "sensor noise": rms.noise_floor,
+        }
+        return {name: value for name, value in every.items() if value is not None}
+
+    def plot(self) -> Figure:
+        """Return a picture of the RMS errors on held-out data."""
+        return bars(self._rms_errors(), "RMS error on held-out data (N·m)", self.sentence.split(":")[0])
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object."""
