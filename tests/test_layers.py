@@ -45,7 +45,7 @@ ROOMS: dict[str, str] = {
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
     "monitor": "bus.canopen",  # the second channel: no clock, no input or output, nothing of the loop
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
-    "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
+    "safety": "errors bus.settings bus.canopen bus.drive.release_heartbeat bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.plan config",

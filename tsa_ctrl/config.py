@@ -22,14 +22,14 @@ from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.torque_path import PER_MILLE, drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import BendingSettings, routing_of
-from tsa_ctrl.control.by_tension import why_not as no_tension
-from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.control.estimator_selection import chosen
+from tsa_ctrl.control.kalman import why_not as beside
 from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
-from tsa_ctrl.control.recursive import why_not as beside
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings, largest
+from tsa_ctrl.control.tension_estimator import why_not as no_tension
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath

@@ -14,7 +14,7 @@ from tests.control.laws import COUNT
 from tests.control.laws import law as make
 from tests.control.sliding import PERIOD, R_J, R_M, actuator
 from tsa_ctrl.control.estimator import EstimatorSettings, Sample
-from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.control.kalman import KalmanEstimator
 
 LEVER = 0.4e-3 + 0.3e-3  # m, p + d/2
 STIFFNESS = 6e3 / 1.2  # N/m
@@ -40,7 +40,7 @@ def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.nd
     """
     model = actuator()
     settings = EstimatorSettings(kind="sensor", use=use)
-    estimator = Recursive(model, settings, PERIOD)
+    estimator = KalmanEstimator(model, settings, PERIOD)
     law = make(model)
     random = np.random.default_rng(seed)
     rows = []

@@ -8,7 +8,7 @@ import pytest
 from tests.blind.memory import bristle, first_order_lag
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
-from tsa_ctrl.control.recursive import Bare, Recursive
+from tsa_ctrl.control.kalman import Bare, KalmanEstimator
 
 PERIOD = 1e-3
 EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"
@@ -31,7 +31,9 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
 def test_the_estimator_follows_it_through_cycles_that_it_does_not_learn_from() -> None:
     """The half loop of a joint that swings is that of its tendons, though what is learned from is steady sliding."""
     model = ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}})
-    estimators = [Recursive(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)]
+    estimators = [
+        KalmanEstimator(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)
+    ]
     t = PERIOD * np.arange(12000)
     omega = 0.8 * np.sign(np.sin(2.0 * t)) * np.minimum(1.0, 20.0 * np.abs(np.sin(2.0 * t)))
     sigma = np.sign(omega)

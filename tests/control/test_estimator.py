@@ -20,7 +20,7 @@ from tsa_ctrl.control.estimator import (
     Sample,
     Split,
 )
-from tsa_ctrl.control.recursive import Recursive, why_not
+from tsa_ctrl.control.kalman import KalmanEstimator, why_not
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -28,7 +28,7 @@ MODEL = actuator()
 X, PRETENSION = MODEL.friction_angle, MODEL.pretension
 
 
-def feed(estimator: Recursive, data: Sliding) -> None:
+def feed(estimator: KalmanEstimator, data: Sliding) -> None:
     for sigma, omega, tau_m, tau_j in data.samples():
         estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True))
 
@@ -38,7 +38,7 @@ def feed(estimator: Recursive, data: Sliding) -> None:
 def test_follows_a_change_of_bending(kind: str, change: float) -> None:
     """Within ten seconds of motion, x and T_p are within 4 % of a sheath that is bent 30 % less to 40 % more."""
     settings = EstimatorSettings(kind=kind, use=True)  # type: ignore[arg-type]
-    estimator = Recursive(MODEL, settings, PERIOD)
+    estimator = KalmanEstimator(MODEL, settings, PERIOD)
     theta = MODEL.bending_angle * change
     lever = MODEL.contact_offset + MODEL.diameter / 2.0
     stiffness = MODEL.axial_stiffness / MODEL.unstrained_length
@@ -56,7 +56,7 @@ def test_follows_a_change_of_bending(kind: str, change: float) -> None:
 )
 def test_attributes_the_change_as_told(attribute: Attribution, x: float, pretension: float) -> None:
     """The product is split by the assumption in the configuration: the other parameter stays nominal."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor", attribute=attribute), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor", attribute=attribute), PERIOD)
     feed(estimator, Sliding(x, pretension, seconds=10.0))
     assert estimator.friction_angle == pytest.approx(x, rel=0.03)
     assert estimator.pretension == pytest.approx(pretension, rel=0.03)
@@ -64,7 +64,7 @@ def test_attributes_the_change_as_told(attribute: Attribution, x: float, pretens
 
 def test_sensor_offset_is_not_taken_for_friction() -> None:
     """A constant offset of the torque sensor lands in the offset, not in the half loop."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(X, PRETENSION, seconds=10.0, offset=0.05))
     assert estimator.offset == pytest.approx(0.05, abs=0.01)
     assert estimator.friction_angle == pytest.approx(X, rel=0.02)
@@ -72,7 +72,7 @@ def test_sensor_offset_is_not_taken_for_friction() -> None:
 
 def test_one_direction_is_too_little() -> None:
     """Motion one way only cannot part friction from offset: nothing is claimed, nothing moves."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for sigma, omega, tau_m, tau_j in Sliding(1.3 * X, PRETENSION, seconds=8.0).samples():
         if sigma > 0.0:
             estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True))
@@ -82,7 +82,7 @@ def test_one_direction_is_too_little() -> None:
 
 def test_frozen_without_excitation() -> None:
     """At standstill, and while not admitted, an estimate stays what it was."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=12.0))
     before = estimator.half_loop, estimator.state
     for _ in range(5000):
@@ -93,7 +93,7 @@ def test_frozen_without_excitation() -> None:
 
 def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
     """A sensor that says something else than the model can: invalid, and the outputs go back to the model file's."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=8.0))
     noise = np.random.default_rng(5)
     for sigma, omega, tau_m, _ in Sliding(X, PRETENSION, seconds=20.0).samples():
@@ -107,7 +107,7 @@ def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
 @pytest.mark.parametrize("stuck", [0.0, 0.4])
 def test_stuck_sensor_is_invalid(stuck: float) -> None:
     """A torque sensor that always says the same wants a friction beyond the bounds: invalid."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor", use=True), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor", use=True), PERIOD)
     for sigma, omega, tau_m, _ in Sliding(X, PRETENSION, seconds=20.0).samples():
         estimator.update(Sample(sigma, omega, math.nan, tau_m, stuck, True))
     assert estimator.state is EstimateState.INVALID
@@ -115,7 +115,7 @@ def test_stuck_sensor_is_invalid(stuck: float) -> None:
 
 def test_missing_sensor_value_does_not_poison() -> None:
     """nan from the sensor for a while is survived."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for n, (sigma, omega, tau_m, tau_j) in enumerate(Sliding(X, PRETENSION, seconds=16.0).samples()):
         estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan if 2000 < n < 2500 else tau_j, True))
     assert estimator.state is EstimateState.ESTIMATED
@@ -126,7 +126,7 @@ def test_missing_sensor_value_does_not_poison() -> None:
 def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
     """No parameter ever moves faster than the rate, or beyond what the bounds allow, whatever comes in."""
     settings = EstimatorSettings(kind=kind, rate=0.3, bounds=0.4)  # type: ignore[arg-type]
-    estimator = Recursive(MODEL, settings, PERIOD)
+    estimator = KalmanEstimator(MODEL, settings, PERIOD)
     random = np.random.default_rng(6)
     last = estimator.friction_angle, estimator.pretension
     for _ in range(20_000):
@@ -143,7 +143,7 @@ def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
 
 def test_reset_returns_to_nominal_at_once() -> None:
     """Every disable resets: nominal values, nothing known."""
-    estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=10.0))
     estimator.reset()
     assert (estimator.friction_angle, estimator.pretension) == (X, PRETENSION)
@@ -270,7 +270,7 @@ def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, fl
 def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ...]) -> None:
     """Joint torque sensor behind a joint with friction of its own, and a motor with its: the sheath's x comes back."""
     model, samples = with_effects(*names)
-    estimator = Recursive(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
+    estimator = KalmanEstimator(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
         estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True, angle))
     assert estimator.state is EstimateState.ESTIMATED
@@ -281,7 +281,7 @@ def test_kind_motor_knows_what_the_joint_takes() -> None:
     """Its known load is what is behind the joint: viscous friction of the joint comes on top, through the tendons."""
     model = dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": FRICTION}})
     settings = EstimatorSettings(kind="motor", attribute=Attribution.FRICTION)
-    estimator = Recursive(model, settings, PERIOD)
+    estimator = KalmanEstimator(model, settings, PERIOD)
     for sigma, omega, tau_m, _ in Sliding(1.2 * X, PRETENSION, seconds=14.0, load=0.0).samples():
         tau_m += R_M / R_J * FRICTION * omega / math.cosh(1.2 * X)
         estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan, True))

@@ -25,7 +25,7 @@ def error(axis: AxisResult, begin: float, end: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # the same limit on another rig: tests/control/test_by_stretch.py
+@pytest.mark.soak  # the same limit on another rig: tests/control/test_stretch_estimator.py
 def test_without_a_torque_sensor_the_change_is_followed_as_well(tmp_path: Path) -> None:
     """The plant's truth judges both; the one without a sensor has no joint torque to read."""
     write(tmp_path)

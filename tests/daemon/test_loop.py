@@ -214,7 +214,7 @@ def test_flood_of_commands_is_taken_one_per_cycle(build: Build) -> None:
 def test_socket_set_point_expires(build: Build) -> None:
     """A value over the socket acts for its timeout; then it goes to 0, and friction is not compensated for nobody."""
     machine = build(('kind = "sine"  ', 'kind = "socket"  '))
-    machine.axis.sense.ceiling = math.inf  # this rig, all stiff, shows nothing of the motor's sense
+    machine.axis.polarity_check.ceiling = math.inf  # this rig, all stiff, shows nothing of the motor's sense
     machine.drive.at_sync[500] = lambda: machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=1.5)
     torques = machine.drive.torques

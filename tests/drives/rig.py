@@ -15,8 +15,8 @@ from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.live.startup_check import check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Frame
@@ -118,7 +118,7 @@ class Foreign:
         self.supervisor = Supervisor(SupervisionSettings(), self.profile.reports_following, late)
         self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
         self.rig.start()
-        prove(self.rig, PERIOD)
+        check_startup(self.rig, PERIOD)
         return report
 
     def run(self, request: Request, until: Phase, torque: float = 0.0) -> None:

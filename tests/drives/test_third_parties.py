@@ -19,8 +19,8 @@ from tests.drives.rig import PERIOD, Foreign, Recording, refused
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.live.startup_check import check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.python_can import PythonCan
@@ -53,7 +53,7 @@ class OnDurand(Foreign):
         self.supervisor = Supervisor(SupervisionSettings())
         self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
         self.rig.start()
-        prove(self.rig, PERIOD)
+        check_startup(self.rig, PERIOD)
 
 
 def test_a_drive_on_durand_comes_up_pulls_stops_and_comes_up_again() -> None:

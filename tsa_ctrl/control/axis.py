@@ -21,10 +21,10 @@ from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.guard import Guard, Observed
 from tsa_ctrl.safety.limiter import Limiter, Reason
+from tsa_ctrl.safety.lost_commands import LostCommands
 from tsa_ctrl.safety.plausibility import Plausibility
-from tsa_ctrl.safety.sense import Sense
+from tsa_ctrl.safety.polarity_check import PolarityCheck
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
-from tsa_ctrl.safety.unheard import Unheard
 
 # Joint torque, tendon tensions and sheath bending of one axis: from a node on the bus, or from sensors beside it.
 
@@ -98,7 +98,7 @@ class Safeguards:
 
     supervisor: Supervisor
     limiter: Limiter
-    sense: Sense
+    polarity_check: PolarityCheck
     guard: Guard
     plausibility: Plausibility
     joint_torque: JointTorque
@@ -148,12 +148,12 @@ class ControlAxis:
         self.estimator = estimator
         self.law = law
         self.limiter = safeguards.limiter
-        self.sense = safeguards.sense
+        self.polarity_check = safeguards.polarity_check
         self.guard = safeguards.guard
         self.compensation_limit = safeguards.compensation_limit
         self.plausibility = safeguards.plausibility
         self.joint_torque = safeguards.joint_torque
-        self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
+        self._lost_commands = LostCommands(io.hearing, str(io.image.nodes[0]))
         self.most_age = timing.most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
@@ -169,7 +169,7 @@ class ControlAxis:
         self._gearing = 1.0 / self._ratio
         self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of the wrap angles apart
         self._routed = 0.0  # rad of the motor
-        self.limiter.ceiling = self.sense.ceiling
+        self.limiter.ceiling = self.polarity_check.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
         self._sliding = sliding_by(model)
@@ -289,7 +289,7 @@ class ControlAxis:
         if self._has_torque_sensor:
             excess = instruments.tau_j - self.ramp * terms.tau_j_des if image.fresh else math.nan
             self.direction.measure(excess, law.turn.turning)
-        unheard = self._unheard.update(now)
+        unheard = self._lost_commands.update(now)
         if unheard is not None:
             self.supervisor.trip(unheard, now)
         if terms.reason in _TRIPPING:
@@ -300,10 +300,10 @@ class ControlAxis:
             tau_j = instruments.tau_j
             expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
             wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
-            wrong = wrong or self.sense.update(
+            wrong = wrong or self.polarity_check.update(
                 now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
             )
-            self.limiter.ceiling = self.sense.ceiling
+            self.limiter.ceiling = self.polarity_check.ceiling
             soft = None if wrong else self.joint_torque.contradiction
             if soft is not None:
                 wrong = Finding(Cause.SOFT_TENDONS, soft)
@@ -362,9 +362,9 @@ class ControlAxis:
         self.compensation_limit.reset()
         self.law.bound = self.compensation_limit.share
         self.plausibility.reset()
-        self.sense.reset()
-        self._unheard.reset()
-        self.limiter.ceiling = self.sense.ceiling
+        self.polarity_check.reset()
+        self._lost_commands.reset()
+        self.limiter.ceiling = self.polarity_check.ceiling
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
 

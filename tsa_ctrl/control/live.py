@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.by_stretch import ByStretch
-from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.direction import LEAST_ZONE
 from tsa_ctrl.control.estimator import Fixed, toward
-from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.control.kalman import KalmanEstimator
+from tsa_ctrl.control.stretch_estimator import StretchEstimator
+from tsa_ctrl.control.tension_estimator import TensionEstimator
 
 _NONE: tuple[float | None, float | None] = (None, None)
 
@@ -51,7 +51,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     angles = (0.0, angle * (1.0 + model.friction_angle_uncertainty)) if fixed else _NONE
     tensions = (0.0, pretension * (1.0 + model.pretension_uncertainty)) if fixed else _NONE
     use = _NONE
-    if isinstance(estimator, Recursive | ByStretch | ByTension):
+    if isinstance(estimator, KalmanEstimator | StretchEstimator | TensionEstimator):
         use = _NONE if estimator.use else (0.0, 1.0)  # it may have found less friction than the file has
     bends = (0.0, 2.0 * max(axis.bending.commanded, model.bending_angle)) if axis.bending.settable else _NONE
     zone = max(LEAST_ZONE, axis.direction.zone)

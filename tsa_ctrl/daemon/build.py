@@ -15,16 +15,16 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending, routing_of
-from tsa_ctrl.control.by_stretch import ByStretch
-from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
 from tsa_ctrl.control.direction import LONGEST, Direction, Motion
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
+from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.live import Tuner, parameters_of
 from tsa_ctrl.control.plan import Plan
-from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.control.stretch_estimator import StretchEstimator
+from tsa_ctrl.control.tension_estimator import TensionEstimator
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.process import LogHeader
@@ -40,8 +40,8 @@ from tsa_ctrl.safety.causes import REMEDIES
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.polarity_check import PolarityCheck
 from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
-from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
 from tsa_ctrl.settings import referenced
 
@@ -157,7 +157,7 @@ def safeguards_of(
     return Safeguards(
         supervisor=supervisor,
         limiter=Limiter(settings.limits, period),
-        sense=sense_of(settings, model, period),
+        polarity_check=polarity_check_of(settings, model, period),
         guard=Guard(
             settings.passivity,
             period,
@@ -247,13 +247,13 @@ def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
     return motor, 0.0 if encoder is None else 2.0 * math.pi * geared / encoder.counts_per_revolution
 
 
-def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sense:
+def polarity_check_of(settings: AxisSettings, model: TendonSheath, period: float) -> PolarityCheck:
     """Return the check of the motor torque's direction and size."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     counts = math.hypot(*counts_of(settings, geared))  # they round by chance
     stiffness = least_stiffness(model) if settings.plausibility.slip is None else 0.0
     slope = max(1.0, *(sliding(model, sigma).slope / geared for sigma in (-1.0, 1.0)))
-    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness, slope)
+    return PolarityCheck(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness, slope)
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:
@@ -323,11 +323,11 @@ def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: Join
         routed = routing_of(settings.bending, model.routing) is not None
         return ConfigurationMap(model, chosen, period, math.inf if routed else None)
     if chosen.kind == "tension":
-        return ByTension(model, chosen, period)
+        return TensionEstimator(model, chosen, period)
     if chosen.kind == "stretch":
         assert joint_torque.stretch is not None  # the configuration was checked
-        return ByStretch(model, chosen, joint_torque.stretch, period, lambda: joint_torque.contradicted)
-    return Recursive(model, chosen, period)
+        return StretchEstimator(model, chosen, joint_torque.stretch, period, lambda: joint_torque.contradicted)
+    return KalmanEstimator(model, chosen, period)
 
 
 def tuners_of(axes: Sequence[ControlAxis], period: float) -> tuple[Tuner, ...]:

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.live.startup_check import check_startup
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.build import LoopPhase
@@ -166,7 +166,7 @@ class Lifecycle:
         if not self._configured:
             self._tell("seeing that every node answers every SYNC")
             try:
-                prove(self._rig, period)
+                check_startup(self._rig, period)
             finally:
                 self._tell("")
 

@@ -13,7 +13,7 @@ from tsa_ctrl.bus.canopen.cia402 import INTERNAL_LIMIT, WARNING
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.safety.leaky import SECOND
+from tsa_ctrl.safety.debounce import SECOND
 from tsa_ctrl.system.realtime import SKIPPED_SHARE, Overruns
 
 AGAIN = 10.0  # s between two notices of one kind on one axis; the log has the reason of every cycle

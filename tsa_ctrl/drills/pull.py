@@ -1,9 +1,9 @@
 """Whether a motor pulls the way it says, and as much, by what its nodes say while a small torque begins.
 
 The tendons stretch by the torque, so that motor and joint move apart with its sign, held or free; the joint torque
-sensor, where there is one, follows it by r_J/r_M at most. Both are straight lines through all that was seen: the loop
-under trial judges by a filter of its own (`safety.sense`), this is said of the whole pull. Of a joint that something
-else moves nothing is said: there friction stretches the tendons, a hundred times as far as a small torque does.
+sensor, where there is one, follows it by r_J/r_M at most. Both are straight lines through all samples of the pull. The
+tested loop decides with its own filter (`safety.polarity_check`). A joint that something else moves is not judged: its
+friction stretches the tendons a hundred times as far as a small torque does.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.model.sliding import wound_by_friction
-from tsa_ctrl.safety.sense import CLEAR, EXCESS, FAR, RESTING, SHOWN
+from tsa_ctrl.safety.polarity_check import CLEAR, EXCESS, FAR, RESTING, SHOWN
 
 KEPT = 4000  # samples of each axis: the last seconds
 LEAST = 20  # samples

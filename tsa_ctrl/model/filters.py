@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.legs import Legs, dahl
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Memory:
     def over(self, x: Array, t: Array) -> Array:
         """Its value along a log, (n,), for x and t (s) of (n,); the steps may be uneven."""
         if self.kind == "dahl":
-            return dahl(Legs.of(x), self.constants[0], 0.0)
+            return dahl(MonotonicSegments.of(x), self.constants[0], 0.0)
         from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
 
         x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])

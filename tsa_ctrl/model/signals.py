@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.legs import Legs
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
 _RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; what is left of them is below 1e-5
@@ -89,17 +89,17 @@ class Signals:
         """What a prediction may want again, by what it depends on beside the signals."""
         return {}
 
-    def legs(self, path: Array) -> Legs:
+    def legs(self, path: Array) -> MonotonicSegments:
         """A column's legs, which a search asks for with every distance that it tries: those of two short ones stay."""
         known = next((legs for legs in self._legs if legs.path is path), None)
         if known is None:
-            known = Legs.of(path)
+            known = MonotonicSegments.of(path)
             if known.nbytes < _LARGEST:
                 self._legs.append(known)
         return known
 
     @cached_property
-    def _legs(self) -> deque[Legs]:
+    def _legs(self) -> deque[MonotonicSegments]:
         return deque(maxlen=2)
 
     @property

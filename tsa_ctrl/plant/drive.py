@@ -15,10 +15,10 @@ import msgspec
 
 from tsa_ctrl.plant.cia402 import Command, PowerState, PowerStateMachine, command_of
 from tsa_ctrl.plant.dictionary import AbortCode, Key, SdoAbort
+from tsa_ctrl.plant.drive_emulation import DRIVE_EMULATIONS
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, shifted, unit_code
 from tsa_ctrl.plant.emergency import EmcyCode
 from tsa_ctrl.plant.node import Node
-from tsa_ctrl.plant.persona import PERSONAS
 from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
 from tsa_ctrl.plant.watch import NmtState
@@ -74,14 +74,14 @@ class Drive:
     def __init__(
         self, settings: DriveSettings, readings: Readings, command: MotorCommand, noise: random.Random
     ) -> None:
-        self.persona = persona = PERSONAS[settings.kind]
-        if persona.vendor is not None and persona.product is not None:
+        self.emulation = emulation = DRIVE_EMULATIONS[settings.kind]
+        if emulation.vendor is not None and emulation.product is not None:
             settings = msgspec.structs.replace(
-                settings, name=persona.name, vendor=persona.vendor, product=persona.product
+                settings, name=emulation.name, vendor=emulation.vendor, product=emulation.product
             )
-        if persona.rated_torque_unit is not None:
-            settings = msgspec.structs.replace(settings, rated_torque_unit=persona.rated_torque_unit)
-        if persona.guarded:
+        if emulation.rated_torque_unit is not None:
+            settings = msgspec.structs.replace(settings, rated_torque_unit=emulation.rated_torque_unit)
+        if emulation.guarded:
             settings = msgspec.structs.replace(settings, node_guarding=True)
         self.settings = settings
         self._noise = noise
@@ -94,7 +94,7 @@ class Drive:
         self._own_cycle = 0
         self._unit_code = unit_code(settings)  # of a drive that does not have 0x60A9
         self._modes = mode_numbers(settings)
-        self._scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / persona.torque_digits
+        self._scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / emulation.torque_digits
         self._ramp, self._ramped_at = 0.0, 0.0  # digits of 0x6071 in the profile torque mode, and when it moved, s
         self._next_step = 0.0  # s, when a slow drive takes the next step
         self._waiting: int | None = None  # a controlword that it has not obeyed yet
@@ -253,7 +253,7 @@ class Drive:
 
     def _digits(self, per_mille: int) -> int:
         """Convert per mille of the rated torque to digits of 0x6071."""
-        return round(per_mille * self.persona.torque_digits / 1000.0)
+        return round(per_mille * self.emulation.torque_digits / 1000.0)
 
     def _limits(self) -> tuple[int, int]:
         """Return the largest torque backward and forward, in digits of 0x6071."""
@@ -265,22 +265,22 @@ class Drive:
         """Largest torque in digits of 0x6071."""
         share = self.faults.most_torque
         most = self._written_clamp()
-        return most if share is None else min(most, round(share * self.persona.torque_digits))
+        return most if share is None else min(most, round(share * self.emulation.torque_digits))
 
     def _written_clamp(self) -> int:
         """The same by the objects alone."""
         values = self.values
-        clamp = self.persona.clamp
+        clamp = self.emulation.clamp
         if clamp is not None:
             rated = values[clamp.rated] if isinstance(clamp.rated, tuple) else clamp.rated
             share = (values[clamp.key] - clamp.zero) / ((rated - clamp.zero) or 1)
-            return math.floor(max(0.0, share) * self.persona.torque_digits + 1e-9)
-        return round(values.get((0x6072, 0), _NO_CLAMP) * self.persona.torque_digits / 1000.0)
+            return math.floor(max(0.0, share) * self.emulation.torque_digits + 1e-9)
+        return round(values.get((0x6072, 0), _NO_CLAMP) * self.emulation.torque_digits / 1000.0)
 
     def _velocity_digit(self) -> float:
         """rad/s of the motor per digit of 0x606C."""
-        if self.persona.velocity_digits is not None:
-            return 2.0 * math.pi / self.settings.counts_per_revolution / self.persona.velocity_digits
+        if self.emulation.velocity_digits is not None:
+            return 2.0 * math.pi / self.settings.counts_per_revolution / self.emulation.velocity_digits
         exponent = self.values.get((0x60A9, 0), self._unit_code) >> 24
         return float(_RPM * 10.0 ** (exponent - 256 if exponent > 127 else exponent))
 
@@ -313,7 +313,10 @@ class Drive:
         values, settings, readings = self.values, self.settings, self.readings
         gear, polarity = settings.gear_ratio, values.get((0x607E, 0), 0)
         digits = (
-            self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
+            self.emulation.torque_digits
+            * settings.torque_sign
+            * self.faults.torque_sign
+            / (settings.rated_torque * gear)
         ) / self.faults.torque_gain
         digits *= _turned(polarity & _TORQUE_TURNED)
         sign = settings.position_sign * self.faults.turned
@@ -333,7 +336,7 @@ class Drive:
             values[key] = distorted(values[key])
 
     def _mode_shown(self) -> int:
-        when = self.persona.mode_shows or self.settings.mode_shows
+        when = self.emulation.mode_shows or self.settings.mode_shows
         operational = self.node.state is NmtState.OPERATIONAL
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, MutableMapping
 
 from tsa_ctrl.plant.dictionary import Access, Entry, Key, Type
+from tsa_ctrl.plant.drive_emulation import RPM
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
-from tsa_ctrl.plant.persona import RPM
 from tsa_ctrl.plant.settings import DriveSettings
 
 AXIS_OFFSET = 0x800  # between the objects of two axes of one device (CiA 301, 7.5.1.1)

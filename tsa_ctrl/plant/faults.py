@@ -13,8 +13,8 @@ import msgspec
 
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.plant.ailments import AILMENTS
 from tsa_ctrl.plant.fault_kind import FaultKind, Target, Undo, nothing, parameter, swap
+from tsa_ctrl.plant.mechanical_faults import MECHANICAL_FAULTS
 from tsa_ctrl.plant.settings import FaultSettings
 
 
@@ -162,7 +162,7 @@ FAULTS: Mapping[str, FaultKind] = {
         lambda t: swap(t.drive.faults, "inputs", t.drive.faults.inputs ^ 1 << int(t.value)),
         3, "bit", 0, 31,
     ),
-    **AILMENTS,
+    **MECHANICAL_FAULTS,
 }  # fmt: skip
 
 

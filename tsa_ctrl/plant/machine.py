@@ -20,6 +20,7 @@ from tsa_ctrl.plant.axis import Axis, Record
 from tsa_ctrl.plant.cia402 import PowerState
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.drive import Drive
+from tsa_ctrl.plant.drive_emulation import DriveEmulation
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, objects, pdos, shifted
 from tsa_ctrl.plant.emergency import EmcyCode
 from tsa_ctrl.plant.fault_kind import Outlet, Target
@@ -27,7 +28,6 @@ from tsa_ctrl.plant.faults import FaultPlan, check_fault
 from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send
-from tsa_ctrl.plant.persona import Persona
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
 
@@ -39,7 +39,7 @@ _POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUI
 
 
 class DriveNode(Node):
-    """Identity, quirks of the communication and persona are those of its first drive."""
+    """Identity, quirks of the communication and emulation are those of its first drive."""
 
     def __init__(self, drives: Sequence[Drive], send: Send) -> None:
         first = drives[0].settings
@@ -101,21 +101,21 @@ class DriveNode(Node):
                 drive.tick()
         super().tick(now)
 
-    # deviations of a make of drive, by its persona or by the settings
+    # deviations of a make of drive, by its emulation or by the settings
 
     def _impersonate(self, drive: Drive) -> None:
         """Add the manufacturer's objects, and change standard objects as this make of drive does."""
-        dictionary, persona = self.dictionary, drive.persona
+        dictionary, emulation = self.dictionary, drive.emulation
         offset = (drive.settings.slot - 1) * AXIS_OFFSET
-        for entry in persona.added:
+        for entry in emulation.added:
             dictionary.add(entry)
-        for key, value in persona.defaults.items():
+        for key, value in emulation.defaults.items():
             self._replace(shifted(key, offset), default=value)
-        for key in persona.read_only:
+        for key in emulation.read_only:
             self._replace(shifted(key, offset), access=Access.RO)
-        for key in {*persona.fixed, *persona.off_only}:
-            dictionary.on_write[shifted(key, offset)] = _guard(key, persona, drive)
-        for index, sub in persona.absent:
+        for key in {*emulation.fixed, *emulation.off_only}:
+            dictionary.on_write[shifted(key, offset)] = _guard(key, emulation, drive)
+        for index, sub in emulation.absent:
             dictionary.remove(shifted((index, 0), offset)[0], sub)
 
     def _apply_quirks(self, drive: Drive) -> None:
@@ -142,8 +142,8 @@ class DriveNode(Node):
         self.dictionary.add(dataclasses.replace(entry, **changes))  # type: ignore[arg-type]
 
 
-def _guard(key: Key, persona: Persona, drive: Drive) -> Callable[[int], None]:
-    allowed, off_only = persona.fixed.get(key), key in persona.off_only
+def _guard(key: Key, emulation: DriveEmulation, drive: Drive) -> Callable[[int], None]:
+    allowed, off_only = emulation.fixed.get(key), key in emulation.off_only
 
     def check(value: int) -> None:
         if allowed is not None and value not in allowed:

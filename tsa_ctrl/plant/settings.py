@@ -52,7 +52,7 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
     slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
-    kind: DriveKind = "generic"  # the drive that it impersonates, see `persona`
+    kind: DriveKind = "generic"  # the drive that it impersonates, see `emulation`
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402

@@ -36,7 +36,7 @@ class Reason(IntEnum):
     OSCILLATION = 10  # the torque is as wanted, but the motor buzzed and the guard holds the compensation back
     DOMAIN = 11  # limited by the law before this check: beyond it one tendon goes slack
     PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
-    SENSE = 13  # small until the motor has shown since the enable that it pulls the way it says: see safety.sense
+    SENSE = 13  # small until the motor has proven its polarity since the enable: see safety.polarity_check
     UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
 
 

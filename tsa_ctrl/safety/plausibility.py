@@ -9,7 +9,7 @@
     joint_torque  the joint torque sensor, if there is one, contradicts the model: a reversed sign,
                   or a motor that gives more torque than it reports
 
-A contradiction counts only after it has lasted. A single sample that agrees does not clear it (`safety.leaky`). Like
+A contradiction counts only after it has lasted. A single sample that agrees does not clear it (`safety.debounce`). Like
 the limiter, this module imports nothing of the control law.
 """
 
@@ -22,7 +22,7 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.leaky import Leaky
+from tsa_ctrl.safety.debounce import Debounce
 from tsa_ctrl.safety.residuals import LASTING, SAMPLES, Elongation, Give, Standstill, Velocity
 
 Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
@@ -88,10 +88,10 @@ class Plausibility:
         self._elongation = Elongation(give, period)
         self._velocity = Velocity(counts[0], period) if reports_velocity and period <= Velocity.LONGEST else None
         self._joint_rests = Standstill(counts[1], period) if has_encoder else None
-        self._velocity_wrong = Leaky(VELOCITY_TIME)
-        self._torque_wrong = Leaky(settings.duration)
-        self._joint_wrong = Leaky(settings.duration)
-        self._slipped = Leaky(max(LASTING, SAMPLES * (period - LASTING)) if settings.slip is None else SLIP_TIME)
+        self._velocity_wrong = Debounce(VELOCITY_TIME)
+        self._torque_wrong = Debounce(settings.duration)
+        self._joint_wrong = Debounce(settings.duration)
+        self._slipped = Debounce(max(LASTING, SAMPLES * (period - LASTING)) if settings.slip is None else SLIP_TIME)
         self.reset()
 
     def reset(self) -> None:

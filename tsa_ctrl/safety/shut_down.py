@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from tsa_ctrl.bus.canopen import cia402
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
-from tsa_ctrl.bus.drive.disarm import disarm
+from tsa_ctrl.bus.drive.release_heartbeat import release_heartbeat
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.errors import BusError
@@ -65,7 +65,7 @@ def _disarm(rig: Rig, node_ids: Sequence[int], say: Callable[[str], None]) -> No
         session.begin_heartbeat()
         for node_id in node_ids:
             try:
-                disarm(session, node_id, rig.settings.host_node_id)
+                release_heartbeat(session, node_id, rig.settings.host_node_id)
             except BusError as error:
                 say(f"the drive may report the end of our heartbeat as an error: {error}")
 

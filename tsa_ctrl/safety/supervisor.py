@@ -16,7 +16,7 @@ from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
 from tsa_ctrl.safety import blame
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
-from tsa_ctrl.safety.leaky import SECOND, LostPeriods, Sender
+from tsa_ctrl.safety.debounce import SECOND, LostPeriods, Sender
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import axis_nodes, cycle
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.live.startup_check import check_startup
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.errors import BusError
@@ -145,16 +145,16 @@ def test_a_fault_has_the_code_of_its_emergency_before_the_error_code_comes() -> 
 
 def test_startup_waits_for_the_mode_and_refuses_a_drive_that_never_sends_it() -> None:
     rig, _, nodes = lean_rig()
-    prove(rig, 0.001, 50)
+    check_startup(rig, 0.001, 50)
     assert rig.axes[0].image.mode == 10
     rig, _, nodes = lean_rig()
     nodes.edit = lambda number, frames: [frame for frame in frames if frame[0] != STATE]
     with pytest.raises(BusError, match="drive node 1"):
-        prove(rig, 0.001, 60)
+        check_startup(rig, 0.001, 60)
 
 
 def test_a_drive_that_ignores_the_transmission_type_is_refused() -> None:
     rig, _, nodes = lean_rig()
     nodes.edit = lambda number, frames: [*frames, (STATE, struct.pack("<bH", 10, 0))]
     with pytest.raises(BusError, match="more PDOs"):
-        prove(rig, 0.001, 50)
+        check_startup(rig, 0.001, 50)

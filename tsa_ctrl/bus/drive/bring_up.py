@@ -31,10 +31,10 @@ from tsa_ctrl.bus.drive.checks import (
     reset_fault,
     switch_off,
 )
-from tsa_ctrl.bus.drive.disarm import disarm
 from tsa_ctrl.bus.drive.layout import check_node_ids, layout_of
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan, encoder_plan, torque_sensor_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.drive.release_heartbeat import release_heartbeat
 from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.bus.drive.torque_path import check_torque_path, drive_scale
 from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
@@ -366,7 +366,7 @@ def _leave(session: Session, nodes: Sequence[Node], settings: BusSettings) -> No
                 if is_on(session, node):
                     command = NmtCommand.STOP  # which its reaction to a lost connection (0x6007) answers to
                 else:
-                    disarm(session, node.node_id, settings.host_node_id)
+                    release_heartbeat(session, node.node_id, settings.host_node_id)
             except TsaError:
                 command = NmtCommand.STOP
         session.nmt(command, node.node_id)

@@ -24,7 +24,7 @@ from tsa_ctrl.model.effects.specification import (
     positive,
 )
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.legs import Legs, dahl, last_reversal, maxwell_slip
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 from tsa_ctrl.model.signals import Signals
 
 _GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
@@ -95,9 +95,9 @@ class PreslidingHysteresis:
         """
         return float(np.sign(omega[0])) if _moves_at_start(displacement, t) else 0.0
 
-    def state(self, displacement: Array | Legs, start: float) -> Array:
+    def state(self, displacement: Array | MonotonicSegments, start: float) -> Array:
         """z, shape (n,), along a displacement of shape (n,)."""
-        legs = displacement if isinstance(displacement, Legs) else Legs.of(displacement)
+        legs = displacement if isinstance(displacement, MonotonicSegments) else MonotonicSegments.of(displacement)
         if self.elements == 1:
             return dahl(legs, self.presliding_distance, start)
         return maxwell_slip(legs, self.presliding_distance, self.elements, start)
@@ -167,7 +167,7 @@ class Backlash:
     @staticmethod
     def last_reversal(q_j: Array) -> Array:
         """The angle of the joint's last reversal, (n,), nan before the first. It counts beyond two encoder counts."""
-        return last_reversal(Legs.of(q_j), _REVERSAL * resolution(q_j))
+        return last_reversal(MonotonicSegments.of(q_j), _REVERSAL * resolution(q_j))
 
     def inside(self, q_j: Array, reversal: Array) -> npt.NDArray[np.bool_]:
         """Mask, shape (n,): where the play is open. `reversal`: as of `last_reversal`."""

@@ -9,7 +9,7 @@ from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.errors import BusError
 
 
-def disarm(session: Session, node_id: int, host: int) -> None:
+def release_heartbeat(session: Session, node_id: int, host: int) -> None:
     """Switch off the heartbeat consumer (0x1016) that names `host`, and life guarding (0x100D), and read both back.
 
     While our heartbeat still goes on; raises BusError when the node does not answer or keeps watching.

@@ -20,7 +20,7 @@ from tsa_ctrl.model.functions import Array
 
 
 @dataclass(frozen=True)
-class Legs:
+class MonotonicSegments:
     """A path (n,) in m legs: `first` (m,) is the sample from which each goes its `way` (m,), +1 or -1.
 
     `leg` (n,) is the number of the leg in which a sample is reached.
@@ -32,7 +32,7 @@ class Legs:
     leg: NDArray[np.int64]
 
     @staticmethod
-    def of(path: Array) -> Legs:
+    def of(path: Array) -> MonotonicSegments:
         """The legs of a path: where it stands it goes the way that it went."""
         steps = np.diff(path)
         moves = np.flatnonzero(steps)
@@ -41,7 +41,7 @@ class Legs:
         way = np.where(np.arange(len(first)) % 2 == 0, 1.0, -1.0) * (1.0 if len(up) == 0 or up[0] else -1.0)
         leg = np.zeros(len(path), dtype=np.int64)
         leg[first[1:] + 1] = 1
-        return Legs(path, first, way, np.cumsum(leg))
+        return MonotonicSegments(path, first, way, np.cumsum(leg))
 
     @cached_property
     def gone(self) -> Array:
@@ -60,7 +60,7 @@ class Legs:
         return self.leg.nbytes + 8 * len(self.path)
 
 
-def dahl(legs: Legs, distance: float, start: float) -> Array:
+def dahl(legs: MonotonicSegments, distance: float, start: float) -> Array:
     """Friction state z, (n,), of dz/ds = (1 - sign(ds) z)/q_p along s, from z = `start`; exact on straight legs."""
     gained = -np.expm1(-legs.lengths / distance)
     begin = _after_each(start, np.stack([1.0 - gained, legs.way[:-1] * gained]), _affine_after, _affine)
@@ -71,7 +71,7 @@ def dahl(legs: Legs, distance: float, start: float) -> Array:
     return state
 
 
-def maxwell_slip(legs: Legs, distance: float, elements: int, start: float) -> Array:
+def maxwell_slip(legs: MonotonicSegments, distance: float, elements: int, start: float) -> Array:
     """Mean (n,) of N elements that slip at +-1 after distances q_p i/N from rest, i = 1..N, from `start`; exact."""
     stiffness = elements / (distance * np.arange(1, elements + 1))
     shifts = np.outer(legs.way[:-1] * legs.lengths, stiffness).T
@@ -88,7 +88,7 @@ def maxwell_slip(legs: Legs, distance: float, elements: int, start: float) -> Ar
     return total
 
 
-def last_reversal(legs: Legs, threshold: float) -> Array:
+def last_reversal(legs: MonotonicSegments, threshold: float) -> Array:
     """Where the path last turned back by more than `threshold`, (n,); nan before it did so first.
 
     A reversal is known only `threshold` later, and holds from after the extreme.

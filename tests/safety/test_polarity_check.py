@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from tsa_ctrl.safety.causes import Finding
-from tsa_ctrl.safety.leaky import Leaky
-from tsa_ctrl.safety.sense import PATIENCE, SMALL, TURN, Sense
+from tsa_ctrl.safety.debounce import Debounce
+from tsa_ctrl.safety.polarity_check import PATIENCE, SMALL, TURN, PolarityCheck
 
 PERIOD = 1e-3  # s
 GEARED = 1.25  # r_J/r_M
@@ -138,8 +138,13 @@ class Course:
     def foretold(self, driven: FloatArray, free: float = math.inf) -> tuple[FloatArray, int | None]:
         """The ceiling after each cycle, and the cycle in which something is said."""
         ratio, travel = self.ratios(driven, free), self.travel()
-        wrong = {"at rest": Leaky(0.02), "driven": Leaky(0.25), "shown": Leaky(0.4), "excessive": Leaky(0.02)}
-        wrong["gives"] = Leaky(0.04)
+        wrong = {
+            "at rest": Debounce(0.02),
+            "driven": Debounce(0.25),
+            "shown": Debounce(0.4),
+            "excessive": Debounce(0.02),
+        }
+        wrong["gives"] = Debounce(0.04)
         looked = {n for first, end, _ in self.pieces(driven, free) for n in range(first, end)}
         ceiling, ceilings, shown, waited = 0.11 * LIMIT, [], False, 0.0
         suspect = fast = False
@@ -185,7 +190,7 @@ class Course:
 
 
 def run(
-    sense: Sense,
+    sense: PolarityCheck,
     sign: float = 1.0,
     gain: float = UNKNOWN,
     seconds: float = 0.5,
@@ -206,7 +211,7 @@ def run(
 
 
 def test_torque_is_small_until_the_stretch_shows_its_sense() -> None:
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
     free = run(sense)
     assert isinstance(free, float)
@@ -214,7 +219,7 @@ def test_torque_is_small_until_the_stretch_shows_its_sense() -> None:
 
 
 def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     found = run(sense, sign=-1.0)
     assert "the wrong way round" in str(found)
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
@@ -222,7 +227,7 @@ def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
 
 def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a_while_stops_nothing() -> None:
     """A quarter of a second must it look so there; the torque does not grow meanwhile."""
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     assert isinstance(run(sense, sign=-1.0, seconds=0.2, omega_j=0.5), float)
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
     sense.reset()
@@ -235,7 +240,7 @@ def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a
 @pytest.mark.parametrize(("seconds", "found"), [(0.2, False), (0.5, True)])
 def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_else(seconds: float, found: bool) -> None:
     """Nothing pulled yet: a turn does not make its motion the motor's."""
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(100):
         assert sense.update(n * PERIOD, 0.0, 3.0, UNKNOWN, 1.0, 0.5) is None
     said = None
@@ -248,7 +253,7 @@ def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_els
 @pytest.mark.parametrize(("wound", "found"), [(0.0, True), (0.02, False)])
 def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: float, found: bool) -> None:
     """Something moves the joint by 0.04 rad in half a second, and friction stretches the tendon against the torque."""
-    sense = Sense(2.0, GEARED, PERIOD, wound)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, wound)
     said, travel = None, 0.0
     for n in range(1200):
         omega_j = 0.06 if n < 600 else 0.3
@@ -261,7 +266,7 @@ def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: floa
 
 def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tendons_slide() -> None:
     """Half a radian a second: after 30 mrad at the motor the torque's way is seen, a quarter of a second later said."""
-    sense = Sense(2.0, GEARED, PERIOD, 0.02)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, 0.02)
     found = run(sense, sign=-1.0, seconds=0.5, omega_j=0.5)
     assert "the wrong way round" in str(found)
 
@@ -272,7 +277,7 @@ def falls(itself: float, yields: float) -> Finding | None:
     By 0.5 N*m, in a sheath whose friction keeps it, within 0.5 s; `itself`, `yields`: rad at the motor that motor and
     joint go meanwhile.
     """
-    sense = Sense(2.0, GEARED, PERIOD, 0.033)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, 0.033)
     for n in range(1400):
         fallen = min(max(n - 500, 0) / 500.0, 1.0)
         torque = 0.001 * min(n, 500) - 0.5 * fallen
@@ -297,7 +302,7 @@ def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor
     itself: float, found: bool, way: float
 ) -> None:
     """By 0.045 rad/s, too slowly to count by that alone; a motor that goes `itself` rad/s against it is reversed."""
-    sense, said = Sense(2.0, GEARED, PERIOD, 0.033), None
+    sense, said = PolarityCheck(2.0, GEARED, PERIOD, 0.033), None
     for n in range(1500):
         wound = max(-0.033, -GEARED * 0.045 * n * PERIOD)  # until the tendons slide
         torque, apart = 0.5 * n * PERIOD, wound - itself * n * PERIOD
@@ -312,13 +317,15 @@ def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yie
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
     for gain, expected in ((0.5, float), (-0.5, Finding)):
-        assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
-        assert isinstance(run(Sense(2.0, GEARED, PERIOD), 0.0, gain), expected)  # a rig too stiff for its encoders
+        assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
+        assert isinstance(
+            run(PolarityCheck(2.0, GEARED, PERIOD), 0.0, gain), expected
+        )  # a rig too stiff for its encoders
 
 
 def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_shows_the_motor() -> None:
     """By 0.04 rad/s the way of the torque, on tendons that need not have slid."""
-    sense, said = Sense(2.0, GEARED, PERIOD, 0.05), None
+    sense, said = PolarityCheck(2.0, GEARED, PERIOD, 0.05), None
     for n in range(500):
         said = said or sense.update(n * PERIOD, n * PERIOD, UNKNOWN, -0.5 * n * PERIOD, 1.0, 0.04)
     assert "the wrong way round" in str(said)
@@ -327,7 +334,7 @@ def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_sh
 @pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True), (3.5, False)])
 def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
     """By more than three times is no torque constant wrong: that is a hand that moves the limb."""
-    said = run(Sense(2.0, GEARED, PERIOD), gain=gain, rise=8.0)  # ripple and gear friction matter little
+    said = run(PolarityCheck(2.0, GEARED, PERIOD), gain=gain, rise=8.0)  # ripple and gear friction matter little
     assert isinstance(said, Finding) is found
     if found:
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
@@ -336,33 +343,33 @@ def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> No
 def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
     """All bends at the joint, x = 0.8: cosh 0.8 = 1.34 times the ratio of the pulleys."""
     slope = math.cosh(0.8)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=1.1 * slope, rise=8.0), Finding)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=1.1 * slope, rise=8.0), float)
-    said = run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=2.0 * slope)
+    assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=1.1 * slope, rise=8.0), Finding)
+    assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD, slope=slope), gain=1.1 * slope, rise=8.0), float)
+    said = run(PolarityCheck(2.0, GEARED, PERIOD, slope=slope), gain=2.0 * slope)
     assert f"the pulleys give {slope * GEARED:.2f}" in str(said)
 
 
 def test_a_joint_that_is_moved_accuses_no_motor_of_giving_more() -> None:
     """There friction turns with the motion, and what it gives back follows the torque."""
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=2.0, omega_j=0.3), float)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=2.0, omega_j=math.nan), float)
+    assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=2.0, omega_j=0.3), float)
+    assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=2.0, omega_j=math.nan), float)
 
 
 def test_what_shows_nothing_is_not_held_up_for_longer_than_its_patience() -> None:
-    free = run(Sense(2.0, GEARED, PERIOD), sign=0.0)
+    free = run(PolarityCheck(2.0, GEARED, PERIOD), sign=0.0)
     assert isinstance(free, float)
     assert PATIENCE + 0.17 < free < PATIENCE + 0.27
 
 
 def test_nothing_known_accuses_nothing_and_a_torque_that_rests_shows_nothing() -> None:
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN), float)
-    assert run(Sense(2.0, GEARED, PERIOD), sign=-1.0, rise=0.0) == math.inf
+    assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), UNKNOWN), float)
+    assert run(PolarityCheck(2.0, GEARED, PERIOD), sign=-1.0, rise=0.0) == math.inf
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_set_point_that_rests_is_let_through_slowly_and_shows_its_sense_on_the_way(sign: float) -> None:
     """2 N*m asked for at once: all of it within two seconds; of a reversed motor not a fifth of the limit."""
-    sense, said, most = Sense(2.0, GEARED, PERIOD), None, 0.0
+    sense, said, most = PolarityCheck(2.0, GEARED, PERIOD), None, 0.0
     for n in range(2000):
         torque = min(2.0, sense.ceiling)
         most = max(most, torque)
@@ -376,7 +383,7 @@ def test_a_set_point_that_rests_is_let_through_slowly_and_shows_its_sense_on_the
 @pytest.mark.parametrize("rises", [1.0, 0.3], ids=["while it grows", "after it has stood at its limit"])
 def test_friction_that_holds_the_motor_fast_does_not_keep_the_torque_small(rises: float) -> None:
     """Something moves the joint against the torque, and friction holds the motor: it must be given more to slide."""
-    sense, travel = Sense(2.0, GEARED, PERIOD, 1.0), 0.0
+    sense, travel = PolarityCheck(2.0, GEARED, PERIOD, 1.0), 0.0
     for n in range(1000):
         torque = min(4.0 * min(n * PERIOD, rises), sense.ceiling)
         travel += GEARED * 0.2 * PERIOD
@@ -385,7 +392,7 @@ def test_friction_that_holds_the_motor_fast_does_not_keep_the_torque_small(rises
 
 
 def test_each_enable_shows_it_anew() -> None:
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     run(sense)
     assert sense.ceiling == math.inf
     sense.reset()
@@ -396,7 +403,7 @@ def test_each_enable_shows_it_anew() -> None:
 @pytest.mark.parametrize(("changes", "wrong"), [(1, False), (3, True)])
 def test_a_count_that_changes_against_the_torque_is_no_answer_but_several_are(changes: int, wrong: bool) -> None:
     count = 2.0 * math.pi / 4096  # rad
-    sense = Sense(2.0, GEARED, PERIOD, counts=count)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, counts=count)
     found = None
     for n in range(300):
         flipped = sum(n > 100 + 40 * each for each in range(changes))
@@ -406,7 +413,7 @@ def test_a_count_that_changes_against_the_torque_is_no_answer_but_several_are(ch
 
 def test_a_joint_torque_that_only_fluctuates_is_no_answer() -> None:
     """A held joint gets nothing at first, without an encoder of the joint: what its sensor reads then is noise."""
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(400):
         noise = -0.005 * math.sin(n / 60.0)  # N*m, that falls while the torque rises
         assert sense.update(n * PERIOD, n * PERIOD, UNKNOWN, noise, 0.0, 0.0) is None
@@ -414,7 +421,7 @@ def test_a_joint_torque_that_only_fluctuates_is_no_answer() -> None:
 
 def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_held() -> None:
     """A joint that comes to rest takes up what friction gave away: its torque jumps by more than the motor's grows."""
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(1000):
         torque = 0.3 + 0.5 * n * PERIOD
         moves = n < 400
@@ -487,7 +494,7 @@ def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: s
     for number in range(24):
         course, driven = drawn(number, kind)
         ceilings, expected = course.foretold(driven)
-        sense = Sense(LIMIT, GEARED, PERIOD, course.wound, course.counts, course.stiffness)
+        sense = PolarityCheck(LIMIT, GEARED, PERIOD, course.wound, course.counts, course.stiffness)
         found, seen = None, []
         columns = (course.t, course.torque, course.apart, course.tau_j, course.sigma, course.omega_j)
         for n, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
@@ -506,7 +513,7 @@ def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: s
 @pytest.mark.parametrize(("share", "found"), [(0.095, True), (0.105, False)])
 def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(share: float, found: bool) -> None:
     """It goes so far and stays there; the way is one and a half times what friction stretches the tendons."""
-    sense, said, wound = Sense(LIMIT, GEARED, PERIOD, 0.1), None, 0.1
+    sense, said, wound = PolarityCheck(LIMIT, GEARED, PERIOD, 0.1), None, 0.1
     for n in range(1000):
         omega_j = share * 1.5 * wound / GEARED / (20 * PERIOD) if n < 20 else 0.0
         torque = n * PERIOD
@@ -514,7 +521,9 @@ def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(s
     assert (said is not None) is found
 
 
-def cycles_until_told(sense: Sense, begin: float, sign: float, gain: float, omega_j: float, most: int = 2000) -> int:
+def cycles_until_told(
+    sense: PolarityCheck, begin: float, sign: float, gain: float, omega_j: float, most: int = 2000
+) -> int:
     """From `begin` s on."""
     for n in range(most):
         torque = n * PERIOD
@@ -538,10 +547,10 @@ def test_a_reset_forgets_for_how_long_it_has_been_wrong(
     sign: float, gain: float, omega_j: float, softer: float
 ) -> None:
     """At rest, moved by something, shown to be right before, and giving more than it reports, by sensor and stretch."""
-    sense = Sense(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
+    sense = PolarityCheck(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     alone = cycles_until_told(sense, 0.0, sign, gain, omega_j)
     assert alone < 2000
-    sense = Sense(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
+    sense = PolarityCheck(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     cycles_until_told(sense, 0.0, sign, gain, omega_j, alone)
     sense.reset()
     assert cycles_until_told(sense, alone * PERIOD, sign, gain, omega_j) == pytest.approx(alone, abs=1)
@@ -550,22 +559,22 @@ def test_a_reset_forgets_for_how_long_it_has_been_wrong(
 @pytest.mark.parametrize(("softer", "found"), [(0.7, False), (1.0, False), (1.3, False), (2.0, True), (4.0, True)])
 def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float, found: bool) -> None:
     """The motor gives more than it reports, or a tendon hangs; on a joint that moves friction may do that."""
-    sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
     said = run(sense, seconds=0.6, rise=2.0)
     assert isinstance(said, Finding) is found
     assert not found or f"give {softer:.1f} times" in str(said)
-    sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
     assert isinstance(run(sense, seconds=0.6, rise=2.0, omega_j=0.5), float)
 
 
 def test_tendons_that_give_less_than_a_count_shows_accuse_nothing() -> None:
-    sense = Sense(2.0, GEARED, PERIOD, counts=0.5, stiffness=2.0 * STIFFNESS)
+    sense = PolarityCheck(2.0, GEARED, PERIOD, counts=0.5, stiffness=2.0 * STIFFNESS)
     assert isinstance(run(sense, seconds=0.6, rise=2.0), float)
 
 
 def test_a_joint_that_has_just_come_to_rest_says_nothing_of_the_motor_by_its_sensor_yet() -> None:
     """A pulley of the joint half as wide; its torque follows by r_J/r_M, and was little since it is held."""
-    sense = Sense(LIMIT, 0.5, PERIOD)
+    sense = PolarityCheck(LIMIT, 0.5, PERIOD)
     for n in range(900):
         torque = 0.018 * math.sin(2.0 * math.pi * 4.0 * n * PERIOD)
         omega_j = 0.3 if n < 100 else 0.0
@@ -573,7 +582,7 @@ def test_a_joint_that_has_just_come_to_rest_says_nothing_of_the_motor_by_its_sen
 
 
 def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:
-    sense = Sense(2.0, GEARED, PERIOD)
+    sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(600):
         torque = 2.0 * n * PERIOD
         assert sense.update(n * PERIOD, torque, 20.0 * torque / STIFFNESS, UNKNOWN, 0.0, 0.0) is None
@@ -581,7 +590,7 @@ def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:
 
 def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() -> None:
     """A sine of 1 N*m, 2 Hz, shown for a second before; friction winds 3 mrad back and forth meanwhile."""
-    sense, said, when = Sense(2.0, GEARED, PERIOD, 0.02, stiffness=40.0), None, 0.0
+    sense, said, when = PolarityCheck(2.0, GEARED, PERIOD, 0.02, stiffness=40.0), None, 0.0
     for n in range(2000):
         t = n * PERIOD
         torque = math.sin(2.0 * math.pi * 2.0 * t)
@@ -596,7 +605,7 @@ def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() ->
 @pytest.mark.parametrize(("seconds", "wrong"), [(0.2, False), (0.38, True)])
 def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: float, wrong: bool) -> None:
     """A limb swings on its tendons, and a torque that rises meanwhile is not what stretches them."""
-    sense, turn = Sense(2.0, GEARED, PERIOD), 170  # the torque began, and showed nothing yet
+    sense, turn = PolarityCheck(2.0, GEARED, PERIOD), 170  # the torque began, and showed nothing yet
     found = None
     for n in range(turn + round((seconds + TURN) / PERIOD)):
         since = max(n - turn, 0) * PERIOD
@@ -621,7 +630,7 @@ def swung(error: float, elongation: float, frequency: float) -> list[str | None]
         np.ones(t.size),
         0.5 * beats * np.cos(beats * t),
     )
-    check = Sense(LIMIT, GEARED, PERIOD)
+    check = PolarityCheck(LIMIT, GEARED, PERIOD)
     return [check.update(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
 

@@ -130,7 +130,7 @@ def _stuck(target: Target, index: int) -> Undo:
 def _reported_offset(target: Target) -> Undo:
     settings = target.drive.settings
     rated = settings.rated_torque * settings.gear_ratio * settings.torque_sign
-    offset = round(target.value / rated * target.drive.persona.torque_digits)
+    offset = round(target.value / rated * target.drive.emulation.torque_digits)
     return _object(target, lambda value: value + offset, 0x6077)
 
 
@@ -167,7 +167,7 @@ def _forged(target: Target) -> Undo:
     return _repeated(target, target.value, send)
 
 
-AILMENTS: Mapping[str, FaultKind] = {
+MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
     "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
     "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
     "position_gain": FaultKind(

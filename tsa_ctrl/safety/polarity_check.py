@@ -39,7 +39,7 @@ from __future__ import annotations
 import math
 
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.leaky import Leaky
+from tsa_ctrl.safety.debounce import Debounce
 
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
 GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.residuals`
@@ -75,7 +75,7 @@ HELD = 0.5  # s in which it would come there while friction holds the motor fast
 PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
 
 
-class Sense:
+class PolarityCheck:
     """One axis' test; `update` once per fresh cycle while torque is permitted, `reset` when it is not.
 
     Attribute: `ceiling` (N*m, most torque for now).
@@ -111,8 +111,8 @@ class Sense:
         self._period = period
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
-        self._reversed, self._turned, self._excessive = Leaky(LAST), Leaky(SURE), Leaky(LAST)
-        self._altered, self._gives = Leaky(SHAKEN), Leaky(GIVING)
+        self._reversed, self._turned, self._excessive = Debounce(LAST), Debounce(SURE), Debounce(LAST)
+        self._altered, self._gives = Debounce(SHAKEN), Debounce(GIVING)
         self.reset()
 
     def reset(self) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.legs import Legs, dahl, last_reversal, maxwell_slip
+from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 
 counted = arrays.arrays(np.int64, st.integers(1, 80), elements=st.integers(-4, 4))  # stands, and comes back to a place
 sharp = arrays.arrays(np.float64, st.integers(1, 80), elements=st.floats(-1.0, 1.0, allow_subnormal=False))
@@ -60,20 +60,24 @@ def reversals_by_steps(path: Array, threshold: float) -> Array:
 @given(paths, st.floats(0.01, 3.0), starts)
 def test_dahl(path: Array, distance: float, start: float) -> None:
     """The closed form of each leg is the sum of its steps."""
-    np.testing.assert_allclose(dahl(Legs.of(path), distance, start), dahl_by_steps(path, distance, start), atol=1e-12)
+    np.testing.assert_allclose(
+        dahl(MonotonicSegments.of(path), distance, start), dahl_by_steps(path, distance, start), atol=1e-12
+    )
 
 
 @given(paths, st.floats(0.01, 3.0), st.integers(1, 8), starts)
 def test_maxwell_slip(path: Array, distance: float, elements: int, start: float) -> None:
     """An element that slips slips to the end of its leg."""
-    found = maxwell_slip(Legs.of(path), distance, elements, start)
+    found = maxwell_slip(MonotonicSegments.of(path), distance, elements, start)
     np.testing.assert_allclose(found, maxwell_by_steps(path, distance, elements, start), atol=1e-11)
 
 
 @given(paths, st.sampled_from([0.0, 0.05, 0.15, 0.25, 1.0]))
 def test_last_reversal(path: Array, threshold: float) -> None:
     """Bit for bit: the places are the path's own."""
-    np.testing.assert_array_equal(last_reversal(Legs.of(path), threshold), reversals_by_steps(path, threshold))
+    np.testing.assert_array_equal(
+        last_reversal(MonotonicSegments.of(path), threshold), reversals_by_steps(path, threshold)
+    )
 
 
 @pytest.mark.parametrize("legs", [2, 3, 16, 17, 1000])
@@ -81,14 +85,14 @@ def test_state_passes_through_many_legs(legs: int) -> None:
     """However many blocks the maps are composed in, the last sample knows the first one."""
     rng = np.random.default_rng(legs)
     path = np.cumsum(rng.uniform(0.1, 1.0, legs) * (-1.0) ** np.arange(legs)) * 1e-3
-    found = dahl(Legs.of(path), 10.0, 1.0), maxwell_slip(Legs.of(path), 10.0, 4, 1.0)
+    found = dahl(MonotonicSegments.of(path), 10.0, 1.0), maxwell_slip(MonotonicSegments.of(path), 10.0, 4, 1.0)
     np.testing.assert_allclose(found[0], dahl_by_steps(path, 10.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(found[1], maxwell_by_steps(path, 10.0, 4, 1.0), atol=1e-12)
 
 
 def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> None:
     """Two samples at the top belong to the way up."""
-    legs = Legs.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
+    legs = MonotonicSegments.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
     assert legs.first.tolist() == [0, 5, 6]
     assert legs.way.tolist() == [1.0, -1.0, 1.0]
     assert legs.leg.tolist() == [0, 0, 0, 0, 0, 0, 1, 2]
@@ -96,7 +100,7 @@ def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> N
 
 def test_a_path_that_stands_has_one_leg() -> None:
     """And its state stays."""
-    legs = Legs.of(np.full(5, 0.3))
+    legs = MonotonicSegments.of(np.full(5, 0.3))
     assert legs.first.tolist() == [0]
     np.testing.assert_array_equal(dahl(legs, 0.1, 0.0), np.zeros(5))
     np.testing.assert_array_equal(maxwell_slip(legs, 0.1, 3, 1.0), np.ones(5))

@@ -12,8 +12,8 @@ import pytest
 
 from tests.control.sliding import PERIOD, actuator
 from tests.virtual.joints import GAIT, play, sine
-from tsa_ctrl.control.by_stretch import ByStretch
 from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 X, TENSION = 0.26, 45.0
@@ -31,11 +31,13 @@ class Seen:
     state: StretchState = StretchState.TOLD
 
 
-def estimator(seen: Seen, **settings: Any) -> ByStretch:
-    return ByStretch(actuator(), EstimatorSettings(kind="stretch", **settings), cast(StretchObserver, seen), PERIOD)
+def estimator(seen: Seen, **settings: Any) -> StretchEstimator:
+    return StretchEstimator(
+        actuator(), EstimatorSettings(kind="stretch", **settings), cast(StretchObserver, seen), PERIOD
+    )
 
 
-def run(chosen: ByStretch, seconds: float, admit: bool = True, turns: float = 0.2) -> None:
+def run(chosen: StretchEstimator, seconds: float, admit: bool = True, turns: float = 0.2) -> None:
     """To and fro, each way for `turns` s."""
     for cycle in range(round(seconds / PERIOD)):
         way = 1.0 if cycle * PERIOD % (2.0 * turns) < turns else -1.0
@@ -50,7 +52,7 @@ def test_the_product_goes_where_the_user_says() -> None:
     assert (chosen.friction_angle, chosen.pretension) == pytest.approx((X, 1.3 * TENSION), rel=1e-3)
 
 
-def half_loop(chosen: ByStretch) -> float:
+def half_loop(chosen: StretchEstimator) -> float:
     """1, of the model file's."""
     return chosen.pretension * math.sinh(chosen.friction_angle) / (TENSION * math.sinh(X))
 
@@ -143,7 +145,7 @@ def test_a_torque_sensor_that_contradicts_makes_it_invalid() -> None:
     wrong = [False]
     settings = EstimatorSettings(kind="stretch", use=True)
     seen = cast(StretchObserver, Seen(1.2 * X))
-    chosen = ByStretch(actuator(), settings, seen, PERIOD, lambda: wrong[0])
+    chosen = StretchEstimator(actuator(), settings, seen, PERIOD, lambda: wrong[0])
     run(chosen, 2.0)
     assert chosen.state is EstimateState.ESTIMATED
     wrong[0] = True

@@ -109,7 +109,7 @@ CERTAIN = 0.1  # 1, standard deviation of the half loop, of nominal, below which
 PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
 
 
-class Recursive:
+class KalmanEstimator:
     """Implement the estimator kinds "sensor" and "motor"; while invalid, the outputs return to the file's values."""
 
     why = ""

@@ -29,7 +29,7 @@ _EVERY = 64  # cycles between two looks: parameters move slowly, and the split o
 _FORGET = 0.5  # s over which the residual is averaged
 
 
-class ByStretch:
+class StretchEstimator:
     """The outputs hold while the observer tells nothing; invalid, they fall to the model file's and never rise."""
 
     why = ""

@@ -11,7 +11,7 @@ _MOST_PDOS = 4  # of a node in a cycle, the TPDOs of CiA 301's defaults: as many
 _GONE = 3  # SYNCs at the end that a node did not answer
 
 
-def prove(rig: Rig, period: float, cycles: int = 50) -> None:
+def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
     """SYNC at the period without any command: first cycles are slow ones, so none of them shall count in the loop.
 
     Raises BusError for a node that does not answer 80 % of `cycles` SYNCs or none of the last three, or that answers

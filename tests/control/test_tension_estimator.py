@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from tests.daemon.machine import CELLS, HERE, WITH_CELLS, Machine
 from tests.virtual.joints import GAIT, PERIOD, play
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.tension_estimator import TensionEstimator
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.errors import UsageError
 
@@ -49,9 +49,9 @@ def slack(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return recorded(tmp_path_factory.mktemp("slack"), pretension=0.75)
 
 
-def follow(run: Run, read: Cells = lambda t, t1, t3: (t1, t3), **settings: object) -> ByTension:
+def follow(run: Run, read: Cells = lambda t, t1, t3: (t1, t3), **settings: object) -> TensionEstimator:
     """Cells with noise and counts, 100 values a second, each held until the next."""
-    chosen = ByTension(NOMINAL, EstimatorSettings(kind="tension", use=True, **settings), PERIOD)  # type: ignore[arg-type]
+    chosen = TensionEstimator(NOMINAL, EstimatorSettings(kind="tension", use=True, **settings), PERIOD)  # type: ignore[arg-type]
     log, random = run.log, np.random.default_rng(3)
     t1 = t3 = math.nan
     for row in range(log["t"].size):
@@ -105,7 +105,7 @@ def test_a_cell_that_is_wrong_is_said_in_one_line_and_raises_nothing(slack: Run,
 
 
 def test_nothing_is_known_of_a_joint_that_rests_and_a_disable_forgets() -> None:
-    chosen = ByTension(NOMINAL, EstimatorSettings(kind="tension"), PERIOD)
+    chosen = TensionEstimator(NOMINAL, EstimatorSettings(kind="tension"), PERIOD)
     for _ in range(3000):
         chosen.update(Sample(1.0, 0.0, math.nan, 0.0, math.nan, True, t1=30.0, t3=30.0))
     assert chosen.state is EstimateState.UNESTIMATED

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.unheard import Unheard
+from tsa_ctrl.safety.lost_commands import LostCommands
 
 
-def play(check: Unheard, hearing: Hearing, every: int, cycles: int = 2000) -> int | None:
+def play(check: LostCommands, hearing: Hearing, every: int, cycles: int = 2000) -> int | None:
     """Cycle of 1 ms in which it is found, with one unheard command every so many cycles."""
     for cycle in range(1, cycles):
         hearing.asked += 1
@@ -19,7 +19,7 @@ def play(check: Unheard, hearing: Hearing, every: int, cycles: int = 2000) -> in
 
 def test_as_many_as_are_too_many_within_a_second_are_found_and_one_fewer_is_not() -> None:
     hearing = Hearing()
-    check = Unheard(hearing, "drive node 1")
+    check = LostCommands(hearing, "drive node 1")
     hearing.begin(5)
     assert play(check, hearing, 250) == 1250
     check.reset()
@@ -29,7 +29,7 @@ def test_as_many_as_are_too_many_within_a_second_are_found_and_one_fewer_is_not(
 def test_a_reset_forgets_what_was_and_what_came_meanwhile() -> None:
     hearing = Hearing()
     hearing.begin(3)
-    check = Unheard(hearing, "drive node 1")
+    check = LostCommands(hearing, "drive node 1")
     play(check, hearing, 10, 21)
     hearing.unheard += 100
     check.reset()
@@ -39,7 +39,7 @@ def test_a_reset_forgets_what_was_and_what_came_meanwhile() -> None:
 def test_it_says_which_drive_how_often_and_what_to_do() -> None:
     hearing = Hearing()
     hearing.begin(1)
-    check = Unheard(hearing, "drive node 1")
+    check = LostCommands(hearing, "drive node 1")
     hearing.asked, hearing.unheard = 48, 9
     said = check.update(0.0)
     detail = "drive node 1 held an older command 9 of 48 times that 0x6071 was read back, 1 within a second"

@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 
 from tests.bus.nodes import Responder, one_axis_rig
-from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.startup_check import check_startup
 from tsa_ctrl.errors import BusError
 
 
 def test_nodes_that_answer_each_sync_pass_and_get_no_command() -> None:
     rig, bus, _ = one_axis_rig()
-    prove(rig, 0.001, 50)
+    check_startup(rig, 0.001, 50)
     sent = [can_id for can_id, _ in bus.sent]
     assert (sent.count(0x080), sent.count(0x201)) == (50, 0)
     assert sent.count(0x77F) == 3  # our heartbeat goes on: every 20 ms
@@ -25,14 +25,14 @@ def test_node_that_does_not_answer_is_named(silent: int, name: str) -> None:
     nodes.silent = {silent}
     rig, _, _ = one_axis_rig(nodes)
     with pytest.raises(BusError, match=f"axis 'knee' {name}: answered 0 of 50 SYNCs"):
-        prove(rig, 0.001, 50)
+        check_startup(rig, 0.001, 50)
 
 
 def test_node_that_answers_twice_is_refused() -> None:
     rig, bus, nodes = one_axis_rig()
     bus._answer = lambda frame: nodes.frames() * 2 if frame[0] == 0x080 else []
     with pytest.raises(BusError, match="more PDOs than 50 SYNCs asked for; another node may have the same id"):
-        prove(rig, 0.001, 50)
+        check_startup(rig, 0.001, 50)
 
 
 def test_node_that_stops_at_the_end_is_refused() -> None:
@@ -47,7 +47,7 @@ def test_node_that_stops_at_the_end_is_refused() -> None:
 
     bus._answer = answer
     with pytest.raises(BusError, match="answered 44 of 50"):
-        prove(rig, 0.001, 50)
+        check_startup(rig, 0.001, 50)
 
 
 def test_what_was_missed_before_is_forgiven() -> None:
@@ -58,4 +58,4 @@ def test_what_was_missed_before_is_forgiven() -> None:
         rig.collect(bus.clock.now + 0.0006)
     nodes.silent = set()
     rig.start()
-    prove(rig, 0.001, 50)
+    check_startup(rig, 0.001, 50)

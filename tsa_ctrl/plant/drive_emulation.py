@@ -49,7 +49,7 @@ class Clamp:
 
 
 @dataclass(frozen=True)
-class Persona:
+class DriveEmulation:
     """`vendor` and `product` None: those of the settings. `mode_shows` as the quirk of that name.
 
     `fixed`: objects with one value that they take, or a few. `added`: objects of the maker. `read_only`: objects that
@@ -77,8 +77,8 @@ class Persona:
 _NO_TIMER = tuple((0x1400 + number, 5) for number in range(4))
 _NO_SYNC_SETTINGS = ((0x1007, None), (0x1019, None))
 
-_GENERIC = Persona("simulated drive")
-_EPOS4 = Persona(
+_GENERIC = DriveEmulation("simulated drive")
+_EPOS4 = DriveEmulation(
     "EPOS4",
     vendor=0x000000FB,
     product=0x69500000,
@@ -99,7 +99,7 @@ _EPOS4 = Persona(
     read_only=frozenset({(0x6076, 0)}),
     off_only=frozenset({(0x60A9, 0)}),
 )
-_ELMO_GOLD = Persona(
+_ELMO_GOLD = DriveEmulation(
     "Gold drive",
     vendor=0x0000009A,
     product=0x00030924,
@@ -110,7 +110,7 @@ _ELMO_GOLD = Persona(
     defaults={(0x605E, 0): 0, (0x6502, 0): 0x3ED},
 )
 
-_IPOS = Persona(
+_IPOS = DriveEmulation(
     "iPOS",
     vendor=0x000001A3,
     product=27014101,
@@ -126,23 +126,23 @@ _IPOS = Persona(
     ),
     added=(Entry(0x207F, 0, Type.U16, Access.RW, 32767 - 2 * 16380),),
 )
-_KINCO = Persona(
+_KINCO = DriveEmulation(
     "Kinco servo",
     velocity_digits=16.384,
     mode_shows="enabled",
     absent=((0x60A9, None), (0x6076, None)),
 )
-_NANOTEC = Persona(
+_NANOTEC = DriveEmulation(
     "Nanotec",
     absent=((0x6076, None),),
     fixed={(0x60C2, 2): frozenset({-3})},
 )
-_COPLEY = Persona(
+_COPLEY = DriveEmulation(
     "Copley amplifier",
     velocity_digits=10.0,
     absent=((0x60A9, None),),
 )
-_INGENIA = Persona(
+_INGENIA = DriveEmulation(
     "EVE-XCR-C",
     vendor=0x0000029C,
     product=46342145,
@@ -157,7 +157,7 @@ _INGENIA = Persona(
     defaults={(0x6502, 0): 0x301A5, (0x605A, 0): 5, (0x60C2, 2): 0},
 )
 
-PERSONAS: Mapping[str, Persona] = {
+DRIVE_EMULATIONS: Mapping[str, DriveEmulation] = {
     "generic": _GENERIC,
     "epos4": _EPOS4,
     "elmo_gold": _ELMO_GOLD,

@@ -20,7 +20,7 @@ import math
 from collections.abc import Collection
 
 from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample, sooner_down
-from tsa_ctrl.control.recursive import Bare
+from tsa_ctrl.control.kalman import Bare
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import elongations
@@ -35,7 +35,7 @@ AGREES = 0.5  # of that limit, below which cells that contradicted count again
 ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 
 
-class ByTension:
+class TensionEstimator:
     """The outputs hold while nothing is admitted; `why` says what is wrong while it is invalid."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:

@@ -10,7 +10,7 @@ LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth 
 SECOND = 1.0  # s in which `Often` counts
 
 
-class Leaky:
+class Debounce:
     """Runs while something is wrong, and runs back at `LEAK` of that speed while it is not.
 
     `idle`: True once it has run back. An agreement then changes nothing, and the call can be omitted.

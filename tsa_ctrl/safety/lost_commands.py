@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.leaky import Often
+from tsa_ctrl.safety.debounce import Often
 
 
-class Unheard:
+class LostCommands:
     """One axis' check; `update` while torque is permitted, `reset` when it is not."""
 
     def __init__(self, hearing: Hearing, name: str) -> None:
