@@ -1,4 +1,4 @@
-"""A field report: a stranger repeats a virtual run from one file, to the last bit; what is damaged is one line."""
+"""Repeat a virtual run from one field report to the last bit; a damaged report is one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Controller`: the law in the user's own loop gives the daemon's torque, and no torque from what is wrong."""
+"""`Controller` in the user's own loop gives the daemon's torque, and no torque for a wrong measurement."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_measurement_that_is_not_finite_latches_a_fault_and_never_a_torque(
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
 def test_no_set_point_drives_the_motor_beyond_its_limit(desk: Path, value: float) -> None:
-    """One that is not finite is no set-point; one that is too large is clamped."""
+    """A value that is not finite is ignored; a value that is too large is clamped."""
     held = Held(desk)
     held.enable()
     torques = [command.torque for command in held.run(500, value)]

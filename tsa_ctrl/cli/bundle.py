@@ -29,7 +29,11 @@ tsa simulate-loop THIS.zip PLANT.toml --seconds 10 runs the files of a hardware 
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="The ZIP file to write.")
 @click.option(
-    "--minutes", default=5.0, show_default=True, type=Finite(0.01, 10_000.0), help="Of the records, up to the end."
+    "--minutes",
+    default=5.0,
+    show_default=True,
+    type=Finite(0.01, 10_000.0),
+    help="Duration of the records, up to the end.",
 )
 @click.option(
     "--drive", "dumps", multiple=True, type=click.Path(path_type=Path), help="Add a file of tsa drive dump; repeatable."

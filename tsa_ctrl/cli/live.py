@@ -15,10 +15,14 @@ from tsa_ctrl.ipc.client import MOST_RATE
 @click.command("live", epilog="Example: tsa live --port 8765")
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="The daemon's.")
 @click.option(
-    "--port", default=8765, show_default=True, type=click.IntRange(0, 65535), help="Of 127.0.0.1; 0: a free one"
+    "--port",
+    default=8765,
+    show_default=True,
+    type=click.IntRange(0, 65535),
+    help="Port of 127.0.0.1; 0 takes a free one.",
 )
 @click.option(
-    "--rate", default=1000.0, show_default=True, type=click.FloatRange(1.0, MOST_RATE), help="Of the signals, Hz."
+    "--rate", default=1000.0, show_default=True, type=click.FloatRange(1.0, MOST_RATE), help="Rate of the signals, Hz."
 )
 @click.option("--settable", is_flag=True, help="Let every client on this computer change live parameters as this user.")
 @click.option("--layouts", "folder", type=click.Path(path_type=Path), help="Write layouts for both programs there.")

@@ -1,4 +1,4 @@
-"""Whether a motor pulls the way it says, and as much, by what its nodes say while a small torque begins.
+"""Test sign and gain of a motor's torque by the reports of its nodes while a small torque begins.
 
 The tendons stretch by the torque, so that motor and joint move apart with its sign, held or free; the joint torque
 sensor, where there is one, follows it by r_J/r_M at most. Both are straight lines through all samples of the pull. The

@@ -25,7 +25,7 @@ from tsa_ctrl.model.signals import Signals, hold_direction
 Mask = NDArray[np.bool_]
 
 AFTER_REVERSAL = 0.020  # s on either side of a reversal: a delay below this value is visible only there
-UNKNOWN = 2.5  # times a velocity's noise: a slower motion has no direction of its own
+UNKNOWN = 2.5  # times a velocity's noise: the direction of a slower motion is not known
 ABOVE = 12.0  # times the frequency below which MOTION of the velocity's power lies: friction turns with its harmonics
 MOTION = 0.99  # of the power: a reversal has the rest in its harmonics
 HIGHEST = 0.5  # of the band up to half the rate: the noise above the motion needs as much of it
@@ -115,7 +115,7 @@ def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
 
 
 def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
-    """What lines in motor torque and motion, both ways, leave of the torque; 0 where the direction is not known."""
+    """Return the torque less its linear part in motor torque and motion, by direction; 0 where that is unknown."""
     omega, tau = signals.omega_j[part], signals.tau_m[part]
     angle = np.cumsum(omega) * signals.period if signals.q_j is None else signals.q_j[part]
     angle = (angle - angle.mean()) / max(float(np.std(angle)), np.finfo(np.float64).tiny)
@@ -162,7 +162,7 @@ def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
 
 
 def _below_continued(bands: Sequence[tuple[float, float, int]], edge: float) -> float:
-    """Sum of the density over all bands; below `edge` at most what the slope above it continues to."""
+    """Return the density summed over all bands, limited below `edge` by the continued slope of the bands above it."""
     above = [band for band in bands if band[0] > edge]
     total = sum(density * lines for _, density, lines in above)
     if not above:

@@ -1,4 +1,4 @@
-"""Publish a running daemon on a WebSocket, from a process of its own: the loop is not aware of it.
+"""Publish a running daemon on a WebSocket from a separate process, as a client of the daemon's socket.
 
 Topics: `/AXIS/signals` (each cycle, as far as the rate permits), `/AXIS/status` (`STATUS_RATE`), `/joint_states`
 (the fields of sensor_msgs/JointState) and `/events` (foxglove.Log). Messages are JSON; log times are wall-clock times.

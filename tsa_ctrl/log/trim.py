@@ -1,4 +1,4 @@
-"""Write the last part of a log as a complete log of its own."""
+"""Write the last part of a log as a complete log."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ _POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUI
 
 
 class DriveNode(Node):
-    """Identity, quirks of the communication and emulation are those of its first drive."""
+    """Simulate one node with the identity, the communication deviations and the emulation of its first drive."""
 
     def __init__(self, drives: Sequence[Drive], send: Send) -> None:
         first = drives[0].settings

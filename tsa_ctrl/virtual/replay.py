@@ -28,7 +28,7 @@ def described(
     faults: Sequence[Fault],
     changes: Sequence[Change],
 ) -> dict[str, str]:
-    """Return what a log needs for a repetition: the files of the plant, and the arguments as `RUN`, by name."""
+    """Return the files of the plant, and the arguments of the run as `RUN`, by name."""
     folder = controller.parent
     files = {
         os.path.relpath(plant.parent / name, folder): text for name, text in referenced(plant).items()

@@ -64,7 +64,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     logs = [run.raw for run in runs]
     residuals = [log[runs[0].target_name] - predict(extended, log.signals()) for log in logs]
     parts = three_errors(logs, residuals, runs[0].target_name)
-    # Of a model without a cause the flatness is not judged: logs of seconds leave its recalibration too free
+    # Flatness is tested only with a cause: a blind log without one failed the test by its recalibration
     bent = (
         None if left or not causes else not_flat(runs, full_residuals(outcome.data.frame, extended), errors.noise_floor)
     )
