@@ -214,12 +214,14 @@ def _http(data: bytes) -> None:
 
 
 def _log(path: Path) -> None:
-    """A whole reading: blocks, columns, notes."""
+    """A whole reading: blocks, notes, angles of the other joints."""
     log = LogFile(path)
     for axis, block in log.blocks(log.fields):
         assert axis in log.axes
         assert block.ndim == 2
     log.read_notes()
+    for angle in log.joint_angles().values():
+        assert angle(np.array([0.0, 1.0])).shape == (2,)
     assert all("\n" not in problem for problem in log.problems)
 
 
