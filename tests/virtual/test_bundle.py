@@ -109,6 +109,18 @@ def test_no_head_writes_a_file_outside_of_the_folder(tmp_path: Path, name: str) 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "place"]
 
 
+ELSEWHERE = '{"controller":"/etc/passwd","plant":"p","seconds":1,"seed":null,"faults":[],"changes":[]}'
+
+
+@pytest.mark.parametrize("run", ["", "[]", "{}", '{"controller": 1}', ELSEWHERE])
+def test_damaged_arguments_of_a_run_are_one_line(tmp_path: Path, run: str) -> None:
+    log, folder = tmp_path / "log.mcap", tmp_path / "place"
+    folder.mkdir()
+    McapFile(log, LogHeader(("knee",), 1000.0, {"controller.toml": "", "run.json": run})).finish()
+    with pytest.raises(UsageError, match=r"run\.json in its head"):
+        Replay(log, folder)
+
+
 @pytest.mark.parametrize(
     ("content", "words"), [(b"", "not a field report"), (b"PK\x05\x06" + bytes(18), "not a field report")]
 )

@@ -135,6 +135,15 @@ def test_a_live_parameter_keeps_its_bounds(desk: Path) -> None:
             controller.set(name, value)
 
 
+def test_no_repeated_request_restores_what_the_guard_took_back(desk: Path) -> None:
+    held = Held(desk)
+    held.controller.set("back_off", 0.3)
+    held.step(0.0)
+    for value in (0.5, 1.0):
+        with pytest.raises(UsageError, match=r"above 0\.3"):
+            held.controller.set("back_off", value)
+
+
 def test_files_that_need_the_daemon_are_rejected_in_one_line(desk: Path, tmp_path: Path) -> None:
     text = (desk / "controller.toml").read_text(encoding="utf-8")
     (tmp_path / "actuator.toml").write_bytes((desk / "actuator.toml").read_bytes())

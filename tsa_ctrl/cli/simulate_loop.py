@@ -18,6 +18,7 @@ from tsa_ctrl.errors import UsageError
 if TYPE_CHECKING:
     from tsa_ctrl.virtual.result import Simulation
 
+NO_SECONDS = "--seconds is missing; give the duration with torque in s"
 MOST_LOG = 4_000_000_000  # bytes of a log in a field report: some hours of four axes
 
 
@@ -65,7 +66,7 @@ def command(
     elif plant is None:
         raise UsageError("PLANT.toml is missing; give the file of the simulated machine after CONTROLLER.toml")
     elif seconds is None:
-        raise UsageError("--seconds is missing; give the duration with torque in s")
+        raise UsageError(NO_SECONDS)
     else:
         with _progress() as tick:
             simulation = simulate_loop(
@@ -100,19 +101,19 @@ def _repeated(
         on, old = plant or replay.plant, replay.arguments
         if on is None:
             raise UsageError(f"{report}: is of a run on hardware; give a PLANT.toml to run its files on, and --seconds")
-        duration = seconds if seconds is not None else old.get("seconds")
+        duration = seconds if seconds is not None or old is None else old.seconds
         if duration is None:
-            raise UsageError("--seconds is missing; give the duration with torque in s")
+            raise UsageError(NO_SECONDS)
         with _progress() as tick:
             simulation = simulate_loop(
                 replay.controller,
                 on,
-                float(duration),
+                duration,
                 out=out,
                 record=record,
-                seed=seed if seed is not None else old.get("seed"),
-                faults=faults or old.get("faults", ()),
-                changes=changes or old.get("changes", ()),
+                seed=seed if seed is not None or old is None else old.seed,
+                faults=faults or (old.faults if old else ()),
+                changes=changes or (old.changes if old else ()),
                 tick=tick,
             )
         if changed:

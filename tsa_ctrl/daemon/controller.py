@@ -30,6 +30,7 @@ from tsa_ctrl.control.cycle import command
 from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.parameters import check_bounds
 from tsa_ctrl.safety.supervisor import Phase, Request
 
 _WORDS = {state: value | FOLLOWS_COMMAND_BIT | VOLTAGE_ENABLED | REMOTE for _, value, state in STATUSWORD_PATTERNS}
@@ -38,7 +39,6 @@ _ANSWERS = {  # CiA 402: the state that a drive takes after a controlword
     Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
     Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
 }
-_MOST_SKIPPED = 1000  # periods: a longer hole is a new start
 
 
 class Command(NamedTuple):
@@ -119,7 +119,7 @@ class Controller:
         self._state = PowerState.SWITCH_ON_DISABLED
         self._set_point: tuple[float, float] | None = None
         self._asked = False  # for torque, since the last step
-        self._gap = self.period  # s since the last measurement
+        self._gap = math.inf  # s since the last measurement
 
     def enable(self) -> None:
         """Request torque after the next step; it fades in. A latched fault must be reset first."""
@@ -151,8 +151,11 @@ class Controller:
         parameter = self._tuner.parameters[names.index(name)]
         if parameter.low is None or parameter.high is None:
             raise UsageError(f"'{name}' cannot be set on this axis: {parameter.doc}")
-        if not parameter.low <= value <= parameter.high:
-            raise UsageError(f"{name} {value:g} is out of bounds; allowed is {parameter.low:g} to {parameter.high:g}")
+        check_bounds(name, value, parameter.low, parameter.high, parameter.unit)
+        if parameter.restores and value > parameter.value:  # repeated releases would disable the guard
+            raise UsageError(
+                f"{name} {value:g} is above {parameter.value:g}; a disable and a new enable release the guard"
+            )
         self._tuner.set(names.index(name), value)
 
     def step(
@@ -170,14 +173,13 @@ class Controller:
         """Return the command of this period.
 
         Args:
-            tau_j_des: desired joint torque, N*m; without a finite one for
-                [axis.setpoint] timeout it goes to 0.
+            tau_j_des: desired joint torque, N*m; without a finite one for [axis.setpoint] timeout it goes to 0.
             tau_m: motor torque that the drive reports, N*m at the motor pulley.
             q_m: motor angle, rad at the motor pulley.
             omega_m: motor velocity, rad/s at the motor pulley.
             q_j: joint angle, rad; required if the file has [axis.encoder].
             tau_j: joint torque of the sensor, N*m; required if the file has [axis.torque_sensor].
-            operational: False while the drive gives no torque by itself (disabled, fault, safe torque off).
+            operational: False if the drive reports no torque (disabled, fault, safe torque off).
             skipped: periods without a call since the last step.
 
         Raises:
@@ -187,7 +189,7 @@ class Controller:
         if (tau_j_des is None) is not self._play:
             raise UsageError("step: give tau_j_des in every step, or none of them with Controller(..., play=True)")
         if skipped > 0:
-            axis.pass_over(min(skipped, _MOST_SKIPPED))
+            axis.pass_over(skipped)
             self._bus.now += skipped * self.period
             self._gap += skipped * self.period
         now = self._bus.now = self._bus.now + self.period
@@ -217,7 +219,7 @@ class Controller:
         if not image.fresh:
             image.misses += 1
             image.missed += 1
-            image.pdo_age = gap if image.missed < 2 else image.pdo_age + self.period
+            image.pdo_age = gap
             self._gap += self.period
             return
         image.tau_m, image.q_m, image.omega_m = required[:3]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,15 +32,26 @@ def described(
     files = {
         os.path.relpath(plant.parent / name, folder): text for name, text in referenced(plant).items()
     }  # relative to the controller's folder, as the controller's own files
-    arguments = {
-        "controller": controller.name,
-        "plant": os.path.relpath(plant, folder),
-        "seconds": seconds,
-        "seed": seed,
-        "faults": [f"{fault.line}@{fault.at!r}" for fault in faults],
-        "changes": [f"{change.name}={change.value!r}@{change.at!r}" for change in changes],
-    }
-    return {**files, RUN: json.dumps(arguments)}
+    arguments = Arguments(
+        controller=controller.name,
+        plant=os.path.relpath(plant, folder),
+        seconds=seconds,
+        seed=seed,
+        faults=tuple(f"{fault.line}@{fault.at!r}" for fault in faults),
+        changes=tuple(f"{change.name}={change.value!r}@{change.at!r}" for change in changes),
+    )
+    return {**files, RUN: msgspec.json.encode(arguments).decode()}
+
+
+class Arguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The arguments of a virtual run: files relative to the controller's folder, the others as of `simulate_loop`."""
+
+    controller: str
+    plant: str
+    seconds: float
+    seed: int | None
+    faults: tuple[str, ...]
+    changes: tuple[str, ...]
 
 
 class Replay:
@@ -50,7 +60,7 @@ class Replay:
     Attributes:
         controller: path of the controller file.
         plant: path of the plant file, or None for a log of hardware.
-        arguments: `seconds`, `seed`, `faults` and `changes` of `simulate_loop`; empty for a log of hardware.
+        arguments: of the recorded run, or None for a log of hardware.
     """
 
     def __init__(self, log: Path, folder: Path) -> None:
@@ -68,18 +78,18 @@ class Replay:
                 raise UsageError(f"{log}: its head names a file outside of its folder: '{name}'; do not trust this log")
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(text, encoding="utf-8")
-        found: dict[str, Any] = {}
+        self.arguments: Arguments | None = None
+        self.plant: Path | None = None
+        controller = next(iter(files))
         if RUN in files:
             try:
-                found = json.loads(files[RUN])
-                names = [found.pop(key) for key in ("controller", "plant")]
-            except (ValueError, KeyError) as error:
+                self.arguments = found = msgspec.json.decode(files[RUN], type=Arguments)
+            except msgspec.DecodeError as error:
                 raise UsageError(f"{log}: {RUN} in its head is damaged ({error}); give another copy") from None
-        else:
-            names = [next(iter(files)), None]
-        self.controller: Path = base / names[0]
-        self.plant: Path | None = None if names[1] is None else Path(os.path.normpath(base / names[1]))
-        self.arguments = found
+            if not {found.controller, found.plant} <= files.keys():
+                raise UsageError(f"{log}: {RUN} in its head names a file that is not there; give another copy")
+            controller, self.plant = found.controller, Path(os.path.normpath(base / found.plant))
+        self.controller: Path = base / controller
 
 
 def first_difference(recorded: Path, columns: dict[str, dict[str, NDArray[np.float64]]]) -> str:
