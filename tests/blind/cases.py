@@ -82,10 +82,13 @@ NEEDS: dict[str, dict[str, Any]] = {
     "gravity_load": {"joint_angle": True, "amplitude": 1.5},
     "joint_stiffness": {"joint_angle": True, "amplitude": 1.1},
     "stribeck_friction": {},
+    "torque_saturation": {"torque": "independent", "level": (0.6, 0.9)},
+    "torque_sensor_lag": {"sign_noise": 0.7, "torque": "independent"},
 }
 
 # What pairs are drawn of: without what came in later, so that the same numbers give the same draws as ever
-PAIRED = tuple(name for name in NAMES if name != "pulley_eccentricity")
+LATER = ("pulley_eccentricity", "torque_saturation", "torque_sensor_lag")
+PAIRED = tuple(name for name in NAMES if name not in LATER)
 
 # Rows of twins: two effects of one row are no pair.
 TWIN_ROWS = (

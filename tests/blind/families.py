@@ -16,6 +16,8 @@ from .cases import (
     timing_case,
 )
 from .confounded import ROWS, confounded_case
+from .geared import NAMES as GEARED_NAMES
+from .geared import geared_case
 from .outside import STRANGERS
 from .rigid import NAMES as RIGID_NAMES
 from .rigid import rigid_case
@@ -30,6 +32,7 @@ FAMILIES: dict[str, tuple[str, ...]] = {
     "outside": tuple(STRANGERS),
     "confounded": tuple(ROWS),
     "rigid": RIGID_NAMES,
+    "geared": GEARED_NAMES,
 }
 
 _MAKERS: dict[str, Callable[[str, int, bool], Case]] = {
@@ -40,6 +43,7 @@ _MAKERS: dict[str, Callable[[str, int, bool], Case]] = {
     "outside": outside_case,
     "confounded": confounded_case,
     "rigid": rigid_case,
+    "geared": geared_case,
     "timing": timing_case,
 }
 

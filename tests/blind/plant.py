@@ -78,6 +78,8 @@ def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = T
         off = effects["pulley_eccentricity"]
         tau = tau * (1.0 + off["relative_eccentricity"] * np.sin(scene.q + off.get("phase", 0.0)))
     tau = tau - joint_side(scene, effects)
+    if "torque_sensor_lag" in effects:
+        tau = memory.first_order_lag(tau, scene.t[1] - scene.t[0], effects["torque_sensor_lag"]["time_constant"])
     if "transport_delay" in effects:
         late = effects["transport_delay"]["delay"]
         tau = np.interp(scene.t - late, scene.t, tau)
@@ -132,6 +134,9 @@ def stribeck_factor(omega: Array, effect: Mapping[str, Any]) -> Array:
 
 def _motor_torque(scene: Scene, effects: Effects, sigma: Array) -> Array:
     torque = scene.tau_m
+    if "torque_saturation" in effects:
+        limit = effects["torque_saturation"]["limit"]
+        torque = np.clip(torque, -limit, limit)
     if "torque_constant_error" in effects:
         torque = torque * (1.0 + effects["torque_constant_error"]["relative_error"])
     if "torque_ripple" in effects:

@@ -170,6 +170,8 @@ TARGETS = (
     Target("exactly confounded: resolved by the experiment", "confounded", _key("resolved"), 0.90),
     Target("plain drive, no effect: something named", "rigid_none", _key("named"), 0.01, at_most=True),
     Target("plain drive, one effect: named uniquely", "rigid", _key("unique"), 0.95),
+    Target("geared drive, no effect: something named", "geared_none", _key("named"), 0.01, at_most=True),
+    Target("geared drive, one effect: named uniquely", "geared", _key("unique"), 0.95),
 )
 
 
@@ -202,7 +204,8 @@ FURTHER = (
 
 
 def family_of(result: dict[str, Any]) -> str:
-    return "rigid_none" if (result["family"], result["name"]) == ("rigid", "none") else str(result["family"])
+    family = str(result["family"])
+    return f"{family}_none" if family in ("rigid", "geared") and result["name"] == "none" else family
 
 
 def counted(target: Target, results: Iterable[dict[str, Any]]) -> tuple[int, int]:

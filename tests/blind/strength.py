@@ -35,6 +35,8 @@ NAMES = (
     "joint_stiffness",
     "torque_offset",
     "transport_delay",
+    "torque_saturation",
+    "torque_sensor_lag",
 )
 
 
@@ -122,6 +124,11 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             return Strength(name, {}, "bending_per_joint_angle", sign * 0.3 * most, sign * most)
         case "transport_delay":
             return Strength(name, {"delay": _log_uniform(rng, max(0.004, 3.0 * sample), 0.045)})
+        case "torque_saturation":
+            peak = max(float(np.max(np.abs(run.scene.tau_m))) for run in bench.runs)
+            return Strength(name, {"limit": peak * rng.uniform(0.55, 0.85)})
+        case "torque_sensor_lag":
+            return Strength(name, {"time_constant": _log_uniform(rng, max(0.008, 3.0 * sample), 0.12)})
         case "velocity_lag":
             return Strength(name, {"time_constant": _log_uniform(rng, max(0.008, 3.0 * sample), 0.08)})
     raise ValueError(f"unknown effect: {name}")

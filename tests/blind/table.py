@@ -126,7 +126,14 @@ def _coverage(results: Sequence[Result]) -> None:
 
 def _per_name(results: Sequence[Result]) -> None:
     """Each effect, kind and row by itself."""
-    keys = {"single": "unique", "outside": "flagged", "confounded": "grouped", "rigid": "unique", "none": "named"}
+    keys = {
+        "single": "unique",
+        "outside": "flagged",
+        "confounded": "grouped",
+        "rigid": "unique",
+        "geared": "unique",
+        "none": "named",
+    }
     for family, key in keys.items():
         names = sorted({r["name"] for r in results if r["family"] == family})
         if not names:
@@ -135,7 +142,9 @@ def _per_name(results: Sequence[Result]) -> None:
         for name in names:
             marks = [r["mark"] for r in results if (r["family"], r["name"]) == (family, name)]
             hits = [m[key] for m in marks if m[key] is not None]
-            more = f", within {sum(bool(m['within']) for m in marks)}" if family in ("single", "rigid") else ""
+            more = (
+                f", within {sum(bool(m['within']) for m in marks)}" if family in ("single", "rigid", "geared") else ""
+            )
             more += f", by a formula {sum(bool(m['described']) for m in marks)}" if family == "outside" else ""
             more += f", resolved {sum(bool(m['resolved']) for m in marks)}" if family == "confounded" else ""
             if hits:
@@ -155,6 +164,7 @@ def _wrong(results: Sequence[Result], most: int = 60) -> None:
             "outside": m["flagged"],
             "confounded": m["grouped"] and m["advised"] and m["resolved"] is not False,
             "rigid": m["unique"] if r["name"] != "none" else not m["named"],
+            "geared": m["unique"] if r["name"] != "none" else not m["named"],
         }[r["family"]]
         if good and not (m["wrong"] and r["family"] not in ("outside",)):
             continue

@@ -6,8 +6,8 @@ Each change asks each effect once, a third of the kinds of causes outside, two l
 three pairs (`EACH_CHANGE`). Of a diagnosis whose share of right answers has fallen from the target to the second figure
 they tell in so many cases of a hundred, which `test_a_diagnosis_that_got_worse_fails` computes:
 
-    one effect named alone          0.95 -> 0.7    95
-    within two alternatives         0.99 -> 0.8    96
+    one effect named alone          0.95 -> 0.7    97
+    within two alternatives         0.99 -> 0.8    97
     noticed outside the catalogue   0.80 -> 0.4    68
     not explained away              0.95 -> 0.6    66
     both of two effects             0.90 -> 0.5    50
@@ -222,8 +222,8 @@ def test_too_few_right_answers_are_a_failure(count: int, share: float) -> None:
 @pytest.mark.parametrize(
     ("total", "target", "worse", "told"),
     [
-        pytest.param(EACH_CHANGE.singles, 0.95, 0.7, 0.95, id="one effect named alone"),
-        pytest.param(EACH_CHANGE.singles, 0.99, 0.8, 0.96, id="within two alternatives"),
+        pytest.param(EACH_CHANGE.singles, 0.95, 0.7, 0.97, id="one effect named alone"),
+        pytest.param(EACH_CHANGE.singles, 0.99, 0.8, 0.97, id="within two alternatives"),
         pytest.param(len(EACH_CHANGE.outside), 0.80, 0.4, 0.68, id="noticed outside the catalogue"),
         pytest.param(len(EACH_CHANGE.outside), 0.95, 0.6, 0.66, id="not explained away"),
         pytest.param(EACH_CHANGE.pairs, 0.90, 0.5, 0.50, id="both of two effects"),

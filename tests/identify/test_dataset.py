@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from tests.log.logs import HEADER, motion, records
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset, load_log, load_logs, matches
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.model.parameters import RigidDrive, load_model
+from tsa_ctrl.model.parameters import GearedDrive, RigidDrive, load_model
 from tsa_ctrl.model.signals import hold_direction
 
 N = 400
@@ -379,8 +380,6 @@ class TestDaemonLog:
             columns(q_j=-np.cos(5.0 * T) / 5.0, omega_j=np.degrees(np.sin(5.0 * T))),
             "omega_j seems to be in degrees/s",
         ),
-        (columns(omega_j=None, q_j=30.0 * np.sin(40.0 * T)), "column q_j swings over"),
-        (columns(omega_j=400.0 * np.sin(5.0 * T)), "degrees per second or rpm"),
     ],
 )  # fmt: skip
 def test_a_bad_log_is_one_line(tmp_path: Path, table: Columns, said: str) -> None:
@@ -392,6 +391,26 @@ def test_a_bad_log_is_one_line(tmp_path: Path, table: Columns, said: str) -> Non
     message = str(error.value)
     assert message.startswith(str(tmp_path / "bad.csv"))
     assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (columns(omega_j=None, q_j=30.0 * np.sin(40.0 * T)), "column q_j swings over"),
+        (columns(omega_j=400.0 * np.sin(5.0 * T)), "degrees per second or rpm"),
+    ],
+)
+def test_tendons_move_no_joint_as_fast_as_a_motor(table: Columns, said: str) -> None:
+    """A joint behind a gear has no such limit."""
+    with pytest.raises(UsageError, match=said):
+        admit(Dataset.from_arrays(table), load_model(CONFIG / "actuator.toml"))
+    geared = GearedDrive(9.0)
+    admit(Dataset.from_arrays(table).completed_for(geared), geared)
+
+
+def test_a_plain_drive_says_that_it_does_not_use_the_joint_torque() -> None:
+    found = Dataset.from_arrays(columns(omega_m=np.cos(5.0 * T))).completed_for(RigidDrive(inertia=0.1))
+    assert "column tau_j is not used" in found.notes[-1]
 
 
 def test_rows_of_a_text_file_come_with_their_line(tmp_path: Path) -> None:

@@ -76,6 +76,7 @@ def test_twins_are_written_once_and_exist() -> None:
 SCALES = Scales(
     torque=0.5,
     motor_torque=0.4,
+    largest_motor_torque=1.1,
     speed=1.2,
     speed_noise=0.005,
     acceleration=6.0,

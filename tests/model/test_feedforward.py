@@ -86,7 +86,14 @@ INVERTIBLE |= {  # nothing of the torque
     "pulley_slip": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)}),
     "joint_play": st.fixed_dictionaries({"gap": numbers(1e-4, 0.1)}),
 }
-NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag", "routing_by_joint"}  # the last is read as [routing]
+NOT_INVERTIBLE = {
+    "transport_delay",
+    "torque_sensor_lag",
+    "torque_saturation",
+    "backlash",
+    "velocity_lag",
+    "routing_by_joint",  # is read as [routing]
+}
 
 
 class Motion:
@@ -182,7 +189,13 @@ def test_command_is_finite(names: set[str], rows: list[tuple[float, ...]], data:
     """Whatever the measurements are, huge, infinite or nan, a finite wish gives a finite command."""
     if "elongation_coupling" in names:
         names -= set(CATALOGUE["elongation_coupling"].excludes)
-    others = {"transport_delay": {"delay": 0.01}, "backlash": {"gap": 0.1}, "velocity_lag": {"time_constant": 0.01}}
+    others = {
+        "torque_saturation": {"limit": 0.5},
+        "torque_sensor_lag": {"time_constant": 0.05},
+        "transport_delay": {"delay": 0.01},
+        "backlash": {"gap": 0.1},
+        "velocity_lag": {"time_constant": 0.01},
+    }
     effects = {name: others.get(name) or data.draw(INVERTIBLE.get(name, st.just({}))) for name in sorted(names)}
     feedforward = Feedforward(ACTUATOR.with_effects(effects), PERIOD)
     assert all(math.isfinite(feedforward.update(*row)) for row in rows)
@@ -310,6 +323,8 @@ class TestNotes:
         ("name", "parameters", "word"),
         [
             ("transport_delay", {"delay": 0.005}, "0.005 s"),
+            ("torque_sensor_lag", {"time_constant": 0.05}, "0.05 s"),
+            ("torque_saturation", {"limit": 1.5}, "1.5 N*m"),
             ("backlash", {"gap": 0.02}, "0.02 rad"),
             ("velocity_lag", {"time_constant": 0.01}, "direction"),
             ("inertia", {"inertia": 0.01}, "late"),

@@ -11,6 +11,7 @@ import pytest
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import (
+    GearedDrive,
     RigidDrive,
     TendonSheath,
     dump_model,
@@ -272,3 +273,34 @@ class TestRigidDrive:
         (tmp_path / "drive.toml").write_text(DRIVE, encoding="utf-8")
         with pytest.raises(UsageError, match="give a tendon-sheath model"):
             load_tendon_sheath(tmp_path / "drive.toml")
+
+
+class TestGearedDrive:
+    """[actuator] kind = "geared_drive"."""
+
+    def test_round_trip(self, tmp_path: Path) -> None:
+        """Written and read; what is absent stays so."""
+        effects = {"torque_saturation": {"limit": 2.0}, "torque_sensor_lag": {"time_constant": 0.1}}
+        model = GearedDrive(9.0, 0.9, None, 0.05, effects=effects)
+        save_model(model, tmp_path / "drive.toml")
+        assert bare(load_model(tmp_path / "drive.toml")) == model
+
+    @pytest.mark.parametrize(
+        ("text", "message"),
+        [
+            ("", "ratio"),
+            ("ratio = -9.0", "ratio"),
+            ("ratio = 9.0\nefficiency = 90.0", "divide per cent by 100"),
+            ("ratio = 9.0\n[effects.tendon_slack]", "has no meaning for a geared_drive"),
+            ("ratio = 9.0\nstiffness = 1.0", "stiffness"),
+        ],
+    )
+    def test_what_is_wrong_is_said(self, tmp_path: Path, text: str, message: str) -> None:
+        """One line with the key and what is allowed."""
+        with pytest.raises(UsageError, match=message):
+            loaded(tmp_path, f'[actuator]\nkind = "geared_drive"\n{text}\n')
+
+
+def test_an_unknown_kind_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="give one of tendon_sheath, rigid_drive, geared_drive"):
+        loaded(tmp_path, '[actuator]\nkind = "gears"\n')

@@ -13,7 +13,7 @@ import pytest
 from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.composition import Stack
-from tsa_ctrl.model.parameters import RigidDrive
+from tsa_ctrl.model.parameters import GearedDrive, RigidDrive
 from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
 from tsa_ctrl.model.signals import Signals
 
@@ -243,3 +243,54 @@ class TestRigidDrive:
         """One line that names the columns."""
         with pytest.raises(UsageError, match="omega_m or q_m"):
             predict(RigidDrive(), signals(T, T))
+
+
+class TestGearedDrive:
+    """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s the sign of tau_M omega_J."""
+
+    W = 2.0 * np.pi
+    OMEGA = np.sin(W * T + 0.1)
+    TAU_M = 0.3 * np.cos(3.0 * T + 0.2)
+    LOG = Signals(t=T, tau_m=TAU_M, omega_j=OMEGA, q_j=-np.cos(W * T + 0.1) / W)
+
+    def test_base_equation(self) -> None:
+        """Losses take from the torque where the motor drives, and add to what it must hold where it is driven."""
+        found = predict(GearedDrive(50.0, 0.8, 0.5, 0.2), self.LOG)
+        gain = np.where(self.TAU_M * self.OMEGA > 0.0, 0.8, 1.25)
+        expected = gain * 50.0 * self.TAU_M - 0.5 * np.sign(self.OMEGA) - 0.2 * self.OMEGA
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+
+    def test_without_losses_it_is_the_ratio(self) -> None:
+        """A file with the ratio alone."""
+        np.testing.assert_allclose(predict(GearedDrive(9.0), self.LOG), 9.0 * self.TAU_M, atol=1e-14)
+
+    def test_effects_of_the_catalogue_apply(self) -> None:
+        """At the motor before the gear, at the joint behind it."""
+        effects = {"torque_saturation": {"limit": 0.2}, "viscous_friction": {"coefficient": 0.4}}
+        found = predict(GearedDrive(9.0, effects=effects), self.LOG)
+        np.testing.assert_allclose(found, 9.0 * np.clip(self.TAU_M, -0.2, 0.2) - 0.4 * self.OMEGA, atol=1e-12)
+
+    def test_a_formula_reads_the_torque_behind_the_gear(self) -> None:
+        """Stage "joint"."""
+        effects = {"custom": {"expression": "0.1*tau", "stage": "joint"}}
+        np.testing.assert_allclose(predict(GearedDrive(9.0, effects=effects), self.LOG), 0.9 * 9.0 * self.TAU_M)
+
+
+class TestTorqueSensorLag:
+    """The reported torque is the true one through 1/(1 + T s)."""
+
+    def test_a_step_rises_to_63_percent_in_one_time_constant(self) -> None:
+        """From rest at the first sample, the step between two samples of a fine grid."""
+        t = np.arange(4000) * 1e-4
+        log = signals(t, np.ones_like(t), tau_m=np.where(t < 0.1, 0.0, 1.0))
+        effects = {"torque_sensor_lag": {"time_constant": 0.05}}
+        found = predict(GearedDrive(1.0, effects=effects), log)
+        after = t >= 0.1
+        np.testing.assert_allclose(found[~after], 0.0, atol=1e-12)
+        np.testing.assert_allclose(found[after], -np.expm1(-(t[after] - 0.1) / 0.05), atol=2e-3)
+
+    def test_none_is_none(self) -> None:
+        """T = 0."""
+        log = signals(T, T, tau_m=np.sin(T))
+        effects = {"torque_sensor_lag": {"time_constant": 0.0}}
+        np.testing.assert_array_equal(predict(GearedDrive(1.0, effects=effects), log), np.sin(T))

@@ -94,6 +94,16 @@ def test_the_torque_sensor_is_late_by_the_delay(tmp_path: Path) -> None:
     assert joint.values()["tau_sensed"] == pytest.approx(history[3999 - 123], abs=1e-6)
 
 
+def test_the_torque_sensor_lags_by_the_time_constant(tmp_path: Path) -> None:
+    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"torque_sensor_lag": {"time_constant": 0.02}})
+    joint.advance(0.3)
+    before = joint.values()["tau_sensed"]
+    joint.advance(0.3001)
+    after = joint.values()
+    slope = (after["tau_sensed"] - before) / 1e-4
+    assert after["tau_sensed"] + 0.02 * slope == pytest.approx(after["tau_j"], rel=1e-2)
+
+
 def test_backlash_is_a_dead_interval_after_a_reversal(tmp_path: Path) -> None:
     joint = axis(
         tmp_path,

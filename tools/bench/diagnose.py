@@ -37,7 +37,16 @@ from tsa_ctrl.model.parameters import model_from
 from tsa_ctrl.system.process_supervisor import tsa
 
 # Cases per name of a family; of none and pair: all together.
-FULL = {"none": 400, "hidden_direction": 25, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}
+FULL = {
+    "none": 400,
+    "hidden_direction": 25,
+    "single": 30,
+    "pair": 60,
+    "outside": 8,
+    "confounded": 6,
+    "rigid": 10,
+    "geared": 10,
+}
 Job = tuple[str, str, int, bool]  # family, name, seed, short
 QUICK = {"none": 40, "single": 2}
 
@@ -97,7 +106,7 @@ def one(job: Job) -> Row:
         result["experiment_causes"] = [[c["effect"], c["alternatives"]] for c in experiment["causes"]]
     result["gain"] = report.get("gain")
     result["fresh_gain"] = fresh_gain(hidden, report["causes"])
-    if family != "rigid":
+    if family not in ("rigid", "geared"):
         result["naive"] = {
             strategy: mark(hidden, as_report(found)).as_dict()
             for strategy, found in name_effects(hidden.logs, hidden.model).items()

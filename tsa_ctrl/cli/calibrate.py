@@ -135,14 +135,13 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
 
 def _loaded(model: Path) -> TendonSheath:
     """The nominal model; a plain drive's parameters are the diagnosis' work."""
-    from tsa_ctrl.model.parameters import RigidDrive, TendonSheath, load_model
+    from tsa_ctrl.model.parameters import TendonSheath, load_model
 
     loaded = load_model(model)
     if isinstance(loaded, TendonSheath):
         return loaded
-    assert isinstance(loaded, RigidDrive)
     raise UsageError(
-        f"{model}: is a rigid_drive, whose inertia and friction tsa diagnose calibrates: "
+        f"{model}: is a {loaded.kind.value}, whose parameters tsa diagnose calibrates: "
         f"tsa diagnose LOG --model {model} --out DIR writes them to DIR/extended.toml"
     )
 

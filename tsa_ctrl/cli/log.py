@@ -130,11 +130,23 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     metavar="NAME=HEADER[|UNIT[*SCALE]]",
     help="Where one of our columns comes from; repeatable, above the mapping file.",
 )
+@click.option(
+    "--kind",
+    type=click.Choice(["tendon_sheath", "rigid_drive", "geared_drive"]),
+    show_default="tendon_sheath with a joint torque, else rigid_drive",
+    help="What the model file to fill in describes.",
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for CSV, mapping, model, picture.")
 @click.option("--yes", is_flag=True, help="Take the proposals for all open questions.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def import_(
-    files: tuple[Path, ...], map_file: Path | None, given: tuple[str, ...], out: Path, yes: bool, as_json: bool
+    files: tuple[Path, ...],
+    map_file: Path | None,
+    given: tuple[str, ...],
+    kind: str | None,
+    out: Path,
+    yes: bool,
+    as_json: bool,
 ) -> None:
     """Turn tables of other programs into logs that every command reads.
 
@@ -153,7 +165,10 @@ def import_(
         click.echo("proposals, not stated by the files: " + " ".join(f"--column '{text}'" for text in proposals))
     if asked and not click.confirm("is that right?", default=True):
         raise click.ClickException("nothing was written; say it by --column or --map")
-    pairs = [(done, log_import.write(done, out, s)) for done, s in zip(every, log_import.stems(files), strict=True)]
+    pairs = [
+        (done, log_import.write(done, out, s, kind or ""))
+        for done, s in zip(every, log_import.stems(files), strict=True)
+    ]
     if as_json:
         rows = [log_import.as_dict(done, written) for done, written in pairs]
         click.echo(json.dumps(rows[0] if len(rows) == 1 else {"schema": 1, "files": rows}, allow_nan=False))

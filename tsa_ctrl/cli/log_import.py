@@ -113,9 +113,9 @@ def stems(paths: Sequence[Path]) -> list[str]:
     return [w if whole.count(w) == 1 else f"{w}_{whole[:i].count(w) + 1}" for i, w in enumerate(whole)]
 
 
-def write(done: Understood, out: Path, stem: str) -> Imported:
+def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
     """Write log, mapping, model and picture to `out`; raises UsageError."""
-    return writing.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem)
+    return writing.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem, kind)
 
 
 def show(done: Understood) -> None:

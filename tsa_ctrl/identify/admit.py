@@ -5,7 +5,7 @@ from __future__ import annotations
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.energy import check_energy
 from tsa_ctrl.identify.redundancy import check_ends
-from tsa_ctrl.identify.units import check_ratios
+from tsa_ctrl.identify.units import check_joint, check_ratios
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
 
@@ -17,6 +17,8 @@ def admit(dataset: Dataset, model: Model, *columns: str) -> None:
     """
     dataset.require(model, *columns)
     if isinstance(model, TendonSheath):
+        recorded = {name: values for name, values in dataset.columns.items() if name not in dataset.derived}
+        check_joint(dataset.label or dataset.name, recorded)
         both = {"omega_j", "omega_m"} <= dataset.derived  # they say what their angles say, with more noise
         ends = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
         check_ratios(dataset.label, ends, model.motor_pulley_radius, model.joint_pulley_radius)

@@ -25,7 +25,8 @@ from tsa_ctrl.identify.redundancy import check_columns
 from tsa_ctrl.identify.units import check_rate, check_sizes
 from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps, repair_timestamps
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.effects.specification import Kind
+from tsa_ctrl.model.parameters import GearedDrive, Model, TendonSheath
 from tsa_ctrl.model.signals import Signals
 from tsa_ctrl.signals import COLUMNS, INPUTS, JOINT_ANGLE, is_input
 
@@ -37,6 +38,11 @@ Array = NDArray[np.float64]
 MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST_LOGS = 3  # from which on whole logs are held out: of two, one would be learned from alone
+MOTOR_AND_JOINT = (("q_m", "q_j"), ("omega_m", "omega_j"))
+UNUSED_TORQUE = (
+    "column tau_j is not used: a rigid_drive predicts tau_m; for a joint torque sensor behind a gear give [actuator] "
+    'kind = "geared_drive"'
+)
 FEWEST = 10  # rows, below which a table is no log but a heading of one
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
@@ -124,20 +130,39 @@ class Dataset(Displayed):
 
     def require(self, model: Model, *more: str) -> None:
         """Raise UsageError unless the columns that every simulation with `model` needs, and `more`, are there."""
-        velocities = ("omega_m", "q_m") if isinstance(model, RigidDrive) else ("omega_j", "q_j")
-        if velocities[0] not in self.columns:
+        motions = {Kind.RIGID_DRIVE: ("omega_m", "q_m"), Kind.GEARED_DRIVE: ("omega_j", "q_j", "q_m", "omega_m")}
+        wanted = motions.get(model.kind, ("omega_j", "q_j"))
+        if not any(name in self.columns for name in wanted):
             known = (*(name for name in self.columns if name not in self.derived), *self.left_out)
-            raise UsageError(_missing(self.label or self.name, f"{velocities[0]} or {velocities[1]}", known))
+            raise UsageError(_missing(self.label or self.name, " or ".join(wanted), known))
         for column in more:
             self[column]
 
-    def bent_by(self, model: Model) -> Dataset:
-        """Return this log with the wrap angle by the `[routing]` of `model` from the angles q_j.NAME, as column theta.
+    def completed_for(self, model: Model) -> Dataset:
+        """Return this log with the columns that follow from others by `model`.
 
-        A log that lacks an angle keeps its column theta. Raises UsageError if it has neither.
+        The `[routing]` of tendon-sheaths gives the wrap angle theta from the angles q_j.NAME; a log that lacks an angle
+        keeps its column theta, and UsageError is raised if it has neither. The ratio of a geared drive gives the
+        joint's motion from the motor's, and back. A plain drive leaves the joint torque aside, and says so.
         """
-        routing = None if isinstance(model, RigidDrive) else model.routing
-        if routing is None or isinstance(model, RigidDrive):
+        if isinstance(model, GearedDrive):
+            return self._turned_by(model.ratio)
+        if isinstance(model, TendonSheath):
+            return self._bent_by(model)
+        return self if "tau_j" not in self.columns else dataclasses.replace(self, read=(*self.read, UNUSED_TORQUE))
+
+    def _turned_by(self, ratio: float) -> Dataset:
+        recorded = self.motion.columns
+        other = {name: recorded[motor] / ratio for motor, name in MOTOR_AND_JOINT if motor in recorded}
+        other |= {motor: recorded[name] * ratio for motor, name in MOTOR_AND_JOINT if name in recorded}
+        motion = Motion({**other, **recorded}, self.period, self.motion.cutoff)
+        derived = motion.derived()
+        columns = {**other, **self.columns, **derived}
+        return dataclasses.replace(self, columns=columns, derived=self.derived | set(derived), motion=motion)
+
+    def _bent_by(self, model: TendonSheath) -> Dataset:
+        routing = model.routing
+        if routing is None:
             return self
         lacking = [joint for joint in routing.joints if f"{JOINT_ANGLE}{joint}" not in self.columns]
         if lacking and "theta" in self.columns:

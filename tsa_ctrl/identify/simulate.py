@@ -16,7 +16,7 @@ from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
 from tsa_ctrl.log.convert import write_columns
-from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import beyond_slack, predict
 
 Array = NDArray[np.float64]
@@ -73,11 +73,11 @@ class Simulation:
 
 def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
     """Predict with one model. Raises UsageError where the log lacks a column that it needs, or cannot be right."""
-    dataset = dataset.bent_by(model)
+    dataset = dataset.completed_for(model)
     admit(dataset, model)
     signals = dataset.signals()
     predicted = predict(model, signals)
-    quantity = "tau_m" if isinstance(model, RigidDrive) else "tau_j"
+    quantity = model.target
     residual = dataset[quantity] - predicted if quantity in dataset else None
     if not np.isfinite(predicted).all():
         row = int(np.argmin(np.isfinite(predicted)))

@@ -24,13 +24,13 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
     "tau_j": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "tau_j_des": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "tau_m_cmd": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
-    "omega_j": (100.0, "rad/s", "degrees per second or rpm"),
     "omega_m": (3000.0, "rad/s", "degrees per second or rpm"),
     "theta": (50.0, "rad", "degrees"),
     "t1": (2e4, "N", "mN"),
     "t3": (2e4, "N", "mN"),
     "temperature": (200.0, "degC", "kelvin"),
 }
+FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by
 INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
@@ -63,9 +63,14 @@ def check_rate(label: str, period: float, seconds: float, strict: bool = False) 
     )
 
 
-def check_sizes(label: str, columns: Mapping[str, Array], first_row: int = 0) -> None:
+def check_sizes(
+    label: str,
+    columns: Mapping[str, Array],
+    first_row: int = 0,
+    largest: Mapping[str, tuple[float, str, str]] = LARGEST,
+) -> None:
     """Raise UsageError when a value is beyond what its unit allows; the largest one's row is named."""
-    for name, (limit, unit, hint) in LARGEST.items():
+    for name, (limit, unit, hint) in largest.items():
         if name not in columns:
             continue
         row = int(np.argmax(np.abs(columns[name])))
@@ -75,6 +80,11 @@ def check_sizes(label: str, columns: Mapping[str, Array], first_row: int = 0) ->
                 f"{label}: column {name}, row {row + 1 + first_row}: {value:g} {unit} cannot be right (allowed are up "
                 f"to {limit:g}); it seems to be in {hint}: convert it to {unit}"
             )
+
+
+def check_joint(label: str, columns: Mapping[str, Array], first_row: int = 0) -> None:
+    """Raise UsageError when a joint moves as none does that tendons move; the shaft of a drive may turn faster."""
+    check_sizes(label, columns, first_row, FASTEST_JOINT)
     q = columns.get("q_j")
     if q is not None and ("omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING):
         swing = float(np.ptp(q))

@@ -70,6 +70,16 @@ class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     torque_offset: float | None = None  # c, N*m
 
 
+class GearedDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[actuator] of a drive with a gear and a joint torque sensor, without tendons."""
+
+    kind: Literal["geared_drive"]
+    ratio: Positive  # N, motor turns per joint turn
+    efficiency: Annotated[float, Meta(gt=0.0, le=1.0, description="1; divide per cent by 100")] | None = None  # eta
+    coulomb_friction: NonNegative | None = None  # tau_c, N*m at the joint
+    viscous_friction: NonNegative | None = None  # b, N*m*s/rad at the joint
+
+
 class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[tendon]."""
 
@@ -124,5 +134,13 @@ class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     """A model file of kind "rigid_drive", as it is written."""
 
     actuator: RigidDriveSection
+    effects: dict[str, dict[str, Any]] = {}
+    provenance: dict[str, Any] = {}
+
+
+class GearedDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A model file of kind "geared_drive", as it is written."""
+
+    actuator: GearedDriveSection
     effects: dict[str, dict[str, Any]] = {}
     provenance: dict[str, Any] = {}

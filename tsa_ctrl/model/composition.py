@@ -15,7 +15,7 @@ from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.effects.custom import Custom
 from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
 from tsa_ctrl.model.effects.lever import PulleyEccentricity, State
-from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
+from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.transmission import (
@@ -26,7 +26,7 @@ from tsa_ctrl.model.effects.transmission import (
     TendonSlack,
     Transmission,
 )
-from tsa_ctrl.model.functions import F, Functions
+from tsa_ctrl.model.functions import Array, F, Functions
 from tsa_ctrl.model.parameters import Effects, TendonSheath
 
 T = TypeVar("T")
@@ -63,6 +63,12 @@ class JointEffect(Protocol):
     def torque(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
+class SensorEffect(Protocol):
+    """Turns the joint's torque into the measured one, N*m over t in s."""
+
+    def apply(self, torque: Array, t: Array) -> Array: ...
+
+
 class StretchEffect(Protocol):
     """Gives the length that it adds to the tendons' stretch, m, beside what T3 - T1 and T4 - T2 (`ends`, N) do."""
 
@@ -88,7 +94,7 @@ class Stack:
     lever: PulleyEccentricity | None
     joint: tuple[JointEffect, ...]
     custom: Custom | None
-    delay: TransportDelay | None
+    sensor: tuple[SensorEffect, ...]
     stretch: tuple[StretchEffect, ...]
 
     @classmethod
@@ -117,7 +123,7 @@ class Stack:
             lever=present.one(PulleyEccentricity),
             joint=tuple(effect for effect in present.at(Stage.JOINT) if not isinstance(effect, Custom)),
             custom=present.one(Custom),
-            delay=present.one(TransportDelay),
+            sensor=present.at(Stage.DELAY),
             stretch=present.at(Stage.STRETCH),
         )
 

@@ -10,15 +10,22 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import tomlkit
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.actuator_file import MOST_FRICTION, ActuatorFile, RigidDriveFile, UncertaintySection
+from tsa_ctrl.model.actuator_file import (
+    MOST_FRICTION,
+    ActuatorFile,
+    GearedDriveFile,
+    RigidDriveFile,
+    UncertaintySection,
+)
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
+from tsa_ctrl.model.effects.specification import Kind
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 from tsa_ctrl.model.routing import Routing
 
@@ -56,6 +63,9 @@ class TendonSheath:
     source: str = ""
     half_loop_low: float | None = field(default=None, compare=False)  # N*m at the joint, of the calibration's interval
     origin: Origin = field(default_factory=Origin, compare=False)  # source of the numbers, and the joint's nodes
+
+    kind: ClassVar[Kind] = Kind.TENDON_SHEATH
+    target: ClassVar[str] = "tau_j"  # the column that the model predicts
 
     def __post_init__(self) -> None:
         """T_ref defaults to this pretension for good, so that recalibrating the pretension does not move it."""
@@ -131,8 +141,29 @@ class RigidDrive:
     effects: Effects = field(default_factory=dict)
     source: str = ""
 
+    kind: ClassVar[Kind] = Kind.RIGID_DRIVE
+    target: ClassVar[str] = "tau_m"
 
-Model = TendonSheath | RigidDrive
+
+@dataclass(frozen=True)
+class GearedDrive:
+    """A gear with a joint torque sensor, without tendons: tau_J = eta^s N tau_M - tau_c sigma - b omega_J.
+
+    s is the sign of the power tau_M omega_J. None is absent from the file: no loss.
+    """
+
+    ratio: float  # N, motor turns per joint turn; exact, and never fitted
+    efficiency: float | None = None  # eta, 1
+    coulomb_friction: float | None = None  # N*m
+    viscous_friction: float | None = None  # N*m*s/rad
+    effects: Effects = field(default_factory=dict)
+    source: str = ""
+
+    kind: ClassVar[Kind] = Kind.GEARED_DRIVE
+    target: ClassVar[str] = "tau_j"
+
+
+Model = TendonSheath | RigidDrive | GearedDrive
 
 
 def load_model(path: str | Path) -> Model:
@@ -144,21 +175,28 @@ def load_tendon_sheath(path: str | Path) -> TendonSheath:
     """Read a model file that must describe a tendon-sheath actuator."""
     model = load_model(path)
     if not isinstance(model, TendonSheath):
-        raise UsageError(f'{path}: [actuator] kind = "rigid_drive" cannot be used here; give a tendon-sheath model')
+        raise UsageError(
+            f'{path}: [actuator] kind = "{model.kind.value}" cannot be used here; give a tendon-sheath model'
+        )
     return model
 
 
 def model_from(data: dict[str, Any], where: str) -> Model:
     """Build a model from parsed TOML; `where` names the source in errors."""
     section = data.get("actuator")
-    if isinstance(section, dict) and section.get("kind") == "rigid_drive":
+    kind = section.get("kind", Kind.TENDON_SHEATH.value) if isinstance(section, dict) else Kind.TENDON_SHEATH.value
+    if kind not in (kinds := [each.value for each in Kind]):
+        raise UsageError(f"{where}: [actuator] kind = {kind!r} is unknown; give one of {', '.join(kinds)}")
+    if kind == Kind.RIGID_DRIVE.value:
         drive = settings.convert(data, RigidDriveFile, where)
-        effects = check_effects(drive.effects, where)
-        for name in effects:
-            if not CATALOGUE[name].rigid_drive:
-                raise UsageError(f"{where}: [effects.{name}] has no meaning for a rigid_drive; remove it")
         a = drive.actuator
+        effects = _effects_of(drive.effects, Kind.RIGID_DRIVE, where)
         return RigidDrive(a.inertia, a.coulomb_friction, a.viscous_friction, a.torque_offset, effects, where)
+    if kind == Kind.GEARED_DRIVE.value:
+        geared = settings.convert(data, GearedDriveFile, where)
+        g = geared.actuator
+        effects = _effects_of(geared.effects, Kind.GEARED_DRIVE, where)
+        return GearedDrive(g.ratio, g.efficiency, g.coulomb_friction, g.viscous_friction, effects, where)
     file = settings.convert(data, ActuatorFile, where)
     if file.tendon.series_position is not None and file.tendon.series_stiffness is None:
         raise UsageError(f"{where}: [tendon] series_position without series_stiffness; give that (N/m) or remove this")
@@ -189,6 +227,14 @@ def model_from(data: dict[str, Any], where: str) -> Model:
     )
     model = dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
     return _with_routing_of_effects(dataclasses.replace(model, effects=check_effects(file.effects, where)))
+
+
+def _effects_of(given: Mapping[str, Mapping[str, Any]], kind: Kind, where: str) -> Effects:
+    effects = check_effects(given, where)
+    for name in effects:
+        if kind not in CATALOGUE[name].kinds:
+            raise UsageError(f"{where}: [effects.{name}] has no meaning for a {kind.value}; remove it")
+    return effects
 
 
 def _with_routing_of_effects(model: TendonSheath) -> TendonSheath:
@@ -264,9 +310,9 @@ def save_model(
 
 
 def _sections(model: Model) -> dict[str, dict[str, Any]]:
-    if isinstance(model, RigidDrive):
-        names = ("inertia", "coulomb_friction", "viscous_friction", "torque_offset")
-        return {"actuator": {"kind": "rigid_drive", **{name: getattr(model, name) for name in names}}}
+    if not isinstance(model, TendonSheath):
+        names = [entry.name for entry in dataclasses.fields(model) if entry.name not in ("effects", "source")]
+        return {"actuator": {"kind": model.kind.value, **{name: getattr(model, name) for name in names}}}
     known = ("friction_angle", "pretension")
     uncertainty: dict[str, float | None] = {name: getattr(model, f"{name}_uncertainty") for name in known}
     place, usual, course = "joint" if model.series_at_joint else "motor", UncertaintySection(), model.bending_course

@@ -1,10 +1,11 @@
-"""What a model expects for a log: the joint torque of a tendon-sheath, or the motor torque of a plain drive.
+"""What a model expects for a log: the joint torque of tendon-sheaths or of a gear, or the motor torque of a drive.
 
 Source: (3.55) with the effects in their order of composition. All SI, plain numpy.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ from tsa_ctrl.model.effects.memory import Backlash, integrate
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
 from tsa_ctrl.model.functions import ARRAYS, BLOCK, Array
-from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
 from tsa_ctrl.model.stretch import compliances
 
@@ -41,6 +42,8 @@ def predict_each(model: Model, logs: Sequence[Signals]) -> list[Array]:
     stack = Stack.of(model.effects, model.source)
     if isinstance(model, RigidDrive):
         return [_predict_rigid(model, stack, signals) for signals in logs]
+    if isinstance(model, GearedDrive):
+        return [_predict_geared(model, stack, signals) for signals in logs]
     transmission = stack.transmission(model)
     return [_predict_tendon(model, stack, transmission, signals) for signals in logs]
 
@@ -78,7 +81,7 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
         tau_j[block] = torque
     if custom is not None and tendons is not None:
         tau_j -= custom.taken(tendons, state)
-    return tau_j if stack.delay is None else stack.delay.apply(tau_j, signals.t)
+    return _sensed(stack, tau_j, signals.t)
 
 
 def _tendon_torque(
@@ -149,8 +152,8 @@ def _ends(model: TendonSheath, stack: Stack, signals: Signals, state: State[Arra
 
 
 def beyond_slack(model: Model, signals: Signals) -> float:
-    """Fraction of samples with abs(tau_m) >= 2 T_p r_M, where one tendon is slack; 0 for a plain drive."""
-    if isinstance(model, RigidDrive):
+    """Fraction of samples with abs(tau_m) >= 2 T_p r_M, where one tendon is slack; 0 without tendons."""
+    if not isinstance(model, TendonSheath):
         return 0.0
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -200,7 +203,7 @@ def _require_columns(model: Model, signals: Signals) -> None:
         )
 
 
-def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[Array]:
+def _joint_state(model: TendonSheath | GearedDrive, stack: Stack, signals: Signals) -> State[Array]:
     omega, acceleration = signals.omega_j, _ABSENT
     if stack.velocity_lag is not None or "inertia" in model.effects:
         acceleration = signals.acceleration
@@ -215,11 +218,17 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
         q_j=_column(signals.q_j),
         q_m=_column(signals.q_m),
         temperature=_column(signals.temperature),
-        theta=np.asarray(model.bending_angle) if signals.theta is None else signals.theta,
+        theta=_bending(model, signals),
         sigma=sigma,
         start=float(signals.t[0]),
         joints=signals.joints,
     )
+
+
+def _bending(model: TendonSheath | GearedDrive, signals: Signals) -> Array:
+    if isinstance(model, GearedDrive):
+        return _ABSENT
+    return np.asarray(model.bending_angle) if signals.theta is None else signals.theta
 
 
 def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -> Array:
@@ -280,9 +289,41 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
         tau_m = stack.load.required(ARRAYS, tau_m, state.sigma)
     for motor_effect in reversed(stack.motor_torque):
         tau_m = motor_effect.invert(ARRAYS, tau_m, state)
-    if stack.delay is not None:
-        tau_m = stack.delay.apply(tau_m, signals.t)
-    return tau_m
+    return _sensed(stack, tau_m, signals.t)
+
+
+def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array:
+    """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s the sign of the power tau_M omega_J; then the joint's effects.
+
+    Where presliding makes sigma continuous, s is sigma in the direction of tau_M.
+    """
+    _require_columns(model, signals)
+    state = _joint_state(model, stack, signals)
+    tau_m = _on_the_tendons(stack, state, signals.tau_m)
+    torque = model.ratio * tau_m
+    if model.efficiency is not None:
+        torque = torque * ARRAYS.exp(math.log(model.efficiency) * np.sign(tau_m) * state.sigma)
+    friction = np.asarray(model.coulomb_friction or 0.0)
+    for effect in stack.friction:
+        friction = friction * effect.factor(ARRAYS, state)
+    torque = torque - ARRAYS.at_least(friction, 0.0) * state.sigma - (model.viscous_friction or 0.0) * state.omega
+    if stack.load is not None:
+        torque = stack.load.apply(ARRAYS, torque, state.sigma)
+    if stack.backlash is not None:
+        torque = np.where(stack.backlash.inside(state.q_j, Backlash.last_reversal(state.q_j)), 0.0, torque)
+    behind = torque
+    for joint_effect in stack.joint:
+        torque = torque - joint_effect.torque(ARRAYS, state)
+    if (custom := stack.custom_at("joint")) is not None:
+        torque = torque - custom.taken(behind, state)
+    return _sensed(stack, torque, signals.t)
+
+
+def _sensed(stack: Stack, torque: Array, t: Array) -> Array:
+    """What the sensor reports of a torque, (n,), N*m."""
+    for effect in stack.sensor:
+        torque = effect.apply(torque, t)
+    return torque
 
 
 def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Array]:

@@ -36,6 +36,7 @@ class Presliding(IntEnum):
 EFFECT_FIELDS = [  # of the record of parameters
     # motor
     ("motor_coulomb", _F),  # N*m
+    ("saturation", _F),  # N*m
     ("torque_gain", _F),  # 1 + relative error
     ("ripple", _F),  # N*m
     ("ripple_cycles", _F),
@@ -83,10 +84,12 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("play", _F),  # rad
     # sensors
     ("sensor_delay", _F),  # s
+    ("sensor_lag", _F),  # s
     ("velocity_lag", _F),  # s
 ]
 
 _NEUTRAL = {  # values of absent effects that are not zero
+    "saturation": math.inf,
     "torque_gain": 1.0,
     "stribeck_velocity": 1.0,
     "stribeck_shape": 2.0,
@@ -128,6 +131,8 @@ _NAMES: dict[str, dict[str, str]] = {
     "gravity_load": {"amplitude": "gravity", "phase": "gravity_phase"},
     "joint_stiffness": {"stiffness": "spring", "rest_angle": "spring_rest"},
     "torque_offset": {"offset": "offset"},
+    "torque_saturation": {"limit": "saturation"},
+    "torque_sensor_lag": {"time_constant": "sensor_lag"},
     "transport_delay": {"delay": "sensor_delay"},
     "tendon_creep": {"length": "creep", "time_constant": "creep_time"},
     "pulley_slip": {"length": "slipped", "time": "slip_time"},

@@ -131,25 +131,29 @@ def torque_loop(s: Any, p: Any, command: float, enabled: bool, max_speed: float,
             s.speed_limited = 1
     gain = 1.0 if p.torque_lag <= 0.0 else 1.0 - math.exp(-h / p.torque_lag)
     s.torque_loop += (target - s.torque_loop) * gain
-    s.tau_m = s.torque_loop * p.torque_gain
+    s.tau_m = min(p.saturation, max(-p.saturation, s.torque_loop)) * p.torque_gain
     if p.ripple != 0.0:
         s.tau_m += p.ripple * math.sin(p.ripple_cycles * s.q_m + p.ripple_phase)
 
 
 @compiled
 def sense(s: Any, p: Any, ring: Any, h: float) -> None:
-    """Advance the torque sensor's delay and the joint encoder's lag by `h` s, and the angle of the motor's encoder.
+    """Advance by `h` s the torque sensor's lag and delay, the joint encoder's lag, and the motor encoder's angle.
 
     Compliance, creep, slip and backlash between encoders and tendons are included (`lengths_beside`).
     """
+    if p.sensor_lag > 0.0:
+        s.tau_lagged += (s.tau_j - s.tau_lagged) * (1.0 - math.exp(-h / p.sensor_lag))
+    else:
+        s.tau_lagged = s.tau_j
     if p.sensor_delay > 0.0:
         n = DELAY_SAMPLES
         head = (s.ring_head + 1) % n
-        ring[0, head], ring[1, head] = s.t, s.tau_j
+        ring[0, head], ring[1, head] = s.t, s.tau_lagged
         s.ring_head = head
         wanted = s.t - p.sensor_delay
         newer = head
-        value = s.tau_j
+        value = s.tau_lagged
         for back in range(1, n):
             older = (head - back) % n
             if ring[0, older] <= wanted:
@@ -159,7 +163,7 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
             newer = older
         s.tau_sensed = value
     else:
-        s.tau_sensed = s.tau_j
+        s.tau_sensed = s.tau_lagged
     gain = 1.0 if p.velocity_lag <= 0.0 else 1.0 - math.exp(-h / p.velocity_lag)
     length, behind = lengths_beside(s, p, h)
     s.q_m_seen = s.q_m + length / p.r_m

@@ -94,6 +94,7 @@ STATE = np.dtype(
         ("hand_speed", _F),  # rad/s
         ("taken", _F),  # N*m, by the formula of the plant file
         ("tau_outside", _F),  # N*m, by hand and push on the joint
+        ("tau_lagged", _F),  # N*m, the joint torque through the lag of its sensor
         ("tau_sensed", _F),  # N*m, the same through the sensor's delay
         ("z", _F),  # state of friction in the sheaths, -1 to 1
         ("z_m", _F),  # of the motor's friction

@@ -167,7 +167,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
                 f"calibrate: tensioner '{pattern}' matches no log; logs are {', '.join(d.name for d in logs)}"
             )
     _check_different(logs)
-    logs = [log.bent_by(model) for log in logs]
+    logs = [log.completed_for(model) for log in logs]
     admissions, prepared = [], []
     labels = block_labels([d.columns["t"].size for d in logs])
     for dataset, label in zip(logs, labels, strict=True):

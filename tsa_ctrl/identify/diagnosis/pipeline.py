@@ -40,6 +40,7 @@ from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select
+from tsa_ctrl.model.effects.specification import Kind
 from tsa_ctrl.model.parameters import Model
 
 Progress = Callable[[str], None]
@@ -69,7 +70,7 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
     runs = prepare(logs, model, hold_out)
     say("audit")
     data = with_hidden_direction(along_gross_motion(split(runs, hold_out), model), model)
-    audited = audit(data.frame, left_out(len(logs), runs))
+    audited = audit(data.frame, left_out(len(logs), runs), needs_motion=model.kind is not Kind.GEARED_DRIVE)
     testable = Candidates({}, {})
     try:
         refuse_unexciting(audited)

@@ -14,7 +14,7 @@ from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
 from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.identify.torque_scale import drive_scale
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 
 WIDEST_FRICTION = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
 MOST_ERROR = (
@@ -78,7 +78,7 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
         )
     if not off <= MOST_ERROR * change:
         raise InsufficientError(UNSUITED)
-    if problem.base.target != "tau_m":
+    if isinstance(given, TendonSheath):
         _refuse_unseen_friction(problem, base)
 
 
@@ -97,7 +97,7 @@ def refuse_unrelated(
     logs' own signals brings near on held-out data is of this drive, however far off it is without (a sensor with a wide
     dead zone); not what one brings near by the clock, which follows whatever swings.
     """
-    if problem.base.target == "tau_m" or structure <= 0.0:
+    if not isinstance(problem.base.given, TendonSheath) or structure <= 0.0:
         return
     torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
     enough = LEAST_IMPROVEMENT * errors.recalibrated
@@ -111,6 +111,8 @@ def refuse_unrelated(
 def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
     """Causes with which the held-out torque is predicted no better than by what needs none of them."""
     best, error = errors.simplest
+    if best == "line" and isinstance(problem.base.given, GearedDrive):
+        return  # that is what a gear is, but for its losses
     if named and errors.extended >= error:
         driver = "velocity" if problem.base.target == "tau_m" else "motor torque"
         raise InsufficientError(

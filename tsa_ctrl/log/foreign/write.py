@@ -28,6 +28,15 @@ coulomb_friction = {coulomb:.3g}{pad}# N*m: half of the torque's usual size in t
 # viscous_friction = 0.0         # N*m*s/rad
 # torque_offset = 0.0            # N*m
 """
+GEARED = """# A drive with a gear and a joint torque sensor, without tendons:
+# tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s = +1 where the motor drives, -1 where it is driven.
+[actuator]
+kind = "geared_drive"
+ratio = 1.0                      # N, motor turns per joint turn: put in yours
+efficiency = 0.9                 # eta, 1
+coulomb_friction = {coulomb:.3g}{pad}# tau_c, N*m: a twentieth of the torque's usual size in this log; your best guess
+viscous_friction = 0.0           # b, N*m*s/rad
+"""
 
 
 @dataclass(frozen=True)
@@ -51,9 +60,19 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
 
 
 def write(
-    folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Columns, skeleton: Path, stem: str
+    folder: Path,
+    table: ForeignTable,
+    mapped: list[Mapped],
+    columns: Columns,
+    skeleton: Path,
+    stem: str,
+    kind: str = "",
 ) -> Imported:
-    """Write all of it to `folder`; `skeleton` is the commented model file of a tendon-sheath. Raises UsageError."""
+    """Write all of it to `folder`. Raises UsageError.
+
+    `skeleton` is the commented model file of a tendon-sheath. `kind` of the model file; default: a tendon-sheath if
+    the joint torque is there, else a plain drive.
+    """
     log, mapping, model = folder / f"{stem}.csv", folder / f"{stem}-map.toml", folder / "model.toml"
     picture = folder / f"{stem}.png"
     try:
@@ -68,19 +87,21 @@ def write(
     made = None
     if not model.exists():
         made = model
-        settings.write_text(model, _skeleton(columns, skeleton))
+        settings.write_text(model, _skeleton(columns, skeleton, kind))
     _draw(picture, table, columns)
     return Imported(log, mapping, made, picture)
 
 
-def _skeleton(columns: Columns, tendon_sheath: Path) -> str:
-    if "tau_j" in columns:
+def _skeleton(columns: Columns, tendon_sheath: Path, kind: str) -> str:
+    kind = kind or ("tendon_sheath" if "tau_j" in columns else "rigid_drive")
+    if kind == "tendon_sheath":
         text = tendon_sheath.read_text(encoding="utf-8")
         return "# A SKELETON: radii, tendon and sheath are those of an example; put in yours.\n" + text
-    tau = columns.get("tau_m", np.zeros(1))
-    coulomb = 0.5 * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0
+    text, name, share = (GEARED, "tau_j", 0.05) if kind == "geared_drive" else (RIGID, "tau_m", 0.5)
+    tau = columns.get(name, np.zeros(1))
+    coulomb = share * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0
     value = f"{coulomb:.3g}"
-    return RIGID.format(coulomb=coulomb, pad=" " * max(1, 33 - len(f"coulomb_friction = {value}")))
+    return text.format(coulomb=coulomb, pad=" " * max(1, 33 - len(f"coulomb_friction = {value}")))
 
 
 def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:

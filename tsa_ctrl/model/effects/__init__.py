@@ -23,8 +23,14 @@ from tsa_ctrl.model.effects.joint import (
     ViscousFriction,
 )
 from tsa_ctrl.model.effects.lever import PulleyEccentricity
-from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
-from tsa_ctrl.model.effects.motor import MotorSideFriction, TorqueConstantError, TorqueRipple, VelocityLag
+from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TorqueSensorLag, TransportDelay
+from tsa_ctrl.model.effects.motor import (
+    MotorSideFriction,
+    TorqueConstantError,
+    TorqueRipple,
+    TorqueSaturation,
+    VelocityLag,
+)
 from tsa_ctrl.model.effects.pretension import (
     ConfigurationDependentBending,
     PretensionRelaxation,
@@ -36,6 +42,7 @@ from tsa_ctrl.model.effects.transmission import ElongationCoupling, SheathAsymme
 
 EFFECTS: tuple[type[Any], ...] = (
     VelocityLag,
+    TorqueSaturation,
     TorqueConstantError,
     TorqueRipple,
     MotorSideFriction,
@@ -60,6 +67,7 @@ EFFECTS: tuple[type[Any], ...] = (
     JointStiffness,
     TorqueOffset,
     Custom,
+    TorqueSensorLag,
     TransportDelay,
     SeriesSpring,
     TendonCreep,

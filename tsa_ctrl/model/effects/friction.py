@@ -15,6 +15,7 @@ from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Kind,
     Motion,
     Parameter,
     Specification,
@@ -112,7 +113,7 @@ class TensionDependentFriction:
         summary="the friction coefficient falls as tension grows",
         search=linear("exponent", one, 0.0, 1.0, full_strength=((0.4,), (0.8,))),
         twins=(Twins(("torque_constant_error",), (Motion.BENDING, Motion.GAIN)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="x_i ← x (T_i / T_ref)^−n",
     )
 

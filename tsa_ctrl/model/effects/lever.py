@@ -17,6 +17,7 @@ from typing import Annotated, ClassVar, Generic
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Kind,
     Motion,
     Parameter,
     Specification,
@@ -86,7 +87,7 @@ class PulleyEccentricity:
             Twins(("gravity_load", "joint_stiffness"), (Motion.SIGNS,)),
         ),
         columns=(("q_j",),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="τ_J ← τ_J (1 + e sin(q + φ))",
         demo={"relative_eccentricity": Draw(0.2, 0.3), "phase": Draw(-1.0, 1.0)},
     )

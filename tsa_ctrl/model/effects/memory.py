@@ -14,6 +14,7 @@ from tsa_ctrl.model.effects.search import FEW_SAMPLES, Coordinate, Scales, Value
 from tsa_ctrl.model.effects.specification import (
     Columns,
     Draw,
+    Kind,
     Motion,
     Parameter,
     Setting,
@@ -23,6 +24,7 @@ from tsa_ctrl.model.effects.specification import (
     non_negative,
     positive,
 )
+from tsa_ctrl.model.filters import Memory
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 from tsa_ctrl.model.signals import Signals
@@ -159,7 +161,7 @@ class Backlash:
         search=_gaps,
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis"), (Motion.SPEEDS,)),),
         columns=(("q_j",),),
-        rigid_drive=False,  # there is no tendon part that play could take away
+        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no joint that play could part from it
         feedforward="not compensated, no torque crosses the play of {gap} rad",
         equation="tendon part 0 while |q − q_r| < gap",
     )
@@ -184,6 +186,44 @@ def _delays(name: str, s: Scales) -> list[Variant]:
         return {"delay": float(u[0]) * unit}
 
     return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
+
+
+def _sensor_lags(name: str, s: Scales) -> list[Variant]:
+    unit = 0.01  # s
+    coordinate = Coordinate("time_constant", 0.0, 0.5 / unit, 0.02)
+    starts = tuple((v / unit,) for v in geometric(0.003, 0.3, 9))
+    short = ((FEW_SAMPLES * s.period / unit,),)
+
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"time_constant": float(u[0]) * unit}
+
+    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
+
+
+@dataclass(frozen=True)
+class TorqueSensorLag:
+    """The measured joint torque is the true one through 1/(1 + T s), from rest at the log's first sample."""
+
+    time_constant: Annotated[float, non_negative("s")]  # T
+
+    specification: ClassVar = Specification(
+        name="torque_sensor_lag",
+        stage=Stage.DELAY,
+        summary="the joint torque sensor follows its torque slowly",
+        search=_sensor_lags,
+        twins=(
+            Twins(
+                ("transport_delay", "velocity_lag", "presliding_hysteresis", "stribeck_friction", "backlash"),
+                (Motion.SPEEDS,),
+            ),
+        ),
+        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no such sensor
+        feedforward="not compensated, the sensor's {time_constant} s delay no torque of the joint",
+        equation="τ_J ← τ_J / (1 + T s)",
+    )
+
+    def apply(self, torque: Array, t: Array) -> Array:
+        return Memory("lag", (self.time_constant,)).over(torque, t) if self.time_constant > 0.0 else torque
 
 
 @dataclass(frozen=True)

@@ -23,16 +23,19 @@ from tsa_ctrl.model.effects.search import (
 )
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Kind,
     Motion,
     Parameter,
     Specification,
     Stage,
     Twins,
     non_negative,
+    positive,
 )
 from tsa_ctrl.model.functions import Array, F, Functions
 
 MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for
+LEAST_LIMIT = 0.2  # of the largest motor torque of a log: a motor that saturates below that is another motor
 LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
 
 
@@ -71,6 +74,47 @@ class VelocityLag:
 
     def true_velocity(self, omega: F, acceleration: F) -> F:
         return omega + self.time_constant * acceleration
+
+
+def _limits(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"limit": math.exp(u[0])}
+
+    low, high = LEAST_LIMIT * s.largest_motor_torque, s.largest_motor_torque
+    if not low > 0.0:
+        return []
+    coordinate = Coordinate("limit", math.log(low), math.log(high), 1e-2)
+    starts = tuple((math.log(v),) for v in geometric(1.05 * low, 0.97 * high, 10))
+    return [Variant(name, (coordinate,), starts, (), parameters)]
+
+
+@dataclass(frozen=True)
+class TorqueSaturation:
+    """tau_M = limit sign(tau_M) where abs(tau_M) > limit: the drive reports a torque that the motor does not have."""
+
+    limit: Annotated[float, positive("N*m")]
+
+    specification: ClassVar = Specification(
+        name="torque_saturation",
+        stage=Stage.MOTOR_TORQUE,
+        summary="the motor delivers no more than a limit, whatever torque the drive reports",
+        search=_limits,
+        unresolved="the motor torque is always 0",
+        twins=(Twins(("torque_constant_error", "load_dependent_friction"), (Motion.SIGNS,)),),
+        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive's reported torque is what is predicted
+        feedforward="commands stay within the limit of {limit} N*m",
+        equation="τ_M ← min(max(τ_M, −L), L)",
+    )
+
+    def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
+        return self._within(functions, tau_m)
+
+    def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
+        """The nearest torque that the motor delivers."""
+        return self._within(functions, tau_m)
+
+    def _within(self, functions: Functions[F], tau_m: F) -> F:
+        return -functions.at_least(-functions.at_least(tau_m, -self.limit), -self.limit)
 
 
 @dataclass(frozen=True)
@@ -157,7 +201,7 @@ class MotorSideFriction:
         summary="Coulomb friction in the motor and its gear",
         search=linear("coulomb", lambda s: s.motor_torque, low=0.0),
         twins=(Twins(("parameter_error",), (Motion.SPEEDS,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="τ_M ← τ_M − τ_c σ",
     )
 

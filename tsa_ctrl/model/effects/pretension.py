@@ -13,6 +13,7 @@ from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Kind,
     Motion,
     Parameter,
     Specification,
@@ -39,7 +40,7 @@ class ConfigurationDependentBending:
         summary="the sheath's bending follows the joint angle",
         search=linear("bending_per_joint_angle", lambda s: 1.0 / s.reach),
         columns=(("q_j",),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="Θ ← Θ + k q",
         demo={"bending_per_joint_angle": Draw(1.0, 1.6, signed=True)},
     )
@@ -82,7 +83,7 @@ class RoutingByJoint:
         live_columns=lambda parameters: tuple((f"q_j.{joint}",) for joint in parameters),
         twins=(Twins(("configuration_dependent_bending", "parameter_error"), (Motion.JOINTS,)),),
         asks=Motion.JOINTS,
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="Θ ← Θ + Σ g_j q_j",
     )
 
@@ -110,7 +111,7 @@ class StiffnessNonlinearity:
         untestable=_bent_alike,
         twins=(Twins(("motor_side_friction", "parameter_error"), (Motion.BENDING,)),),
         asks=Motion.BENDING,
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="T_p ← T_p (1 + k T_p / EA)",
     )
 
@@ -149,7 +150,7 @@ class PretensionRelaxation:
         summary="the pretension creeps away with time",
         search=_relaxations,
         twins=(Twins(("motor_side_friction", "stiffness_nonlinearity", "parameter_error"), (Motion.BENDING,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="T_p ← T_p (1 − c (1 − exp(−t/T)))",
     )
 

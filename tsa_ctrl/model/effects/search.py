@@ -54,7 +54,8 @@ class Scales:
     """Sizes of the signals of some logs, to scale coordinates and to place grids, and what the logs lack."""
 
     torque: float  # RMS of the predicted torque's change, N*m
-    motor_torque: float  # N*m
+    motor_torque: float  # RMS of its change, N*m
+    largest_motor_torque: float  # N*m
     speed: float  # 95 % of the moving speeds are below, rad/s
     speed_noise: float  # rad/s
     acceleration: float  # rad/s^2

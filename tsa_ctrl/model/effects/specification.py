@@ -41,6 +41,14 @@ class Stage(Enum):
     STRETCH = "stretch of the tendons"
 
 
+class Kind(Enum):
+    """What a model file describes: `[actuator] kind`."""
+
+    TENDON_SHEATH = "tendon_sheath"
+    RIGID_DRIVE = "rigid_drive"
+    GEARED_DRIVE = "geared_drive"
+
+
 class Motion(Enum):
     """What a person must record to part effects that look alike; in the order of what it costs."""
 
@@ -183,7 +191,7 @@ class Specification:
     excludes: tuple[str, ...] = ()
     constants: Parameter | None = None  # of further parameters of any name, numbers
     hypothesis: bool = True  # False: the user's own formula, which no diagnosis proposes
-    rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
+    kinds: tuple[Kind, ...] = tuple(Kind)  # of model files in which it has a meaning
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
     parameters: tuple[Parameter, ...] = ()  # those of the class

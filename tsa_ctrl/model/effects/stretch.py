@@ -12,14 +12,7 @@ from typing import Annotated, ClassVar
 
 from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
-from tsa_ctrl.model.effects.specification import (
-    Motion,
-    Parameter,
-    Specification,
-    Stage,
-    Twins,
-    positive,
-)
+from tsa_ctrl.model.effects.specification import Kind, Motion, Parameter, Specification, Stage, Twins, positive
 from tsa_ctrl.model.functions import Array, F, Functions
 
 _BOTH_ANGLES = (("q_m",), ("q_j",))
@@ -51,7 +44,7 @@ class SeriesSpring:
         search=_springs,
         columns=_BOTH_ANGLES,
         twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="s ← s + (T_3 − T_1) / 2k",
     )
 
@@ -86,7 +79,7 @@ class TendonCreep:
         search=_creeps,
         columns=_BOTH_ANGLES,
         twins=(Twins(("pulley_slip",), (Motion.LONGER,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="s ← s + a (1 − exp(−t/T))",
     )
 
@@ -119,7 +112,7 @@ class PulleySlip:
         summary="a tendon slipped on its pulley, or a pulley on its shaft",
         search=_slips,
         columns=_BOTH_ANGLES,
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="s ← s + d,  t ≥ t_s",
     )
 
@@ -145,7 +138,7 @@ class JointPlay:
         search=linear("gap", one, 0.0),
         columns=_BOTH_ANGLES,
         twins=(Twins(("series_spring",), (Motion.SIGNS,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="s ← s + r_J g/2 sign(T_4 − T_2)",
     )
 

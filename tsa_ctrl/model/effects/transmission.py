@@ -14,7 +14,7 @@ from tsa_ctrl.model import curvature, transmission
 from tsa_ctrl.model.curvature import NAMED, Profile
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
 from tsa_ctrl.model.effects.search import Scales, Variant, linear, one
-from tsa_ctrl.model.effects.specification import Draw, Motion, Parameter, Specification, Stage, Twins
+from tsa_ctrl.model.effects.specification import Draw, Kind, Motion, Parameter, Specification, Stage, Twins
 from tsa_ctrl.model.functions import SCALARS, F, Functions
 
 
@@ -30,7 +30,7 @@ class SheathAsymmetry:
         summary="the two sheaths have different friction angles",
         search=linear("relative_difference", one, -1.98, 1.98),
         twins=(Twins(("tension_dependent_friction",), (Motion.SIGNS,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="x_a, x_b ← x (1 ± k/2)",
         demo={"relative_difference": Draw(0.8, 1.2, signed=True)},
     )
@@ -50,7 +50,7 @@ class TendonSlack:
         summary="a tendon cannot push",
         search=lambda name, s: [Variant(name, (), ((),), (), lambda u: {})],
         twins=(Twins(("sheath_asymmetry", "tension_dependent_friction"), (Motion.SIGNS,)),),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="T_1, T_3 ≥ 0",
     )
 
@@ -81,7 +81,7 @@ class ElongationCoupling:
         search=_profiles,
         twins=(Twins(("torque_constant_error", "tension_dependent_friction"), (Motion.BENDING, Motion.GAIN)),),
         excludes=("tendon_slack", "sheath_asymmetry", "tension_dependent_friction"),
-        rigid_drive=False,
+        kinds=(Kind.TENDON_SHEATH,),
         equation="(3.53) in place of (3.55)",
     )
 

@@ -41,3 +41,15 @@ def test_a_noisy_log_more_takes_nothing_from_a_good_one() -> None:
 def test_ten_still_logs_more_take_nothing_from_a_good_one() -> None:
     still = [_log("b" * n, 0.0, 0.01) for n in range(2, 32)]
     assert _audit(_log("a", 1.0, 0.01), *still).insufficient == ""
+
+
+def test_a_torque_that_rests_while_the_joint_moves_is_reported() -> None:
+    """A cable that came loose for two seconds holds the last value."""
+    log = _log("a", 1.0, 0.01)
+    torque = log["tau_j"].copy()
+    torque[1000:1400] = torque[1000]
+    loose = Dataset.from_arrays({**{name: log[name] for name in ("t", "tau_m", "omega_j")}, "tau_j": torque}, "loose")
+    (said,) = [line for line in _audit(loose).suspicions if "while the joint moves" in line]
+    assert "tau_j stays at" in said
+    assert "for 2 s from t = 5 s on" in said
+    assert not [line for line in _audit(log).suspicions if "while the joint moves" in line]

@@ -81,7 +81,7 @@ def _errors(**changed: float) -> HeldOut:
 
 @pytest.mark.parametrize("simpler", ["as_given", "recalibrated", "constant", "line"])
 def test_causes_with_which_it_is_no_better_are_refused_with_the_figures(simpler: str) -> None:
-    problem = SimpleNamespace(base=SimpleNamespace(target="tau_m"))
+    problem = SimpleNamespace(base=SimpleNamespace(target="tau_m", given=RigidDrive()))
     refuse_useless(problem, True, _errors())  # type: ignore[arg-type]
     refuse_useless(problem, False, _errors(**{simpler: 0.9}))  # type: ignore[arg-type]
     with pytest.raises(InsufficientError, match=r"off by 1 N·m RMS, .* by 0\.9 N·m"):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.identify.dataset import notes_of
-from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.energy import is_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
@@ -20,6 +20,7 @@ LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
 # Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
 STUCK = 0.5
 FEWEST_HELD = 20  # samples at the largest value: so many are a limit, and no chance
+HELD, MOVED = 0.3, 0.05  # s and share of the range: no torque of a moving joint rests so long on one digit
 SPEED_BINS, LOAD_BINS = 8, 8  # a picture that is read at a glance; no verdict hangs on it
 
 
@@ -40,8 +41,11 @@ class Audit:
     insufficient: str
 
 
-def audit(frame: Frame, notes: Sequence[str] = ()) -> Audit:
-    """Occupancy and excitation of the samples that may be learned from. `notes`: what was done to the logs before."""
+def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) -> Audit:
+    """Occupancy and excitation of the samples that may be learned from. `notes`: what was done to the logs before.
+
+    `needs_motion`: False for a gear, whose gain, zero and saturation show on a joint that is held, too.
+    """
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
     # Of each log its own: one noisy log more must not hide the motion of the others.
@@ -68,7 +72,7 @@ def audit(frame: Frame, notes: Sequence[str] = ()) -> Audit:
         load_edges=load_edges,
         notes=(*notes, *notes_of([run.raw for run in frame.runs]), *_narrowed(frame), *_hidden(frame)),
         suspicions=_suspicions(frame),
-        insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame),
+        insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame, needs_motion),
     )
 
 
@@ -105,7 +109,7 @@ def _steady(omega: Array, noise: float) -> Array:
     return hold_direction(np.where(np.abs(omega) > 3.0 * noise, omega, 0.0))
 
 
-def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str:
+def _insufficient(moving: float, fast: float, clear: float, frame: Frame, needs_motion: bool) -> str:
     """Why these logs cannot be diagnosed: shares of the time that it moves, and that it stands out of the noise.
 
     fast: rad/s, hardly exceeded. What is enough by itself stays enough, however much standstill comes with it.
@@ -120,6 +124,8 @@ def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str
         return "the measured torque is a constant with noise: its neighbouring samples have nothing in common"
     if _is_constant([run.signals.omega_j for run in frame.runs]) and fast > 0.0:
         return "the velocity does not change at all: is it recorded?"
+    if not needs_motion:
+        return ""
     if fast <= 0.0 and clear * frame.seconds < SHORTEST:
         return "the joint does not move: friction shows only in motion"
     clear_needed, moving_needed = (min(least, SHORTEST / frame.seconds) for least in (LEAST_CLEAR, LEAST_MOVING))
@@ -133,6 +139,21 @@ def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str
     if moving < moving_needed:
         return f"the joint hardly moves: in {moving:.1%} of the time, {moving_needed:.1%} are needed"
     return ""
+
+
+def _held_in_motion(run: Run, column: Array) -> tuple[float, float, float] | None:
+    """Return start (s), length (s) and value of the longest stretch of one value in which the joint moves on."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(column) != 0.0) + 1, [len(column)]])
+    path = np.concatenate([[0.0], np.cumsum(np.abs(run.full.omega_j))]) * run.full.period
+    lengths = np.diff(edges)
+    moved = path[edges[1:]] - path[edges[:-1]]
+    far = MOVED * float(np.ptp(np.cumsum(run.full.omega_j))) * run.full.period
+    held = np.where((lengths * run.full.period > HELD) & (moved > far), lengths, 0)
+    longest = int(np.argmax(held))
+    if held[longest] == 0:
+        return None
+    start = int(edges[longest])
+    return float(run.full.t[start]), float(held[longest]) * run.full.period, float(column[start])
 
 
 def _is_constant(columns: Sequence[Array]) -> bool:
@@ -151,6 +172,12 @@ def _suspicions(frame: Frame) -> tuple[str, ...]:
                 out.append(f"{run.name}: {name} repeats its last value in {np.mean(repeated):.0%} of the samples")
             if float(np.ptp(column)) == 0.0:
                 continue
+            if rest := _held_in_motion(run, column):
+                start, seconds, value = rest
+                out.append(
+                    f"{run.name}: {name} stays at {value:.3g} N·m for {seconds:.2g} s from t = {start:.4g} s on while "
+                    "the joint moves: was it recorded there?"
+                )
             if is_noise(column):
                 out.append(f"{run.name}: {name} is a constant with noise: is the torque recorded?")
             top = np.max(np.abs(column))

@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.model.effects.memory import PreslidingHysteresis
 from tsa_ctrl.model.effects.search import geometric
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import Model, TendonSheath
 
 SURE = 3.0  # t of 23 degrees of freedom: 0.3 % by chance; of 17 blind logs without such friction the largest had 1.9
 DISTANCES = 24  # of presliding: 1.34 apart, so that the nearest is off by 16 %, and its friction by a tenth, at most
@@ -35,7 +35,7 @@ def along_gross_motion(data: Split, model: Model) -> Split:
     """
     frame = data.frame
     band = _widest(frame)
-    if isinstance(model, RigidDrive) or band <= 0.0 or len(np.unique(frame.blocks[frame.train])) < 2:
+    if not isinstance(model, TendonSheath) or band <= 0.0 or len(np.unique(frame.blocks[frame.train])) < 2:
         return data
     own = best = _left(frame)
     while True:

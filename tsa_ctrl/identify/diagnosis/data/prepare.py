@@ -20,7 +20,7 @@ from tsa_ctrl.identify.diagnosis.data.denoise import denoised, denoised_within
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.thinning import informative
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import Model
 
 Log = Dataset | Mapping[str, ArrayLike]
 Logs = Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]
@@ -36,11 +36,11 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
 
     hold_out: pattern of the logs that are held out, of which some stay where there are too many.
     """
-    target = "tau_m" if isinstance(model, RigidDrive) else "tau_j"  # what the model predicts
+    target = model.target
     datasets = _datasets(logs)
     for log in datasets:
         _admit(log, model, target)
-    return _reduced(informative([log.bent_by(model) for log in datasets], hold_out), target)
+    return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), target)
 
 
 def _datasets(logs: Logs) -> list[Dataset]:
@@ -61,7 +61,7 @@ def _datasets(logs: Logs) -> list[Dataset]:
 def _admit(log: Dataset, model: Model, target: str) -> None:
     if target not in log:
         raise UsageError(
-            f"{log.label or log.name}: column {target} is missing; the diagnosis of a tendon-sheath needs the measured "
+            f"{log.label or log.name}: column {target} is missing; this kind of model needs the measured "
             'joint torque (N·m): add it, or describe a drive without torque sensor as [actuator] kind = "rigid_drive"'
         )
     admit(log, model, target)

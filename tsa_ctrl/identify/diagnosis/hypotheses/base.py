@@ -1,7 +1,8 @@
 """The base model as a seam: what it predicts, what recalibration may change in it, and how that is written down.
 
-Two bases: the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty], and
-the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, in which all that the file names is free.
+The bases are the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty],
+the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, and the geared drive
+tau_J = eta^s N tau_M - tau_c sigma - b omega_J; of both drives all that the file names is free, but the ratio.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ import numpy as np
 
 from tsa_ctrl.model.effects.search import Coordinate, Scales
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.parameters import Effects, GearedDrive, Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
 WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to see what wrong parameters could explain
+
+
+STANDSTILL = 1e-6  # rad/s, which no joint has for minutes that somebody moves
+MOVES = 3.0  # times the noise of its velocity, 95 % of the time below which a joint does not move
 
 
 class Base(Protocol):
@@ -107,30 +112,36 @@ class TendonBase:
         }
 
 
-_RIGID: Mapping[str, str] = {
+_UNITS: Mapping[str, str] = {
     "inertia": "kg*m^2",
+    "efficiency": "1",
     "coulomb_friction": "N*m",
     "viscous_friction": "N*m*s/rad",
     "torque_offset": "N*m",
 }
+_BOUNDS: Mapping[str, tuple[float, float]] = {"torque_offset": (-math.inf, math.inf), "efficiency": (0.05, 1.0)}
 
 
 @dataclass(frozen=True)
-class RigidBase:
+class DriveBase:
     """Coordinates: the drive's parameters that the file names, in units of `scales`; Coulomb friction always."""
 
-    given: RigidDrive
+    given: RigidDrive | GearedDrive
     scales: Mapping[str, float]  # size of each parameter that moves this log's torque
-    target: str = "tau_m"
+    moves: bool = True  # False: a joint that is held shows no loss, and those of the file stay
+
+    @property
+    def target(self) -> str:
+        return self.given.target
 
     @property
     def free(self) -> tuple[str, ...]:
-        return tuple(n for n in _RIGID if n == "coulomb_friction" or getattr(self.given, n) is not None)
+        if not self.moves:
+            return ()
+        return tuple(n for n in _UNITS if n == "coulomb_friction" or getattr(self.given, n, None) is not None)
 
     def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]:
-        return tuple(
-            Coordinate(name, -math.inf if name == "torque_offset" else 0.0, math.inf, 1e-3) for name in self.free
-        )
+        return tuple(Coordinate(name, *_BOUNDS.get(name, (0.0, math.inf)), 1e-3) for name in self.free)
 
     def start(self) -> Array:
         return np.array([(getattr(self.given, name) or 0.0) / self.scales[name] for name in self.free])
@@ -142,26 +153,30 @@ class RigidBase:
         return dataclasses.replace(self.given, **changed, effects={**self.given.effects, **effects})
 
     def direction_weight(self, model: Model, signals: Signals) -> Array:
-        assert isinstance(model, RigidDrive)
+        assert not isinstance(model, TendonSheath)
+        if isinstance(model, GearedDrive):
+            return _half_difference(dataclasses.replace(model, viscous_friction=None, effects={}), signals)
         return np.full(len(signals), model.coulomb_friction or 0.0)
 
     def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
         model = self.build(values, {})
         return {
-            name: (getattr(self.given, name) or 0.0, float(getattr(model, name)), _RIGID[name]) for name in self.free
+            name: (getattr(self.given, name) or 0.0, float(getattr(model, name)), _UNITS[name]) for name in self.free
         }
 
 
 def base_of(model: Model, scales: Scales) -> Base:
     """The base of a model file, scaled to these logs."""
-    if isinstance(model, RigidDrive):
+    if not isinstance(model, TendonSheath):
         sizes = {
+            "efficiency": 1.0,
             "inertia": scales.torque / scales.acceleration,
             "coulomb_friction": scales.torque,
             "viscous_friction": scales.torque / scales.speed,
             "torque_offset": scales.torque,
         }
-        return RigidBase(model, sizes)
+        moves = isinstance(model, RigidDrive) or scales.speed > max(STANDSTILL, MOVES * scales.speed_noise)
+        return DriveBase(model, sizes, moves)
     return TendonBase(model)
 
 

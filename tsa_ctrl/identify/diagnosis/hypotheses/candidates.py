@@ -11,7 +11,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Scales, Variant
-from tsa_ctrl.model.effects.specification import Specification, Stage
+from tsa_ctrl.model.effects.specification import Kind, Specification, Stage
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import missing_for
@@ -20,6 +20,7 @@ from tsa_ctrl.model.signals import Signals
 LEAST_REACH = 0.02  # rad, of another joint: less bends a sheath by less than its friction is known
 SAME_JOINT = 0.02  # 1, of the range: encoder noise that smoothing removes; two joints that agree so well are one
 
+DRIVES = {Kind.TENDON_SHEATH: "tendon-sheath", Kind.RIGID_DRIVE: "plain drive", Kind.GEARED_DRIVE: "geared drive"}
 Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs can test
 
 
@@ -61,10 +62,10 @@ def _untestable(spec: Specification, frame: Frame, model: Model, scales: Scales)
     clash = [other for other in spec.excludes if other in model.effects]
     if clash:
         return f"the model file has {clash[0]}, which excludes it"
+    if model.kind not in spec.kinds:
+        return f"has no meaning for a {DRIVES[model.kind]}"
     rigid = isinstance(model, RigidDrive)
-    if rigid and not spec.rigid_drive:
-        return "has no meaning for a plain drive"
-    if rigid and getattr(model, spec.name, None) is not None:
+    if not isinstance(model, TendonSheath) and getattr(model, spec.name, None) is not None:
         return "part of the base model, which is recalibrated"
     for run in frame.runs:
         missing = missing_for(spec.name, run.signals, rigid=rigid)
@@ -88,6 +89,7 @@ def scales_of(frame: Frame, model: Model) -> Scales:
     return Scales(
         torque=max(float(np.std(np.concatenate([run.target for run in frame.runs]))), 1e-9),
         motor_torque=max(float(np.std(np.concatenate([s.tau_m for s in signals]))), 1e-9),
+        largest_motor_torque=max(float(np.max(np.abs(s.tau_m))) for s in signals),
         speed=max(fast, 1e-9),
         speed_noise=max(run.velocity_noise for run in frame.runs),
         acceleration=max(float(np.std(np.concatenate([s.acceleration for s in signals]))), 1e-9),
@@ -99,11 +101,11 @@ def scales_of(frame: Frame, model: Model) -> Scales:
         seconds=float(longest.t[-1] - longest.t[0]),
         period=signals[0].period,
         heating=max((float(np.ptp(s.temperature)) for s in signals if s.temperature is not None), default=0.0),
-        bending=0.0 if isinstance(model, RigidDrive) else _range_of_bending(frame, model),
+        bending=_range_of_bending(frame, model) if isinstance(model, TendonSheath) else 0.0,
         derived_velocity=derived if any(derived in run.raw.derived for run in frame.runs) else "",
         plain=plain,
         offset=isinstance(model, RigidDrive) and model.torque_offset is not None,
-        joints={} if plain else _other_joints(signals),
+        joints=_other_joints(signals) if isinstance(model, TendonSheath) else {},
     )
 
 

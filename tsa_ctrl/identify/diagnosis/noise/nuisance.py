@@ -12,6 +12,7 @@ effect that can stand in for it would be named. So its fast part, which is mostl
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,7 +29,8 @@ from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
 from tsa_ctrl.identify.motion import SURE
-from tsa_ctrl.model.effects.memory import TransportDelay
+from tsa_ctrl.model.composition import Stack
+from tsa_ctrl.model.effects.memory import TorqueSensorLag, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
@@ -45,6 +47,7 @@ STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
 STEP_MARGIN = 0.04  # s: five score samples, in which a filtered step is neither
 MOST_COLUMNS = 800  # a projection costs the square of them; further moments share a column
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
+TAIL = 0.05  # of a moment through a lagging sensor, below which it is left out
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
 
 
@@ -135,13 +138,15 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
         omega = _velocity(run, model)
         for column, factor in zip(smooth, NOISE_FACTORS, strict=True):
             column.append(_late(run, _expected(run, omega, weight, factor), model))
-        patterns.append(_late(run, np.where(uncertain(run, omega), weight, 0.0), model))
+        patterns.append(_delayed(run, np.where(uncertain(run, omega), weight, 0.0), model))
     if base.target != "tau_m":
         smooth += [
             [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
         ]
     columns = np.column_stack([frame.stack(column) for column in smooth])
     moments = _moments(frame, patterns)
+    if (lag := model.effects.get("torque_sensor_lag")) is not None:
+        moments = _smeared(frame, moments, float(lag["time_constant"]))
     if "backlash" in model.effects:
         moments += _moments(frame, [_engaging(run, model) for run in frame.runs])
     return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], moments)
@@ -187,8 +192,28 @@ def _velocity(run: Run, model: Model) -> Array:
 
 def _late(run: Run, pattern: Array, model: Model) -> Array:
     """A pattern in the true torque as the sensor shows it."""
+    for effect in Stack.of(model.effects).sensor:
+        pattern = effect.apply(pattern, run.signals.t)
+    return pattern
+
+
+def _delayed(run: Run, pattern: Array, model: Model) -> Array:
+    """A pattern in the true torque, (n,), late by the delay alone, which leaves short what is short."""
     late = model.effects.get("transport_delay")
     return pattern if late is None else TransportDelay(float(late["delay"])).apply(pattern, run.signals.t)
+
+
+def _smeared(frame: Frame, moments: Sequence[Moment], lag: float) -> tuple[Moment, ...]:
+    """The moments through a sensor that lags by `lag` s, as long as TAIL of their largest value is left."""
+    longest = math.ceil(-math.log(TAIL) * lag / frame.period)
+    out = []
+    for moment in moments:
+        part = next(part for part in frame.slices if part.start <= moment.start < part.stop)
+        room = min(longest, part.stop - moment.start - len(moment.values))
+        padded = np.concatenate([[0.0], moment.values, np.zeros(max(0, room))])
+        values = TorqueSensorLag(lag).apply(padded, np.arange(len(padded), dtype=np.float64) * frame.period)[1:]
+        out.append(Moment(moment.start, values))
+    return tuple(out)
 
 
 def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:

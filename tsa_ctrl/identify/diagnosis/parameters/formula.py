@@ -38,7 +38,7 @@ from tsa_ctrl.identify.quantity import Quantity, half_width
 from tsa_ctrl.model.expression import parse
 from tsa_ctrl.model.filters import KINDS
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict_each
 
 # Terms of the load with a memory that a formula of the residual may have: searched on a grid, then refined.
@@ -132,7 +132,7 @@ def _grids(problem: Problem) -> list[Grid]:
 
 def _columns(problem: Problem, model: Model) -> Callable[[str], Array]:
     """Return a function from a term to its effect on the prediction, (n,) N*m per unit of its coefficient."""
-    frame, sign = problem.frame, 1.0 if isinstance(model, RigidDrive) else -1.0
+    frame, sign = problem.frame, 1.0 if model.target == "tau_m" else -1.0
     signals = [run.signals for run in frame.runs]
     bearing = with_custom(model, {"expression": "tau", "stage": "joint"})
     pairs = zip(predict_each(model, signals), predict_each(bearing, signals), strict=True)

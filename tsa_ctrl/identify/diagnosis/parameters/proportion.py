@@ -19,7 +19,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.parameters import RigidDrive, TendonSheath
+from tsa_ctrl.model.parameters import TendonSheath
 
 BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
 PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
@@ -34,7 +34,7 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
     """`reported` with its half loop, x and T_p in the file's proportion, unless the logs part the two."""
     fitted, base = reported.fitted, reported.fitted.hypothesis.base
     model = base.given
-    if isinstance(model, RigidDrive) or len(base.coordinates()) < len(SPLIT) or parted(frame, reported):
+    if not isinstance(model, TendonSheath) or len(base.coordinates()) < len(SPLIT) or parted(frame, reported):
         return reported
     loop = base.quantities(fitted.point[: len(SPLIT)])["half_loop_torque"][1]
     x, tension = keep_split(model, Quantity(loop, loop, loop, "N*m"), [])
@@ -51,7 +51,7 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
     """Which of x and T_p the logs tell apart: the bending angle varies, the interval is narrower than the file's."""
     model = reported.fitted.hypothesis.base.given
-    if isinstance(model, RigidDrive):
+    if not isinstance(model, TendonSheath):
         return ()
     angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
     if not angles or float(np.ptp(np.concatenate(angles))) <= BENDING_VARIED * model.bending_angle:

@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import StretchCause
 from tsa_ctrl.identify.three_errors import three_errors
 from tsa_ctrl.model.catalogue import of_the_stretch
-from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.parameters import Effects, Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 
 
@@ -159,7 +159,7 @@ def _parameter_errors(reported: Refit, frame: Frame, model: Model) -> dict[str, 
     """The base model's numbers; x and T_p only where a varied bending angle parts them."""
     quantities = base_quantities(reported)
     out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
-    if isinstance(model, RigidDrive):
+    if not isinstance(model, TendonSheath):
         return out
     told_apart = parted(frame, reported)
     return {name: error for name, error in out.items() if name not in SPLIT or name in told_apart}

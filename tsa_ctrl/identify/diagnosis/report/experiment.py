@@ -15,9 +15,9 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Experiment, Verdict
 from tsa_ctrl.model.catalogue import CATALOGUE
-from tsa_ctrl.model.effects.specification import Motion
+from tsa_ctrl.model.effects.specification import Kind, Motion
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import Model, TendonSheath
 
 PERIOD = 0.01  # s between two rows of a set-point file
 FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals
@@ -50,14 +50,14 @@ def advice(
     elif verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         text = ELSEWHERE if formula else REPEAT
     else:
-        text = _gap(found, not_testable, rigid=isinstance(model, RigidDrive))
+        text = _gap(found, not_testable, model.kind)
     return _playable(text, _setpoint(torque))
 
 
 def first_motion(model: Model) -> Experiment:
     """What to record when the logs tell nothing, under torques as large as the model file's friction."""
     text = "reversals at 0.1, 0.5 and 2 rad/s over the whole range, under torques of both signs, for a minute"
-    if isinstance(model, RigidDrive):
+    if not isinstance(model, TendonSheath):
         return Experiment(text)
     friction = 2.0 * model.pretension * model.joint_pulley_radius * math.sinh(model.friction_angle)
     return _playable(text, _setpoint(0.5 * friction)) if friction > 0.0 else Experiment(text)
@@ -88,16 +88,16 @@ def _parting(first: str, second: str) -> tuple[Motion, ...]:
     return Motion.SPEEDS, Motion.SIGNS
 
 
-def _gap(found: Audit, not_testable: Mapping[str, str], rigid: bool) -> str:
+def _gap(found: Audit, not_testable: Mapping[str, str], kind: Kind) -> str:
     """What the logs excite least: a direction, reversals, a sign of the load, else what most effects ask for."""
     if not found.both_directions:
         return "move in both directions"
     if found.reversals < FEWEST_REVERSALS:
         return Motion.SPEEDS.value
-    if not rigid and not _both_signs(found):
+    if kind is not Kind.RIGID_DRIVE and not _both_signs(found):
         return Motion.SIGNS.value
     specs = [CATALOGUE[name] for name in not_testable]
-    asked = [spec.asks for spec in specs if spec.asks and (spec.rigid_drive or not rigid)]
+    asked = [spec.asks for spec in specs if spec.asks and kind in spec.kinds]
     return max(Motion, key=asked.count).value if asked else Motion.SPEEDS.value
 
 

@@ -17,11 +17,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import DRIVES
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import listed, remarks, spoken, summary_of, told_torque
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity, spelled
-from tsa_ctrl.model.parameters import RigidDrive, save_model
+from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
@@ -94,7 +95,7 @@ def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = N
         details=result.details,
         experiment_file=EXPERIMENT if result.experiment.t else "",
         remarks=remarks(result),
-        drive="plain drive" if isinstance(result.model, RigidDrive) else "tendon-sheath",
+        drive=DRIVES[result.model.kind],
         model=Path(given).name if given else "a model without a file",
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=__version__,

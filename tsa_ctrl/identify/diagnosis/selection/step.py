@@ -12,10 +12,13 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, best_by_effect, responses, scores
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
+from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Variant
+from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.functions import Array
 
-LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
+# Effects by which reversals come later than the log's velocity
+LATE_REVERSALS = tuple(name for name, spec in CATALOGUE.items() if spec.stage in (Stage.VELOCITY, Stage.DELAY))
 FITTED = 5  # best candidates that are refined, and fitted in full: one of them enters, and the others are asked again
 NEAR_BEST = 0.25  # of the best gain: candidates below are not fitted
 # Golden section: the interval that is left by each step has one of its two points already
