@@ -30,6 +30,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
     "t3": (2e4, "N", "mN"),
     "temperature": (200.0, "degC", "kelvin"),
 }
+# No joint that tendons move turns as fast; a gear's may
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by

@@ -119,6 +119,7 @@ _UNITS: Mapping[str, str] = {
     "viscous_friction": "N*m*s/rad",
     "torque_offset": "N*m",
 }
+# An offset has either sign; no gear gives more than it takes, and below 5 % nobody uses one
 _BOUNDS: Mapping[str, tuple[float, float]] = {"torque_offset": (-math.inf, math.inf), "efficiency": (0.05, 1.0)}
 
 
