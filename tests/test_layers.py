@@ -73,10 +73,11 @@ ROOMS: dict[str, str] = {
         "errors version settings outputs system signals log model control config ipc daemon.joint_files doctor "
         "identify virtual"
     ),
+    "investigate": "errors settings model identify tune",
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
-        "virtual published safety.causes doctor bench drills dashboard live tune demo"
+        "virtual published safety.causes doctor bench drills dashboard live tune investigate demo"
     ),
     "__init__": "errors version system ipc.client identify virtual model daemon.controller",
     "__main__": "system cli",

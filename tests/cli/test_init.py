@@ -125,3 +125,21 @@ def test_every_key_that_a_set_changes_stands_in_the_shipped_file(changes: dict[s
 
     with pytest.raises(KeyError):
         with_values(text, {"bus": {"no_such_key": "1"}})
+
+
+def test_a_leg_has_three_joints_on_one_bus(tmp_path: Path) -> None:
+    """Valid, with the routing in the actuator files and every key of the first joint explained."""
+    assert run("init", "--leg", str(tmp_path / "leg")) == 0
+    configuration = load_configuration(tmp_path / "leg/controller.toml")
+    check_drives(configuration)
+    assert [axis.name for axis in configuration.file.axes] == ["hip", "knee", "ankle"]
+    gains = [None if model.routing is None else dict(model.routing.a.gains) for model in configuration.models]
+    assert gains == [None, {"hip": 0.8}, {"knee": 0.5}]
+    assert [axis.name for axis in check(tmp_path / "leg/plant.toml").axis] == ["hip", "knee", "ankle"]
+    text = (tmp_path / "leg/controller.toml").read_text(encoding="utf-8")
+    assert text.count("# share c of the friction term") + text.count("share c of the friction term") >= 1
+
+
+def test_two_sets_of_files_are_one_too_many(tmp_path: Path) -> None:
+    assert run("init", "--leg", "--rig", str(tmp_path / "leg")) == 2
+    assert not (tmp_path / "leg").exists()

@@ -28,6 +28,7 @@ VERBS: dict[str, str] = {
     "simulate-loop": "run the real loop on the simulated plant in virtual time",
     "simulate": "predict the joint torque for a log and print the error",
     "diagnose": "find and explain model errors, and quantify the improvement",
+    "investigate": "find the cause of a torque error by experiments that it chooses itself",
     "doctor": "check that this machine can run the loop",
     "data": "fetch and check published measured data",
     "log": "inspect, convert and import logs; show a rig's health over its runs",

@@ -52,6 +52,7 @@ STAGE_WORDS = {
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for files, logs and picture; default: out/demo-DATE."
 )
+@click.option("--leg", is_flag=True, help="Hip, knee and ankle that bend each other's sheaths, in virtual time.")
 @click.option("--full", is_flag=True, help="The full circle: hide an effect, run, calibrate, diagnose, run again.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Of --full: what is hidden.")
 @click.option("--hidden", multiple=True, metavar="EFFECT", help="Of --full: hide this (repeatable), sized by seed.")
@@ -65,6 +66,7 @@ def command(
     load: str,
     tendon: str | None,
     out: Path | None,
+    leg: bool,
     full: bool,
     seed: int,
     hidden: tuple[str, ...],
@@ -78,6 +80,13 @@ def command(
     With --full: five runs on a plant with a hidden effect (without compensation, with the nominal, the calibrated, the
     extended and the true model), the models estimated from the nominal run's log.
     """
+    if leg:
+        if full or hidden or bus is not None or setpoint is not None or tendon is not None or load != "imposed":
+            raise UsageError(
+                "demo: --leg has a motion and joints of its own, in virtual time; give --seconds and --out"
+            )
+        _leg(seconds, out, as_json)
+        return
     if full:
         if setpoint is not None or tendon is not None or load != "imposed":
             raise UsageError(
@@ -104,6 +113,31 @@ def command(
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
         _show(outcome, rate)
+
+
+def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:
+    """Run the leg without compensation, without routing and with both, and print a table."""
+    from tsa_ctrl.cli import init
+    from tsa_ctrl.demo.leg import FIXED, FOLLOWED, SECONDS, WITHOUT, demo
+    from tsa_ctrl.demo.rig import VIRTUAL
+
+    folder = _folder(out)
+    texts, motions = init.leg()
+    init.write(folder, {**texts, **motions})
+    with _progress(VIRTUAL) as say:
+        found = demo(folder, SECONDS if seconds is None else seconds, say)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("joint", "without compensation", "without routing", "with routing", title="RMS error, mN·m")
+    for name in found.runs[FOLLOWED]:
+        table.add_row(name, *(f"{1e3 * found.runs[run][name].rms:.0f}" for run in (WITHOUT, FIXED, FOLLOWED)))
+    Console().print(table)
+    click.echo(f"picture: {found.picture}")
+    click.echo(f"reduction: {found.reduction:.1f} %")
 
 
 def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, asked: bool) -> Shown:

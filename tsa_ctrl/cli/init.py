@@ -5,10 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from tsa_ctrl.errors import UsageError
+
+if TYPE_CHECKING:
+    from tsa_ctrl.demo.rig import Play
 
 SHIPPED = Path(__file__).parents[1] / "shipped"
 MOTION = "motion.csv"
@@ -63,6 +67,78 @@ RIG: dict[str, Changes] = {
     "plant.toml": {"bus": LOCAL_BUS},  # never on the bus of the rig
 }
 
+AXIS = "[[axis]]"  # where the part of a file begins that is repeated for each joint of a leg
+LEG_RATE = "500.0"  # Hz: three joints with encoders and torque sensors fit on one bus, in the lean form
+
+
+def leg() -> tuple[dict[Path, str], dict[Path, str]]:
+    """Return the files of a leg, and the motion and torque of each joint as CSV."""
+    from tsa_ctrl.demo.leg import ROUTING, strides
+
+    desk = {name: dict(changes) for name, changes in DESK.items()}
+    drive = dict(desk["controller.toml"].pop("axis.drive"))
+    desk["controller.toml"]["controller"] = {**desk["controller.toml"]["controller"], "rate": LEG_RATE}
+    heads, blocks = {}, {}
+    for name, changes in desk.items():
+        head, _, block = (SHIPPED / name).read_text(encoding="utf-8").partition(f"\n{AXIS}")
+        heads[name], blocks[name] = with_values(head, changes), AXIS + block
+    controllers, plants, texts = [heads["controller.toml"]], [heads["plant.toml"]], {}
+    for place, (joint, gains) in enumerate(ROUTING.items()):
+        motion = f'"{joint}.csv"'
+        controllers.append(
+            _repeated(
+                blocks["controller.toml"],
+                place,
+                {
+                    "axis": {"name": f'"{joint}"', "model": f'"{joint}.toml"'},
+                    "axis.drive": {
+                        **drive,
+                        "node_id": str(1 + place),
+                        "serial_number": str(1 + place),
+                        "pdo": '"lean"',
+                    },
+                    "axis.encoder": {"node_id": str(32 + place)},
+                    "axis.law": {"motor_inertia": "1e-4"},  # the plant's, as a motor's data sheet states it
+                    "axis.torque_sensor": {"node_id": str(64 + place)},
+                    "axis.setpoint": {
+                        "kind": '"file"',
+                        "amplitude": None,
+                        "frequency": None,
+                        "file": motion,
+                        "loop": "true",
+                    },
+                },
+            )
+        )
+        plants.append(
+            _repeated(
+                blocks["plant.toml"],
+                place,
+                {
+                    "axis": {"name": f'"{joint}"', "actuator": f'"{joint}.toml"'},
+                    "axis.motion": {"kind": '"file"', "file": motion, "repeat": "true"},
+                },
+            )
+        )
+        joints = ", ".join(f"{name} = {gain:g}" for name, gain in gains.items())
+        actuator = (SHIPPED / "actuator.toml").read_text(encoding="utf-8")
+        texts[Path(f"{joint}.toml")] = (
+            with_values(actuator, {"routing": {"joints": f"{{ {joints} }}"}}) if gains else actuator
+        )
+    texts[Path("controller.toml")], texts[Path("plant.toml")] = "\n".join(controllers), "\n".join(plants)
+    texts |= {
+        path.relative_to(SHIPPED): path.read_text(encoding="utf-8") for path in sorted((SHIPPED / "drives").glob("*"))
+    }
+    return texts, {Path(f"{name}.csv"): _csv(play) for name, play in strides().items()}
+
+
+def _repeated(block: str, place: int, changes: Changes) -> str:
+    """The block of one joint; only the first one shows the keys that are comments."""
+    text = with_values(block, changes)
+    if place == 0:
+        return text
+    return "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#")) + "\n"
+
 
 @click.command(
     "init",
@@ -72,28 +148,30 @@ RIG: dict[str, Changes] = {
 @click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--rig", is_flag=True, help="For a rig (default): moves nothing until its empty values are filled in.")
 @click.option("--desk", is_flag=True, help="For trying it without CAN: a bus over UDP multicast, no real-time rights.")
-def command(folder: Path, rig: bool, desk: bool) -> None:
+@click.option("--leg", "legs", is_flag=True, help="As --desk, for hip, knee and ankle that bend each other's sheaths.")
+def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
     """Write controller, plant, actuator model, drive profiles, service and a motion to DIR, every key commented.
 
     The set-point of a rig is 0, its compensation 0, its torque limit a tenth of the rated torque, and values that only
     the user knows are empty. Nothing that is there is replaced.
     """
-    if rig and desk:
-        raise click.UsageError("--rig and --desk are two sets of files; give one of them")
-    texts = {path.relative_to(SHIPPED): path.read_text(encoding="utf-8") for path in _shipped()}
-    for name, changes in (DESK if desk else RIG).items():
-        texts[Path(name)] = with_values(texts[Path(name)], changes)
-    taken = [str(folder / name) for name in (*texts, Path(MOTION)) if (folder / name).exists()]
-    if taken:
-        raise UsageError(f"{taken[0]}: is there already, nothing was written; choose another folder: tsa init DIR")
-    try:
-        (folder / "drives").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
-    _write(folder, texts)
-    for path in (*texts, Path(MOTION)):
+    if rig + desk + legs > 1:
+        raise click.UsageError("--rig, --desk and --leg are different sets of files; give one of them")
+    if legs:
+        texts, motions = leg()
+    else:
+        texts = {path.relative_to(SHIPPED): path.read_text(encoding="utf-8") for path in _shipped()}
+        for name, changes in (DESK if desk else RIG).items():
+            texts[Path(name)] = with_values(texts[Path(name)], changes)
+        motions = _motion()
+    write(folder, {**texts, **motions})
+    for path in (*texts, *motions):
         click.echo(f"written: {folder / path}")
-    if desk:
+    if legs:
+        files = f"{folder / 'controller.toml'} {folder / 'plant.toml'}"
+        click.echo("next, in virtual time; or in two terminals tsa plant and tsa run, as with --desk:")
+        click.echo(f"  tsa simulate-loop {files} --seconds 10")
+    elif desk:
         click.echo("next, in two terminals (the second after 'plant: ready'):")
         click.echo(f"  tsa plant {folder / 'plant.toml'}\n  tsa run {folder / 'controller.toml'} --seconds 20")
     else:
@@ -138,12 +216,27 @@ def _changed(line: str, key: str, value: str | None, comment: str) -> str:
     return f"{key} = {value}".ljust(COMMENTS) + comment
 
 
-def _write(folder: Path, texts: dict[Path, str]) -> None:
-    from tsa_ctrl.demo.rig import gait
+def write(folder: Path, texts: Mapping[Path, str]) -> None:
+    """Write files to a folder in which none of them is yet. Raises UsageError."""
     from tsa_ctrl.settings import write_text
 
+    taken = [str(folder / name) for name in texts if (folder / name).exists()]
+    if taken:
+        raise UsageError(f"{taken[0]}: is there already, nothing was written; choose another folder: tsa init DIR")
+    try:
+        (folder / "drives").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
     for name, text in texts.items():
         write_text(folder / name, text)
-    play = gait()
+
+
+def _motion() -> dict[Path, str]:
+    from tsa_ctrl.demo.rig import gait
+
+    return {Path(MOTION): _csv(gait())}
+
+
+def _csv(play: Play) -> str:
     rows = (f"{t:.3f},{tau:.6g},{q:.6g}" for t, tau, q in zip(play.t, play.tau_j_des, play.q_j, strict=True))
-    write_text(folder / MOTION, "t,tau_j_des,q_j\n" + "\n".join(rows) + "\n")
+    return "t,tau_j_des,q_j\n" + "\n".join(rows) + "\n"

@@ -45,7 +45,7 @@ def command(
 
     if check:
         plant = process.check(configuration)
-        click.echo(f"{configuration}: valid, {len(plant.axis)} axis" + ("" if len(plant.axis) == 1 else "es"))
+        click.echo(f"{configuration}: valid, {len(plant.axis)} {'axis' if len(plant.axis) == 1 else 'axes'}")
         return None
     if eds is not None:
         outputs.refuse_inputs(Path(eds), [Path(configuration)], "--eds")

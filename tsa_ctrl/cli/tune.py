@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
@@ -128,7 +124,9 @@ def command(
     if dry_run and not logs:
         _tell(as_json, session.plan_dict(), session.plan_text())
         return
-    with _interrupted_once():
+    from tsa_ctrl.cli.tuning import interrupted_once
+
+    with interrupted_once():
         _tune(session, logs, cutoff, out, yes, dry_run, as_json)
 
 
@@ -186,20 +184,3 @@ def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> boo
         return False
     names = " and ".join(str(path) for path in session.targets(outcome))
     return click.confirm(f"write {names}?", default=False, err=True)
-
-
-@contextlib.contextmanager
-def _interrupted_once() -> Iterator[None]:
-    """The first SIGINT or SIGTERM ends everything in order; those after it change nothing."""
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        for each in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

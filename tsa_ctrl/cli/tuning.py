@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 from collections.abc import Callable, Iterator
+from types import FrameType
 
 import click
 from rich.console import Console
@@ -74,3 +76,20 @@ def told(axis: AxisMeasured) -> str:
     torque, where = (axis.tau_m, "motor") if axis.tau_j is None else (axis.tau_j, "joint")
     shown = "no torque yet" if torque is None else f"{torque:+.2f} N*m at the {where}"
     return f"{shown}, {axis.q_j:+.2f} rad; "
+
+
+@contextlib.contextmanager
+def interrupted_once() -> Iterator[None]:
+    """The first SIGINT or SIGTERM ends everything in order; those after it change nothing."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -362,12 +362,26 @@ class Session:
 
         `ask`: asks the user to move the joint; None if no user is present. Raises UsageError, BusError.
         """
-        self._check_ready()
-        told = self._settings.by_stretch
-        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play(), told)
+        self.check_ready()
+        runner = self.runner(self._folder)
         law_of = functools.partial(law_tuning, self._configuration, self.axis)
         folder = self._folder
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()
+
+    def runner(self, folder: Path) -> RigRunner:
+        """Return what plays waveforms on the axis, with all files in `folder`."""
+        by_stretch = self._settings.by_stretch
+        return RigRunner(self._configuration, self.axis, self.bounds, folder, self._play(), by_stretch)
+
+    @property
+    def model(self) -> TendonSheath:
+        """The parameters in the axis' model file."""
+        return self._model
+
+    @property
+    def by_stretch(self) -> bool:
+        """Return True if no sensor measures the joint torque."""
+        return self._settings.by_stretch
 
     def _play(self) -> Play:
         if self._plant is None:
@@ -376,7 +390,7 @@ class Session:
 
         return functools.partial(play, plant=self._plant)
 
-    def _check_ready(self) -> None:
+    def check_ready(self) -> None:
         """Check that the joint torque is measured or can be estimated from the tendon elongation, and check the bus.
 
         Raises UsageError, BusError.

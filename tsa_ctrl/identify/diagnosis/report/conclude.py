@@ -40,6 +40,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
             parameters=parameters[group.name],
             explained_fraction=errors.lost[index],
             transfer=outcome.transfer[index].shares,
+            rivals={rival.name: rival.fitted.hypothesis.model(rival.fitted.point) for rival in group.alternatives},
         )
         for index, group in zip(order, grouped, strict=True)
     )

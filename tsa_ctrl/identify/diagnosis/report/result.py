@@ -42,7 +42,8 @@ class Cause:
     `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
     lost without it. `parameters`: numbers with intervals (infinite where these logs leave all open that is allowed),
     choices as words. `transfer`: its numbers fitted on one half of the logs and tried on the other (halves by "load",
-    "speed", "time"), share of the mean square left without it that it takes.
+    "speed", "time"), share of the mean square left without it that it takes. `rivals`: the model with each
+    alternative in its place, fitted to the same logs.
     """
 
     effect: str
@@ -51,6 +52,7 @@ class Cause:
     parameters: Mapping[str, Quantity | str]
     explained_fraction: float
     transfer: Mapping[str, float] = field(default_factory=dict)
+    rivals: Mapping[str, Model] = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,171 @@
+"""Simulated rigs with a hidden cause, on which an investigation moves the joint itself.
+
+The plant computes the hidden effects by itself, apart from the models of the diagnosis. A third of the causes are
+formulas that no effect of the catalogue writes. On some rigs the motion is such that several causes look alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.hidden import MOTION
+from tsa_ctrl.demo.rig import VIRTUAL, Play
+from tsa_ctrl.model.parameters import save_model
+
+Effects = dict[str, dict[str, Any]]
+
+RATE = 500.0  # Hz of the loop
+
+
+@dataclass(frozen=True)
+class Rig:
+    """`effects` of the plant; `inside`: they are of the catalogue; `alike`: what no motion of this rig separates."""
+
+    name: str
+    load: str
+    effects: Effects
+    inside: bool = True
+    alike: tuple[str, ...] = ()
+    reach: float = 1.0  # of the motion of a joint that is moved from outside
+
+    @property
+    def cause(self) -> str:
+        return next(iter(self.effects), "")
+
+    def judged(self, answer: str, causes: list[dict[str, Any]]) -> bool:
+        """Whether the answer is right: the cause alone, one of its group, or outside the catalogue."""
+        if not self.inside:
+            return answer == "outside"
+        if not self.effects:
+            return answer == "none" or (answer == "cause" and all(map(_of_the_loop, causes)))
+        named = [{cause["effect"], *cause["alternatives"]} for cause in causes if not _of_the_loop(cause)]
+        if len(named) != 1 or self.cause not in named[0]:
+            return False
+        return answer == ("group" if self.alike else "cause")
+
+
+def _of_the_loop(cause: dict[str, Any]) -> bool:
+    """Whether it is the velocity of the log, which is two cycles of the loop late on every rig."""
+    return cause["effect"] == "velocity_lag" and cause["parameters"]["time_constant"]["value"] < 2.0 / RATE
+
+
+def _draw(name: str, rng: np.random.Generator) -> Effects:
+    sign = float(rng.choice([-1.0, 1.0]))
+
+    def near(value: float) -> float:
+        return float(value * rng.uniform(0.75, 1.3))
+
+    table: dict[str, dict[str, Any]] = {
+        "viscous_friction": {"coefficient": near(0.12)},
+        "direction_asymmetric_friction": {"viscous_difference": sign * near(0.12)},
+        "stribeck_friction": {"static_excess": near(0.8), "stribeck_velocity": near(0.15)},
+        "load_dependent_friction": {"coefficient": near(0.15)},
+        "sheath_asymmetry": {"relative_difference": sign * near(0.9)},
+        "gravity_load": {"amplitude": near(0.3), "phase": near(0.5)},
+        "joint_stiffness": {"stiffness": near(0.45), "rest_angle": near(0.2)},
+        "torque_offset": {"offset": sign * near(0.12)},
+        "torque_ripple": {"amplitude": near(0.08), "cycles_per_revolution": int(rng.integers(8, 15)), "phase": 0.5},
+        "inertia": {"inertia": near(0.02)},
+        "backlash": {"gap": near(0.04)},
+        "presliding_hysteresis": {"presliding_distance": near(0.07), "displacement": "motor"},
+        "transport_delay": {"delay": near(0.03)},
+        "torque_sensor_lag": {"time_constant": near(0.06)},
+        "torque_saturation": {"limit": near(0.45)},
+        "configuration_dependent_bending": {"bending_per_joint_angle": sign * near(0.5)},
+        "pulley_eccentricity": {"relative_eccentricity": near(0.25), "phase": near(0.5)},
+    }
+    return {name: table[name]}
+
+
+OUTSIDE = {
+    "gain that swings with the angle": "0.15*tau*sin(9*q_j)",
+    "friction at one place": "0.3*sigma*exp(-((q_j - 0.15)/0.06)**2)",
+    "gain that falls with the square": "0.12*tau*abs(tau)",
+    "friction that grows towards the ends": "0.9*sigma*q_j**2",
+    "loss of power": "0.12*tau*omega_j",
+    "a wave in time": "0.08*sin(9.1*t)",
+    "a step in time": "0.06*(1 + tanh((t - 6)/0.05))",
+    "dead zone": "0.5*(abs(tau + 0.08) - abs(tau - 0.08))",
+    "cubic spring": "2.0*q_j**3",
+    "a slow second lag": "0.6*(tau - lag(tau, 0.4))",
+}
+INSIDE = (
+    ("viscous_friction", "imposed"),
+    ("direction_asymmetric_friction", "imposed"),
+    ("stribeck_friction", "imposed"),
+    ("load_dependent_friction", "imposed"),
+    ("sheath_asymmetry", "imposed"),
+    ("gravity_load", "imposed"),
+    ("joint_stiffness", "imposed"),
+    ("torque_offset", "imposed"),
+    ("torque_ripple", "imposed"),
+    ("backlash", "imposed"),
+    ("presliding_hysteresis", "imposed"),
+    ("transport_delay", "imposed"),
+    ("torque_sensor_lag", "imposed"),
+    ("torque_saturation", "imposed"),
+    ("viscous_friction", "spring"),
+    ("torque_sensor_lag", "spring"),
+    ("torque_saturation", "spring"),
+    ("gravity_load", "spring"),
+    ("inertia", "imposed"),
+    ("torque_offset", "spring"),
+)
+
+
+def rigs(seed: int) -> list[Rig]:
+    """All rigs, their sizes drawn by `seed`."""
+    out = [Rig("healthy", "imposed", {}), Rig("healthy spring", "spring", {})]
+    for name, load in INSIDE:
+        out.append(Rig(f"{name}, {load}", load, _draw(name, _generator(name + load, seed))))
+    for name, expression in OUTSIDE.items():
+        formula: Effects = {"custom": {"expression": expression, "stage": "joint"}}
+        out.append(Rig(f"outside: {name}", "imposed", formula, inside=False))
+    weight = _draw("gravity_load", _generator("short", seed))
+    out.append(
+        Rig("weight on a short stroke", "imposed", weight, alike=("joint_stiffness", "torque_offset"), reach=0.12)
+    )
+    return out
+
+
+def _generator(name: str, seed: int) -> np.random.Generator:
+    digest = hashlib.sha256(f"{name}/{seed}".encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+def write(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
+    """Write the rig's files; return those of the controller and of the plant."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = _generator("factors", seed)
+    axis: Mapping[str, Mapping[str, Any]] = {
+        "effects": hidden.effects,
+        "perturbation": {
+            "friction_coefficient": float(rng.uniform(0.85, 1.2)),
+            "pretension": float(rng.uniform(0.85, 1.2)),
+        },
+        "tendon": {"kind": "full", "curvature": "joint_end"},
+        "motor": {"inertia": 1e-5},
+    }
+    t = np.arange(0.0, 20.0 + 0.0025, 0.005)
+    angle = hidden.reach * np.sum([a * np.sin(2.0 * np.pi * f * t) for f, a in MOTION], axis=0)
+    controller = rig.controller(VIRTUAL, "rig", RATE, "nominal.toml", 0.0)
+    controller["axis"][0]["limits"].update(joint_speed=8.0, over_speed=12.0)
+    rig.write(
+        folder,
+        Play(t, np.zeros_like(t), angle),
+        rig.plant(VIRTUAL, "full", axis, hidden.load),
+        {"rig": controller},
+    )
+    save_model(
+        dataclasses.replace(rig.NOMINAL, axial_stiffness=5e6, diameter=3e-3, bending_centre=0.98),
+        folder / "nominal.toml",
+    )
+    return folder / "controller-rig.toml", folder / "plant.toml"

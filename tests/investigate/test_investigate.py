@@ -1,0 +1,166 @@
+"""Experiments that the diagnosis chooses: what separates hypotheses, and whole investigations of simulated rigs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.investigate.rigs import Rig, rigs, write
+from tsa_ctrl.cli import main
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.investigate.design import Designer, Pair, variations
+from tsa_ctrl.investigate.response import Joint
+from tsa_ctrl.tune.excitation import Bounds, multi_sine
+
+SEED = 2  # of the rigs
+PLAIN = dataclasses.replace(NOMINAL, effects={})
+VISCOUS = NOMINAL.with_effects({"viscous_friction": {"coefficient": 0.1}})
+ASYMMETRIC = NOMINAL.with_effects({"direction_asymmetric_friction": {"viscous_difference": 0.1}})
+
+
+def driven(seconds: float = 10.0, inertia: float = 0.02, spring: float = 0.6, damping: float = 0.15) -> Dataset:
+    """A joint with a spring that the torque moves, integrated here, without friction in the sheaths."""
+    period = 0.002
+    t = np.arange(0.0, seconds, period)
+    torque = 0.4 * np.sin(2.0 * np.pi * 0.5 * t) + 0.2 * np.sin(2.0 * np.pi * 1.3 * t)
+    q, omega = np.zeros_like(t), np.zeros_like(t)
+    for i in range(1, len(t)):
+        rate = (torque[i - 1] - spring * q[i - 1] - damping * omega[i - 1]) / inertia
+        omega[i] = omega[i - 1] + period * rate
+        q[i] = q[i - 1] + period * omega[i]
+    return Dataset.from_arrays({"t": t, "tau_m": 0.8 * torque, "tau_j": torque, "q_j": q, "omega_j": omega}, "driven")
+
+
+def one_way(sign: float = 1.0) -> Dataset:
+    """A joint that turns one way only, moved from outside: speed and its size are one."""
+    t = np.arange(0.0, 8.0, 0.002)
+    omega = sign * (0.8 + 0.5 * np.sin(2.0 * np.pi * 0.7 * t))
+    torque = 0.3 * np.sin(2.0 * np.pi * 0.31 * t)
+    columns = {"t": t, "tau_m": torque, "tau_j": 1.2 * torque, "omega_j": omega, "q_j": np.cumsum(omega) * 0.002}
+    return Dataset.from_arrays(columns, "one way")
+
+
+def test_the_equation_of_motion_is_that_of_the_joint() -> None:
+    """1/J of the torque, damping and spring over J."""
+    terms = Joint.of([driven()], NOMINAL).terms
+    assert terms is not None
+    assert terms[0] == pytest.approx(1.0 / 0.02, rel=0.05)
+    assert terms[1] == pytest.approx(-0.15 / 0.02, rel=0.15)
+
+
+def test_a_joint_that_others_move_repeats_its_motion() -> None:
+    log = one_way()
+    joint = Joint.of([log], NOMINAL)
+    assert not joint.driven
+    motion = joint.predict(multi_sine((0.3, 0.7), 0.5, 20.0))
+    np.testing.assert_allclose(motion.omega_j[:100], log["omega_j"][:100], atol=0.01)
+
+
+def test_more_torque_never_leaves_the_speed_and_travel_given() -> None:
+    """The prediction of the chosen motion stays inside, though the torque alone would reach four times as far."""
+    bounds = Bounds(torque=1.0, speed=1.5, travel=(-0.4, 0.4))
+    log = driven()
+    found = Designer(Joint.of([log], NOMINAL), bounds, [log], 0.01, 1).best([Pair(("a", "b"), VISCOUS, PLAIN)])
+    assert np.abs(found.motion.omega_j).max() < 1.5
+    assert np.abs(found.motion.q_j).max() < 0.4
+    assert 0.05 < found.waveform.peak <= 1.0
+    assert found.waveform.tau_j_des[0] == found.waveform.tau_j_des[-1] == 0.0
+
+
+def test_what_one_direction_hides_both_directions_show() -> None:
+    """b omega and b abs(omega) are the same while omega > 0; a joint that the torque moves can turn back."""
+    pair = Pair(("viscous_friction", "direction_asymmetric_friction"), VISCOUS, ASYMMETRIC)
+    bounds = Bounds(torque=1.0, speed=4.0)
+    outside = one_way()
+    stuck = Designer(Joint.of([outside], NOMINAL), bounds, [outside], 0.01, 1).best([pair])
+    free = Designer(Joint.of([driven()], NOMINAL), bounds, [outside], 0.01, 1).best([pair])
+    assert stuck.weakest < 1.0
+    assert free.weakest > 10.0
+
+
+def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
+    """The same friction with a pretension that is a tenth higher."""
+    log = driven()
+    designer = Designer(Joint.of([log], NOMINAL), Bounds(1.0, 4.0), [log], 0.01, 1)
+    found = designer.best([Pair(("a", "b"), PLAIN, NOMINAL.recalibrated(pretension=1.1 * NOMINAL.pretension))])
+    assert found.weakest < 1.0
+
+
+def test_each_number_of_a_model_is_varied() -> None:
+    assert len(variations(VISCOUS)) == 3
+    assert len(variations(NOMINAL.with_effects({"torque_ripple": {"amplitude": 0.1, "cycles_per_revolution": 5}}))) == 3
+
+
+def investigated(folder: Path, hidden: Rig, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, object]:
+    controller, plant = write(folder / "rig", hidden, SEED)
+    call = ["investigate", str(controller), "--virtual", str(plant), "--out", str(folder / "out"), "--json", *more]
+    with pytest.raises(SystemExit) as ended:
+        main(call)
+    found: dict[str, object] = json.loads(capsys.readouterr().out) | {"code": ended.value.code or 0}
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        "healthy",
+        "torque_sensor_lag, imposed",
+        "torque_saturation, imposed",
+        "outside: friction at one place",
+        *(pytest.param(hidden.name, marks=pytest.mark.soak) for hidden in rigs(SEED)[2:14]),
+    ],
+)
+def test_the_hidden_cause_is_the_answer(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Each motion leaves a log and a report in a folder of its own; all numbers of the JSON object are finite."""
+    hidden = next(each for each in rigs(SEED) if each.name == name)
+    found = investigated(tmp_path, hidden, capsys)
+    causes, steps = found["causes"], found["steps"]
+    assert isinstance(causes, list)
+    assert isinstance(steps, list)
+    assert hidden.judged(str(found["answer"]), causes), found["statement"]
+    assert found["code"] == 0
+    assert len(steps) >= 2
+    for step in steps:
+        folder = tmp_path / "out" / step["folder"]
+        assert {"report.html", "diagnosis.json", f"{step['name']}.mcap"} <= {path.name for path in folder.iterdir()}
+    assert (tmp_path / "out/report.html").read_text(encoding="utf-8").count("<tr>") == 1 + len(steps)
+
+
+@pytest.mark.slow
+def test_a_question_that_is_open_after_the_most_motions_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hidden = next(each for each in rigs(SEED) if each.name == "outside: friction at one place")
+    found = investigated(tmp_path, hidden, capsys, "--most", "1")
+    steps = found["steps"]
+    assert isinstance(steps, list)
+    assert len(steps) == 1
+    assert math.isfinite(float(str(found["seconds"])))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "confirm by --yes"),
+        (["--torque", "50"], "is more than limits.torque"),
+        (["--axis", "elbow"], "--axis elbow"),
+    ],
+)
+def test_nothing_moves_before_it_is_confirmed_and_within_the_limits(
+    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    controller, _ = write(tmp_path / "rig", rigs(SEED)[0], SEED)
+    with pytest.raises(SystemExit) as ended:
+        main(["investigate", str(controller), "--out", str(tmp_path / "out"), *options])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,111 @@
+"""`tsa investigate`: experiments that the diagnosis chooses, until one cause is left or none can be separated."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import click
+
+from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.errors import UsageError
+
+EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plant.toml --out out/investigation"
+
+
+@click.command("investigate", epilog=EXAMPLE)
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.argument("logs", metavar="[LOG]...", nargs=-1, type=click.Path())
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="New folder: one folder for each motion.")
+@click.option(
+    "--virtual",
+    "plant",
+    type=click.Path(path_type=Path),
+    metavar="PLANT.toml",
+    help="Move this simulated plant, in virtual time; nothing is sent on a bus.",
+)
+@click.option("--axis", "axis_name", metavar="NAME", help="Which axis, where the file has several.")
+@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
+@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
+@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
+@click.option("--most", default=6, show_default=True, type=click.IntRange(1, 30), help="Most motions.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
+@click.option("--allow-simulated", is_flag=True, help="Start from a model file with simulated numbers on real drives.")
+@click.option("--yes", is_flag=True, help="Start without asking.")
+@click.option("--json", "as_json", is_flag=True, help="Print investigation.json on stdout, and nothing else there.")
+def command(
+    controller: Path,
+    logs: tuple[str, ...],
+    out: Path,
+    plant: Path | None,
+    axis_name: str | None,
+    torque: float | None,
+    speed: float | None,
+    travel: tuple[float, float] | None,
+    most: int,
+    seed: int,
+    allow_simulated: bool,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Diagnose, play the motion that separates the open causes best, and diagnose again.
+
+    Ends with one cause, with a group that no motion within the limits separates, or with "outside the catalogue". The
+    limits are those of CONTROLLER.toml unless an option narrows them. The files of the rig are not changed. Ctrl-C at
+    any point leaves the drive disabled and keeps the result of the motions so far.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # as in tsa diagnose
+    from tsa_ctrl.cli.tuning import interrupted_once, shown
+    from tsa_ctrl.identify.dataset import load_logs
+    from tsa_ctrl.identify.diagnosis.report.page import write as write_diagnosis
+    from tsa_ctrl.identify.diagnosis.report.pictures import plot
+    from tsa_ctrl.investigate import report
+    from tsa_ctrl.investigate.procedure import LONGEST, Answer, Step, investigate, on_the_rig
+    from tsa_ctrl.tune.session import Plan, Session
+
+    session = Session(controller, axis_name, Plan(torque, speed, travel, plant=plant, allow_simulated=allow_simulated))
+    if session.by_stretch:
+        raise UsageError(
+            f"{controller}: axis '{session.axis.name}' has no joint torque sensor, which a diagnosis needs; give "
+            "[axis.torque_sensor] or an [[axis.serial]] of tau_j"
+        )
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise UsageError(f"{out}: exists already and is not empty; choose another --out")
+    given = load_logs(logs) if logs else []
+    bounds = session.bounds
+    if plant is None and not yes:
+        question = (
+            f"move the joint of axis {session.axis.name} up to {most} times for {LONGEST:g} s with up to "
+            f"{bounds.torque:.3g} N*m and {bounds.speed:g} rad/s; nobody may wear it. Start?"
+        )
+        if not sys.stdin.isatty():
+            raise UsageError(f"investigate: would {question.removesuffix(' Start?')}; confirm by --yes")
+        click.confirm(question, abort=True, err=True)
+    session.check_ready()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{out}: cannot be made ({error.strerror}); choose another --out") from None
+    folder = out.resolve()
+
+    def keep(step: Step) -> None:
+        if step.folder is not None:
+            write_diagnosis(step.result, step.folder, plot=plot)
+
+    with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
+        play = on_the_rig(session.runner, folder, session.path)
+        found = investigate(play, session.model, bounds, most, seed, given, say, keep)
+    page = report.write(found, folder)
+    if as_json:
+        click.echo(json.dumps(report.to_dict(found, folder), allow_nan=False))
+    else:
+        for step in found.steps:
+            causes = "; ".join(" or ".join(names) for names in step.hypotheses) or "no cause"
+            click.echo(f"{step.name} ({step.seconds:.3g} s): {step.result.verdict.value}, {causes}")
+        click.echo(f"answer: {found.answer.value}: {found.statement}")
+        click.echo(f"report: {page}")
+    if found.answer is Answer.STOPPED:
+        sys.exit(1)

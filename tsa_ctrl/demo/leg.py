@@ -1,0 +1,184 @@
+"""A leg whose joints bend each other's sheaths: three joints in one loop, with and without `[routing]`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from tsa_ctrl.demo.rig import FADE_IN, PERIOD, RATE, Play
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.log.table import load_run
+from tsa_ctrl.virtual.simulation import simulate_loop
+
+FloatArray = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+# Typical level walking over one stride, of the literature, in degrees, and small assisting torques in N*m. Share of the
+# stride, value; heel strike at 0.
+ANGLES: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "hip": ((0.0, 20.0), (0.15, 14.0), (0.5, -12.0), (0.65, -2.0), (0.85, 22.0)),
+    "knee": ((0.0, 5.0), (0.15, 18.0), (0.40, 5.0), (0.60, 35.0), (0.72, 61.0), (0.95, 6.0)),
+    "ankle": ((0.0, 0.0), (0.08, -5.0), (0.45, 10.0), (0.62, -16.0), (0.8, 0.0)),
+}
+TORQUES: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "hip": ((0.0, 0.6), (0.25, 0.3), (0.5, -0.5), (0.75, 0.2)),
+    "knee": ((0.0, -0.2), (0.17, 0.8), (0.40, -0.3), (0.60, 0.3), (0.85, -0.3)),
+    "ankle": ((0.0, 0.0), (0.2, -0.2), (0.48, 0.8), (0.65, 0.0)),
+}
+ROUTING = {"hip": {}, "knee": {"hip": 0.8}, "ankle": {"knee": 0.5}}  # rad of wrap angle per rad of the other joint
+WITHOUT, FIXED, FOLLOWED = "without", "fixed", "with"  # compensation; routing; both
+SECONDS = 9.0  # s of torque: five strides
+SHOWN = 2.0 * PERIOD  # s in the picture
+
+
+def strides() -> dict[str, Play]:
+    """One stride of each joint."""
+    t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
+    return {
+        name: Play(t, _stride(TORQUES[name])(t / PERIOD % 1.0), np.radians(_stride(ANGLES[name])(t / PERIOD % 1.0)))
+        for name in ANGLES
+    }
+
+
+def _stride(points: tuple[tuple[float, float], ...]) -> CubicSpline:
+    table = np.array([*points, (1.0, points[0][1])])
+    return CubicSpline(table[:, 0], table[:, 1], bc_type="periodic")
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint in one run after the fade-in: `t` (n) in s since the enable, torques (n) in N*m."""
+
+    t: FloatArray
+    wanted: FloatArray
+    delivered: FloatArray
+
+    @property
+    def rms(self) -> float:
+        """RMS error, N*m."""
+        return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
+
+
+@dataclass(frozen=True)
+class Leg:
+    """The three runs on the same motion, joints by name in each."""
+
+    runs: Mapping[str, Mapping[str, Joint]]
+    picture: Path
+    log: Path
+
+    def rms(self, run: str) -> float:
+        """RMS error over all joints, N*m."""
+        return float(np.sqrt(np.mean([joint.rms**2 for joint in self.runs[run].values()])))
+
+    @property
+    def reduction(self) -> float:
+        """Per cent by which compensation with routing reduces the error of all joints."""
+        return 100.0 * (1.0 - self.rms(FOLLOWED) / self.rms(WITHOUT))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object of `tsa demo --leg --json`."""
+        names = list(self.runs[FOLLOWED])
+        return {
+            "schema": 1,
+            "bus": "virtual time",
+            "load": "leg",
+            "rms": {
+                "wanted": float(np.sqrt(np.mean([np.mean(j.wanted**2) for j in self.runs[FOLLOWED].values()]))),
+                **{run: self.rms(run) for run in self.runs},
+                "unit": "N*m",
+            },
+            "axes": [
+                {"name": name, "rms": {run: joints[name].rms for run, joints in self.runs.items()}} for name in names
+            ],
+            "reduction_percent": self.reduction,
+            "picture": str(self.picture),
+            "log": str(self.log),
+        }
+
+    def draw(self) -> None:
+        """Write the picture: the error of each joint in the three runs over two strides."""
+        figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+        rows = figure.subplots(len(self.runs[FOLLOWED]), 2, sharex=True, width_ratios=[1, 1])
+        looks = {
+            WITHOUT: ("tab:red", "without compensation"),
+            FIXED: ("tab:orange", "without routing"),
+            FOLLOWED: ("tab:blue", "with routing"),
+        }
+        for row, (name, joint) in zip(rows, self.runs[FOLLOWED].items(), strict=True):
+            shown = (joint.t >= joint.t[0]) & (joint.t <= joint.t[0] + SHOWN)
+            row[0].plot(joint.t[shown], joint.wanted[shown], "k", lw=2.2, label="desired")
+            for run, (colour, label) in looks.items():
+                one = self.runs[run][name]
+                part = (one.t >= joint.t[0]) & (one.t <= joint.t[0] + SHOWN)
+                row[0].plot(one.t[part], one.delivered[part], colour, lw=1.0)
+                error = 1e3 * (one.delivered - one.wanted)[part]
+                row[1].plot(one.t[part], error, colour, lw=1.0, label=f"{label}: {1e3 * one.rms:.0f} mN·m RMS")
+            row[0].set_ylabel(f"{name}: torque (N·m)")
+            row[1].set_ylabel("error (mN·m)")
+            row[1].axhline(0.0, color="k", lw=0.5)
+            low, high = row[1].get_ylim()
+            row[1].set_ylim(low, high + 0.45 * (high - low))
+            row[1].legend(loc="upper right", fontsize=7)
+            for axes in row:
+                axes.grid(alpha=0.3)
+        rows[0][0].legend(loc="upper right", fontsize=7)
+        for axes in rows[-1]:
+            axes.set_xlabel("time since torque was enabled (s)")
+        figure.suptitle(f"Joints that bend each other's sheaths. Error of the leg reduced by {self.reduction:.1f} %")
+        figure.savefig(self.picture, dpi=130)
+
+
+def demo(folder: Path, seconds: float, say: Progress) -> Leg:
+    """Run the leg of `folder` (as `tsa init --leg` writes it) three times in virtual time.
+
+    Raises BusError when a run fails.
+    """
+    text = (folder / "controller.toml").read_text(encoding="utf-8")
+    runs: dict[str, dict[str, Joint]] = {}
+    for number, run in enumerate((WITHOUT, FIXED, FOLLOWED)):
+        path = folder / f"controller-{run}.toml"
+        path.write_text(_controller(folder, text, run), encoding="utf-8")
+
+        def tick(share: float, run: str = run, number: int = number) -> None:
+            say(f"leg, {run}", (number + share) / 3.0)
+
+        result = simulate_loop(path, folder / "plant.toml", seconds, out=folder / run, tick=tick)
+        summary = result.summary.as_dict()
+        if summary["failed"] or summary["log"] is None:
+            raise BusError(f"demo --leg: the run '{run}' failed: {summary['cause']}")
+        log = Path(str(summary["log"]))
+        runs[run] = {name: _joint(log, name, seconds) for name in ANGLES}
+    leg = Leg(runs, folder / "demo.png", log)
+    leg.draw()
+    return leg
+
+
+def _joint(log: Path, name: str, seconds: float) -> Joint:
+    columns = load_run(f"{log}:{name}", (), FADE_IN, seconds)
+    return Joint(columns["t"], columns["tau_j_des"], columns["tau_j"])
+
+
+def _controller(folder: Path, text: str, run: str) -> str:
+    """The controller of a run: without compensation, or with models that know no other joint."""
+    document = tomlkit.parse(text)
+    document["log"]["folder"] = run
+    for axis in document["axis"]:
+        if run == WITHOUT:
+            axis["law"]["compensation"] = 0.0
+        elif run == FIXED:
+            model = tomlkit.parse((folder / str(axis["model"])).read_text(encoding="utf-8"))
+            model.pop("routing", None)
+            name = f"fixed-{axis['model']}"
+            (folder / name).write_text(tomlkit.dumps(model), encoding="utf-8")
+            axis["model"] = name
+    written: str = tomlkit.dumps(document)
+    return written

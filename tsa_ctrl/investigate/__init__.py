@@ -1,0 +1,1 @@
+"""Diagnose, choose the motion that separates the open causes, play it, and diagnose again."""

@@ -1,0 +1,248 @@
+"""Which set-point separates hypotheses best: found by search over waveforms, within the limits of the rig.
+
+The criterion is that of T-optimal designs (Atkinson and Fedorov, Biometrika 62, 1975): the difference between what the
+leading hypothesis predicts and what a rival predicts, after the rival's parameters have been refitted to it. Here the
+rival has to fit the present logs as well, so that a parameter that they know cannot follow a new motion. In units of
+the noise, with samples further apart than the noise remembers.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.investigate.response import Joint, Motion
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.tune.excitation import RAMP, RATE, Bounds, Waveform
+
+Array = NDArray[np.float64]
+
+SECONDS = 20.0  # s of one experiment: some periods of the slowest sine
+DRAWS = 48  # waveforms that are drawn before the best ones are refined
+REFINED, EVALUATIONS = 3, 30  # best draws, and evaluations of each refinement: a tenth of the gain comes from them
+FIRST_STEP, SHRINK = 0.2, 0.93  # of the range of each number, down to a fortieth of it
+SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the sines: one period and a half in SECONDS, and what joints follow
+HEADROOM = 0.8  # of speed and travel that a prediction may use: it is of a fitted joint, not of the joint
+LEAST_TORQUE = 0.05  # of the permitted torque: a smaller experiment shows nothing
+EVERY = 0.04  # s between samples of the criterion: half a period of BAND of a torque sensor's noise after its low-pass
+REMEMBERS = 5.0  # samples that tell as much as one: errors of models are slow
+CHANGE = 1e-3  # relative step of the finite differences of a rival's parameters
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A set-point, its predicted motion, and by how many standard deviations it separates each pair of names."""
+
+    waveform: Waveform
+    motion: Motion
+    separation: Mapping[tuple[str, str], float]
+
+    @property
+    def weakest(self) -> float:
+        """The separation of the pair that it separates least; inf without a pair."""
+        return min(self.separation.values(), default=math.inf)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two hypotheses that the present logs do not separate, as models."""
+
+    names: tuple[str, str]
+    leading: TendonSheath
+    rival: TendonSheath
+
+
+class Designer:
+    """Search for the set-point that separates `pairs` best, on a joint and within bounds."""
+
+    def __init__(self, joint: Joint, bounds: Bounds, logs: Sequence[Dataset], noise: float, seed: int) -> None:
+        """`noise`: RMS error of the leading hypothesis, N*m."""
+        self._joint = joint
+        self._bounds = bounds
+        self._noise = max(noise, 1e-9)
+        self._rng = np.random.default_rng(seed)
+        self._past = [_thinned(log.signals(), EVERY) for log in logs]
+
+    def best(self, pairs: Sequence[Pair]) -> Experiment:
+        """The best experiment that was found; without a pair one that covers speeds, loads and angles evenly."""
+        known = [self._known(pair) for pair in pairs]
+
+        def value(u: Array) -> float:
+            experiment = self._experiment(u, pairs, known)
+            if experiment is None:
+                return 0.0
+            return -_benefit(experiment) if pairs else -_coverage(experiment.motion)
+
+        draws = [(value(u), u) for u in self._rng.uniform(size=(DRAWS, SIZE))]
+        refined = [self._refined(value, *start) for start in sorted(draws, key=lambda each: each[0])[:REFINED]]
+        experiment = self._experiment(min(refined, key=lambda each: each[0])[1], pairs, known)
+        if experiment is None:
+            raise UsageError(
+                "investigate: no set-point keeps the joint within its speed and travel; widen --speed or --travel, or "
+                "lower --torque"
+            )
+        return experiment
+
+    def _refined(self, value: Callable[[Array], float], best: float, u: Array) -> tuple[float, Array]:
+        """The point after random steps that shrink whenever one does not help."""
+        step = FIRST_STEP
+        for _ in range(EVALUATIONS):
+            tried = np.clip(u + step * self._rng.standard_normal(SIZE), 0.0, 1.0)
+            if (found := value(tried)) < best:
+                best, u = found, tried
+            else:
+                step *= SHRINK
+        return best, u
+
+    def _experiment(self, u: Array, pairs: Sequence[Pair], known: Sequence[tuple[Array, Array]]) -> Experiment | None:
+        """The waveform of a point, scaled down to the limits; None where that leaves hardly any torque."""
+        shape = _shape(u)
+        share = 1.0
+        for _ in range(3):
+            motion = self._joint.predict(Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des))
+            excess = self._excess(motion)
+            if excess <= 1.0:
+                break
+            share *= 0.95 / excess
+        if share < LEAST_TORQUE or self._excess(motion) > 1.0:
+            return None
+        waveform = Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des)
+        signals = _thinned(_signals(motion, self._joint.model, self._past[0]), EVERY)
+        separation = {
+            pair.names: self._separation(pair, signals, past) for pair, past in zip(pairs, known, strict=True)
+        }
+        return Experiment(waveform, motion, separation)
+
+    def _excess(self, motion: Motion) -> float:
+        """Over the limit, 1: of speed and travel; a joint that something else moves keeps its own."""
+        if not self._joint.driven:
+            return 0.0
+        out = float(np.max(np.abs(motion.omega_j))) / (HEADROOM * self._bounds.speed)
+        if self._bounds.travel is not None:
+            middle, half = np.mean(self._bounds.travel), 0.5 * float(np.ptp(self._bounds.travel))
+            out = max(out, float(np.max(np.abs(motion.q_j - middle))) / (HEADROOM * half))
+        return out
+
+    def _known(self, pair: Pair) -> tuple[Array, Array]:
+        """Difference (n,) and the rival's gradients (n, k) on the present logs, in units of the noise."""
+        difference, gradients = zip(*(self._compared(pair, signals) for signals in self._past), strict=True)
+        return np.concatenate(difference), np.concatenate(gradients)
+
+    def _compared(self, pair: Pair, signals: Signals) -> tuple[Array, Array]:
+        rival = predict(pair.rival, signals)
+        difference = (predict(pair.leading, signals) - rival) / self._noise
+        changed = [predict(model, signals) - rival for model in variations(pair.rival)]
+        gradients = np.column_stack(changed) / (CHANGE * self._noise) if changed else np.zeros((len(rival), 0))
+        return difference, gradients
+
+    def _separation(self, pair: Pair, signals: Signals, past: tuple[Array, Array]) -> float:
+        difference, gradients = self._compared(pair, signals)
+        every = np.concatenate([past[0], difference]), np.concatenate([past[1], gradients])
+        return math.sqrt(max(_left(*every) - _left(*past), 0.0) / REMEMBERS)
+
+
+SIZE = 8  # numbers that describe a waveform, each 0 to 1
+
+
+def _shape(u: Array) -> Waveform:
+    """A waveform of peak 1: two waves between sine and square, an offset, and a swell.
+
+    u: frequency and share of each wave (Hz by their logarithm), how square they are, offset, depth and rate of the
+    swell, phase.
+    """
+    t = np.arange(0.0, SECONDS + 0.5 / RATE, 1.0 / RATE)
+    low, high = (SLOWEST * (FASTEST / SLOWEST) ** float(part) for part in (0.55 * u[0], 0.35 + 0.65 * u[1]))
+    sharp = 1.0 + 9.0 * float(u[3]) ** 2
+    first = np.sin(2.0 * math.pi * low * t)
+    first = np.tanh(sharp * first) / math.tanh(sharp)
+    second = np.sin(2.0 * math.pi * high * t + 2.0 * math.pi * float(u[7]))
+    wave = (1.0 - u[2]) * first + u[2] * second
+    swell = 1.0 - u[5] * 0.5 * (1.0 + np.cos(2.0 * math.pi * (1.0 + 3.0 * u[6]) * t / SECONDS))
+    wave = wave * swell + (2.0 * u[4] - 1.0)
+    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
+    wave = wave * 0.5 * (1.0 - np.cos(math.pi * edge))
+    return Waveform(t, wave / max(float(np.abs(wave).max()), 1e-12))
+
+
+def _benefit(experiment: Experiment) -> float:
+    """What counts is the pair that is separated least, and beside it all others a little."""
+    sizes = [math.log1p(size) for size in experiment.separation.values()]
+    return min(sizes) + 0.1 * sum(sizes)
+
+
+def _coverage(motion: Motion) -> float:
+    """Of a motion without a question: how evenly speed, torque and angle are visited, as the entropy of a histogram."""
+    columns = np.column_stack([motion.omega_j, motion.tau_m, motion.q_j])[:: round(EVERY / (motion.t[1] - motion.t[0]))]
+    span = np.maximum(np.abs(columns).max(axis=0), 1e-9)
+    counts = np.histogramdd(columns / span, bins=(6, 6, 4))[0].ravel()
+    shares = counts[counts > 0.0] / counts.sum()
+    return float(-np.sum(shares * np.log(shares))) + 0.1 * math.log(float(np.std(motion.omega_j)) + 1e-9)
+
+
+def variations(model: TendonSheath) -> list[TendonSheath]:
+    """The model with each of its numbers a little larger: friction angle, pretension, those of its effects."""
+    out = [
+        model.recalibrated(friction_angle=model.friction_angle * math.exp(CHANGE)),
+        model.recalibrated(pretension=model.pretension * math.exp(CHANGE)),
+    ]
+    for name, parameters in model.effects.items():
+        for key, value in parameters.items():
+            parameter = CATALOGUE[name].parameter(key)
+            if isinstance(value, float) and value != 0.0 and parameter.fitted and not parameter.integer:
+                larger = value * (1.0 + CHANGE)
+                if parameter.accepts(larger):
+                    effects: Mapping[str, Mapping[str, object]] = {
+                        **model.effects,
+                        name: {**parameters, key: larger},
+                    }
+                    out.append(dataclasses.replace(model, effects=effects))
+    return out
+
+
+def _left(difference: Array, gradients: Array) -> float:
+    """Sum of squares that no change of the rival's numbers takes."""
+    if not gradients.shape[1]:
+        return float(difference @ difference)
+    rest = difference - gradients @ np.linalg.lstsq(gradients, difference, rcond=1e-9)[0]
+    return float(rest @ rest)
+
+
+def _signals(motion: Motion, model: TendonSheath, like: Signals) -> Signals:
+    """The predicted motion as a log with the columns of `like`."""
+    columns: dict[str, Array] = {"t": motion.t, "tau_m": motion.tau_m, "omega_j": motion.omega_j}
+    gear = model.joint_pulley_radius / model.motor_pulley_radius
+    optional: Mapping[str, Callable[[], Array]] = {
+        "q_j": lambda: motion.q_j,
+        "q_m": lambda: gear * motion.q_j,
+        "omega_m": lambda: gear * motion.omega_j,
+        "theta": lambda: np.full_like(motion.t, float(np.mean(like.theta)) if like.theta is not None else math.nan),
+        "temperature": lambda: np.full_like(
+            motion.t, float(like.temperature[-1]) if like.temperature is not None else 0
+        ),
+    }
+    columns |= {name: make() for name, make in optional.items() if getattr(like, name) is not None}
+    joints = {name: np.full_like(motion.t, float(angle[-1])) for name, angle in like.joints.items()}
+    return Signals(**columns, joints=joints)
+
+
+def _held(motion: Motion, column: Array | None) -> Array:
+    """The last value of a column for the whole motion."""
+    return np.full_like(motion.t, math.nan if column is None else float(column[-1]))
+
+
+def _thinned(signals: Signals, every: float) -> Signals:
+    """Every so many seconds one sample."""
+    step = max(1, round(every / signals.period))
+    columns = {entry.name: getattr(signals, entry.name) for entry in dataclasses.fields(signals)}
+    joints = {name: angle[::step] for name, angle in columns.pop("joints").items()}
+    return Signals(**{name: values[::step] for name, values in columns.items() if values is not None}, joints=joints)

@@ -1,0 +1,251 @@
+"""Motion after motion, each chosen for the question that is open, until one answer is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report.result import Verdict
+from tsa_ctrl.investigate.design import SECONDS, Designer, Experiment, Pair
+from tsa_ctrl.investigate.response import Joint
+from tsa_ctrl.model.catalogue import PARAMETER_ERROR
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Waveform, probe, response
+from tsa_ctrl.tune.run import RigRunner, longest
+
+PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its ramps
+SEPARATES = 5.0  # standard deviations that a motion must promise for a pair, to be worth playing
+LEAST_MOTIONS = 2  # an answer has to hold on a motion that it was not found on
+ATTEMPTS = 2  # motions that promised to separate a pair and did not: the pair then stays
+MORE_THAN_NOISE = 1.5  # of the sensor noise, RMS while sliding: the noise is known to a quarter
+OUTSIDE = 3  # motions after which what no effect explains is outside the catalogue
+
+Play = Callable[[str, Waveform], tuple[Sequence[Dataset], Path]]  # name, set-point: its logs, and its folder
+Progress = Callable[[str, float], None]  # what is being done, completed share of the most motions
+
+
+class Answer(Enum):
+    """How an investigation ends."""
+
+    NONE = "none"  # the model fits; no cause
+    CAUSE = "cause"
+    GROUP = "group"  # of causes that no motion within the limits separates
+    OUTSIDE = "outside"  # of the catalogue
+    INSUFFICIENT = "insufficient"
+    STOPPED = "stopped"  # by the user or by the most motions, with a question open
+
+
+@dataclass(frozen=True)
+class Step:
+    """One motion and what was known after it. `promised`: the separation of each pair that the motion was made for."""
+
+    name: str
+    seconds: float
+    result: Diagnosis
+    folder: Path | None
+    promised: Mapping[tuple[str, str], float] = field(default_factory=dict)
+
+    @property
+    def hypotheses(self) -> tuple[tuple[str, ...], ...]:
+        """Each cause with its alternatives."""
+        return tuple((cause.effect, *cause.alternatives) for cause in self.result.causes)
+
+
+@dataclass(frozen=True)
+class Investigation:
+    """The answer with the steps that led to it; `statement` says it in a sentence."""
+
+    answer: Answer
+    statement: str
+    steps: tuple[Step, ...]
+
+    @property
+    def result(self) -> Diagnosis | None:
+        """The last diagnosis."""
+        return self.steps[-1].result if self.steps else None
+
+
+def investigate(
+    play: Play,
+    model: TendonSheath,
+    bounds: Bounds,
+    most: int,
+    seed: int = 0,
+    logs: Sequence[Dataset] = (),
+    say: Progress = lambda what, share: None,
+    write: Callable[[Step], None] = lambda step: None,
+) -> Investigation:
+    """Diagnose `logs`, or a first motion, and play motions until an answer is left; at most `most` of them.
+
+    `write` receives each step as soon as it is done. A KeyboardInterrupt ends with what is known.
+
+    Raises:
+        UsageError: the joint does not move, or no motion is possible within `bounds`.
+        BusError: a run failed.
+    """
+    return _Course(play, model, bounds, most, seed, say, write).run(logs)
+
+
+class _Course:
+    def __init__(
+        self,
+        play: Play,
+        model: TendonSheath,
+        bounds: Bounds,
+        most: int,
+        seed: int,
+        say: Progress,
+        write: Callable[[Step], None],
+    ) -> None:
+        self._play = play
+        self._model = model
+        self._bounds = bounds
+        self._most = most
+        self._seed = seed
+        self._say = say
+        self._write = write
+        self._logs: list[Dataset] = []
+        self._steps: list[Step] = []
+        self._motions = 0
+        self._attempts: dict[frozenset[str], int] = {}
+
+    def run(self, logs: Sequence[Dataset]) -> Investigation:
+        try:
+            if logs:
+                self._logs += logs
+                self._diagnose("given logs", sum(log.seconds for log in logs), None, {})
+            else:
+                self._first()
+            while True:
+                answer = self._answer()
+                if isinstance(answer, Investigation):
+                    return answer
+                self._perform(f"motion-{self._motions + 1}", answer)
+        except KeyboardInterrupt:
+            return self._ended(Answer.STOPPED, "stopped by Ctrl-C; the result is that of the motions so far")
+
+    def _first(self) -> None:
+        """Probe with increasing torque until the joint moves, then cover speeds, loads and angles."""
+        for number, share in enumerate(PROBE_SHARES):
+            logs, _ = self._played(f"probe-{number + 1}", probe(self._bounds, share, PROBE_SECONDS))
+            found = response(longest(logs))
+            if found.rms_speed >= MOVING:
+                break
+        else:
+            raise UsageError(
+                f"investigate: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at "
+                f"{share * self._bounds.torque:.2g} N*m), so friction cannot show; move it, free it, or allow more "
+                "--torque"
+            )
+        designer = Designer(Joint.of(logs, self._model), self._bounds, logs, 1.0, self._seed)
+        self._perform("motion-1", designer.best([]))
+
+    def _perform(self, name: str, experiment: Experiment) -> None:
+        for pair in experiment.separation:
+            key = frozenset(pair)
+            self._attempts[key] = self._attempts.get(key, 0) + 1
+        self._motions += 1
+        logs, folder = self._played(name, experiment.waveform)
+        self._logs += logs
+        self._diagnose(name, experiment.waveform.seconds, folder, experiment.separation)
+
+    def _played(self, name: str, wave: Waveform) -> tuple[Sequence[Dataset], Path]:
+        self._say(name, min(1.0, self._motions / self._most))
+        return self._play(name, wave)
+
+    def _diagnose(
+        self, name: str, seconds: float, folder: Path | None, promised: Mapping[tuple[str, str], float]
+    ) -> None:
+        self._say(f"diagnosis after {name}", min(1.0, self._motions / self._most))
+        result = diagnose(self._logs, self._model, seed=self._seed)
+        self._steps.append(Step(name, seconds, result, folder, promised))
+        self._write(self._steps[-1])
+
+    def _answer(self) -> Investigation | Experiment:
+        """The end, or the next motion."""
+        result = self._steps[-1].result
+        pairs = open_pairs(result)
+        if pairs:
+            return self._separate(pairs)
+        left = unexplained_while_sliding(result)
+        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else LEAST_MOTIONS
+        if self._motions < min(needed, self._most):
+            return self._designer(result).best([])
+        named = " and ".join(cause.effect for cause in result.causes)
+        if result.verdict is Verdict.INSUFFICIENT:
+            return self._ended(Answer.INSUFFICIENT, result.sentence)
+        if left:
+            beside = f"beside {named} " if named else ""
+            return self._ended(
+                Answer.OUTSIDE, f"{beside}something acts that is outside the catalogue: {result.unexplained}"
+            )
+        if named:
+            return self._ended(Answer.CAUSE, f"the cause is {named}")
+        return self._ended(Answer.NONE, "the recalibrated model leaves noise: no cause")
+
+    def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:
+        untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
+        group = " or ".join(dict.fromkeys(name for pair in pairs for name in pair.names))
+        if self._motions >= self._most:
+            return self._ended(Answer.STOPPED, f"{group}: not separated in {self._most} motions; allow more by --most")
+        if untried:
+            experiment = self._designer(self._steps[-1].result).best(untried)
+            if max(experiment.separation.values()) >= SEPARATES:
+                return experiment
+            size = max(experiment.separation.values())
+            why = f"the best motion within the limits would separate them by {size:.2g} standard deviations"
+        else:
+            why = f"{ATTEMPTS} motions made for it did not separate them"
+        return self._ended(Answer.GROUP, f"{group}: no motion on this rig separates them; {why}")
+
+    def _designer(self, result: Diagnosis) -> Designer:
+        noise = result.rms.extended or result.rms.recalibrated or 1.0
+        model = result.model if isinstance(result.model, TendonSheath) else self._model
+        joint = Joint.of(self._logs, model)
+        return Designer(joint, self._bounds, self._logs, noise, self._seed + self._motions + 1)
+
+    def _ended(self, answer: Answer, statement: str) -> Investigation:
+        return Investigation(answer, statement, tuple(self._steps))
+
+
+def unexplained_while_sliding(result: Diagnosis) -> bool:
+    """Whether something is left that is neither noise nor in moments of reversals, which no model has exactly.
+
+    Compared with the noise are the error while sliding and the error on held-out data.
+    """
+    if result.verdict not in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        return False
+    errors = [error for error in (result.errors.sliding, result.rms.extended) if error is not None]
+    noise = result.errors.sensor_noise
+    return not errors or noise is None or min(errors) > MORE_THAN_NOISE * noise
+
+
+def open_pairs(result: Diagnosis) -> list[Pair]:
+    """Each cause with each alternative that the logs leave, as models; wrong base parameters are no experiment's."""
+    assert isinstance(result.model, TendonSheath)
+    return [
+        Pair((cause.effect, name), result.model, rival)
+        for cause in result.of_torque
+        for name, rival in cause.rivals.items()
+        if isinstance(rival, TendonSheath) and name != PARAMETER_ERROR
+    ]
+
+
+def on_the_rig(runner_of: Callable[[Path], RigRunner], folder: Path, path: Path) -> Play:
+    """Return a `Play` that gives each motion a folder of its own below `folder`; `path`: the model file."""
+
+    def play(name: str, wave: Waveform) -> tuple[Sequence[Dataset], Path]:
+        own = folder / name
+        own.mkdir(parents=True)
+        run = runner_of(own).play(name, path, 0.0, wave, lambda share: None, {})
+        return run.learnable(), own
+
+    return play
+
+
+LONGEST = SECONDS  # s of a motion, for what is told before it starts

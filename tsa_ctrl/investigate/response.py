@@ -1,0 +1,108 @@
+"""How a joint answers a set-point: what is needed to predict the motion of an experiment before it is played.
+
+A joint that the torque moves follows J dw/dt = tau_J - b w - k q - A sin q - B cos q - c, which is linear in its
+parameters; they are fitted to logs. Through the transmission tau_J = R cosh(x) tau_M - F sigma while it slides (3.55).
+A joint that something else moves repeats its recorded motion, whatever the torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.signals import low_pass
+from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.tune.excitation import MOVED_BY_TORQUE, Waveform, response
+
+Array = NDArray[np.float64]
+
+BAND = 8.0  # Hz, in which the equation of motion is fitted: joints move below 5 Hz, and noise of derivatives is above
+SLIDES = 0.02  # rad/s over which the friction of the prediction turns: a step would chatter at STEP
+STEP = 0.002  # s, of the prediction: a tenth of the fastest time constant of a joint
+FASTEST = 60.0  # rad/s at which a prediction ends that has run away
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A predicted experiment at STEP: t in s, tau_m in N*m, q and omega of the joint in rad and rad/s, (n,) each."""
+
+    t: Array
+    tau_m: Array
+    q_j: Array
+    omega_j: Array
+
+
+@dataclass(frozen=True)
+class Joint:
+    """The prediction of one joint. `terms`: of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None: others move it."""
+
+    model: TendonSheath
+    terms: tuple[float, ...] | None
+    recorded: Dataset
+
+    @classmethod
+    def of(cls, logs: Sequence[Dataset], model: TendonSheath) -> Joint:
+        """Fit the joint's equation of motion to the logs."""
+        longest = max(logs, key=lambda log: log.seconds)
+        if max(response(log).by_torque for log in logs) < MOVED_BY_TORQUE:
+            return cls(model, None, longest)
+        rows, rates = [], []
+        for log in logs:
+            omega = low_pass(log["omega_j"], log.period, BAND)
+            rates.append(np.gradient(omega, log.period))
+            q = _angle(log)
+            torque = low_pass(log["tau_j"], log.period, BAND)
+            rows.append(np.column_stack([torque, omega, q, np.sin(q), np.cos(q), np.ones_like(q)]))
+        columns, rate = np.concatenate(rows), np.concatenate(rates)
+        scale = np.maximum(np.abs(columns).max(axis=0), 1e-12)
+        found = np.linalg.lstsq(columns / scale, rate, rcond=1e-4)[0] / scale
+        if not found[0] > 0.0:  # the torque does not drive it
+            return cls(model, None, longest)
+        return cls(model, tuple(float(value) for value in found), longest)
+
+    @property
+    def driven(self) -> bool:
+        """Whether the torque moves it."""
+        return self.terms is not None
+
+    def predict(self, wave: Waveform) -> Motion:
+        """The motion under a desired joint torque, without compensation of friction."""
+        t = np.arange(0.0, wave.seconds, STEP)
+        wanted = np.interp(t, wave.t, wave.tau_j_des)
+        gear = self.model.joint_pulley_radius / self.model.motor_pulley_radius
+        tau_m = wanted / gear
+        if self.terms is None:
+            return self._repeated(t, tau_m)
+        line = sliding(self.model)
+        driving = (line.slope * tau_m).tolist()
+        a, b, k, s, c, d = self.terms
+        q, omega = float(np.median(_angle(self.recorded))), 0.0
+        angles, speeds = [], []
+        decay = a * line.half_loop / SLIDES  # of the friction's tangent at rest, implicit: it is stiff
+        for torque in driving:
+            force = a * torque + b * omega + k * q + s * math.sin(q) + c * math.cos(q) + d
+            loss = a * line.half_loop * math.tanh(omega / SLIDES)
+            slope = decay * (1.0 - math.tanh(omega / SLIDES) ** 2) - b
+            omega += STEP * (force - loss) / (1.0 + STEP * max(slope, 0.0))
+            if not abs(omega) < FASTEST:
+                omega = math.copysign(FASTEST, omega)
+            q += STEP * omega
+            angles.append(q)
+            speeds.append(omega)
+        return Motion(t, tau_m, np.array(angles), np.array(speeds))
+
+    def _repeated(self, t: Array, tau_m: Array) -> Motion:
+        log = self.recorded
+        own = log["t"] - log["t"][0]
+        there = np.mod(t, own[-1])
+        return Motion(t, tau_m, np.interp(there, own, _angle(log)), np.interp(there, own, log["omega_j"]))
+
+
+def _angle(log: Dataset) -> Array:
+    return log["q_j"] if "q_j" in log else np.cumsum(log["omega_j"]) * log.period
