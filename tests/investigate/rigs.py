@@ -23,6 +23,7 @@ from tsa_ctrl.model.parameters import save_model
 Effects = dict[str, dict[str, Any]]
 
 RATE = 500.0  # Hz of the loop
+ELASTIC = 0.01  # rad, in which the friction of stiff tendons turns over
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,12 @@ class Rig:
 
 
 def _of_the_loop(cause: dict[str, Any]) -> bool:
-    """Whether it is the velocity of the log, which is two cycles of the loop late on every rig."""
-    return cause["effect"] == "velocity_lag" and cause["parameters"]["time_constant"]["value"] < 2.0 / RATE
+    """Whether every rig has it: a velocity that is two cycles of the loop late, and the tendons' own elasticity."""
+    limits = {"velocity_lag": ("time_constant", 2.0 / RATE), "presliding_hysteresis": ("presliding_distance", ELASTIC)}
+    if cause["effect"] not in limits:
+        return False
+    name, limit = limits[cause["effect"]]
+    return bool(cause["parameters"][name]["value"] < limit)
 
 
 def _draw(name: str, rng: np.random.Generator) -> Effects:

@@ -16,7 +16,7 @@ from tsa_ctrl.errors import TsaError
 from tsa_ctrl.version import __version__
 
 VERBS: dict[str, str] = {
-    "init": "write commented example files for a rig or a desk",
+    "init": "write commented example files for a rig, a desk or a leg",
     "demo": "run the whole system on this machine and measure the gain of compensation",
     "run": "run the daemon: bring the drive up, run the loop, log",
     "plant": "simulate drives and joints as CANopen nodes on a bus",
