@@ -1,7 +1,7 @@
 """Drives with a gear and a joint torque sensor, without tendons: joint torque from motor torque, with hidden effects.
 
-Something outside moves or loads the joint, so motor torque and motion are independent. Nothing here is shared with the
-package under test. What the base file does not mention is a hidden cause.
+The joint is moved from outside, so that motor torque and motion are independent. The module does not import the
+package under test. The base file does not contain the hidden cause.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NAMES = (
     "backlash",
     "transport_delay",
 )
-STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # told by a joint that is held, too
+STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # a held joint shows these
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def _draw_effect(
 
 
 def _file(rng: np.random.Generator, drive: Drive, name: str) -> str:
-    """The nominal drive, its losses off by up to 20 %; what is hidden is absent."""
+    """Return the nominal drive without the hidden effect; its losses differ by up to 20 %."""
 
     def off(value: float) -> float:
         return float(value / (1.0 + rng.uniform(-0.2, 0.2)))

@@ -30,7 +30,7 @@ def test_the_routing_halves_what_another_joint_leaves(tmp_path: Path, capsys: py
     found = json.loads(capsys.readouterr().out)
     errors = {axis["name"]: axis["rms"] for axis in found["axes"]}
     assert list(errors) == list(ANGLES)
-    assert errors["hip"]["with"] == pytest.approx(errors["hip"]["fixed"], rel=0.02)  # no joint bends its sheath
+    assert errors["hip"]["with"] == pytest.approx(errors["hip"]["fixed"], rel=0.02)  # its sheath crosses no other joint
     for name in ("knee", "ankle"):
         assert errors[name]["with"] < 0.6 * errors[name]["fixed"]
         assert errors[name]["with"] < 0.15 * errors[name]["without"]
@@ -42,4 +42,4 @@ def test_a_leg_takes_no_other_motion(capsys: pytest.CaptureFixture[str]) -> None
     with pytest.raises(SystemExit) as ended:
         main(["demo", "--leg", "--load", "weight"])
     assert ended.value.code == 2
-    assert "--leg has a motion and joints of its own" in capsys.readouterr().err
+    assert "--leg can only be combined with" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """Simulated rigs with a hidden cause, on which an investigation moves the joint itself.
 
-The plant computes the hidden effects by itself, apart from the models of the diagnosis. A third of the causes are
-formulas that no effect of the catalogue writes. On some rigs the motion is such that several causes look alike.
+The plant computes the hidden effects independently of the models of the diagnosis. A third of the causes are formulas
+outside the catalogue. On some rigs no motion separates the causes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ ELASTIC = 0.01  # rad, in which the friction of stiff tendons turns over
 
 @dataclass(frozen=True)
 class Rig:
-    """`effects` of the plant; `inside`: they are of the catalogue; `alike`: what no motion of this rig separates."""
+    """Describe a rig. `inside`: the cause is in the catalogue; `alike`: causes that no motion separates from it."""
 
     name: str
     load: str
@@ -42,7 +42,7 @@ class Rig:
         return next(iter(self.effects), "")
 
     def judged(self, answer: str, causes: list[dict[str, Any]]) -> bool:
-        """Whether the answer is right: the cause alone, one of its group, or outside the catalogue."""
+        """Return True if the answer is right."""
         if not self.inside:
             return answer == "outside"
         if not self.effects:
@@ -54,7 +54,7 @@ class Rig:
 
 
 def _of_the_loop(cause: dict[str, Any]) -> bool:
-    """Whether every rig has it: a velocity that is two cycles of the loop late, and the tendons' own elasticity."""
+    """Return True for the delay of the velocity by two cycles, and for elastic tendons, as on every rig."""
     limits = {"velocity_lag": ("time_constant", 2.0 / RATE), "presliding_hysteresis": ("presliding_distance", ELASTIC)}
     if cause["effect"] not in limits:
         return False
@@ -147,7 +147,7 @@ def _generator(name: str, seed: int) -> np.random.Generator:
 
 
 def write(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
-    """Write the rig's files; return those of the controller and of the plant."""
+    """Write the files of the rig, and return the paths of controller and plant."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = _generator("factors", seed)
     axis: Mapping[str, Mapping[str, Any]] = {

@@ -1,4 +1,4 @@
-"""Experiments that the diagnosis chooses: what separates hypotheses, and whole investigations of simulated rigs."""
+"""Test the design of experiments, and complete investigations of simulated rigs."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def investigated(folder: Path, hidden: Rig, capsys: pytest.CaptureFixture[str], 
     ],
 )
 def test_the_hidden_cause_is_the_answer(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each motion leaves a log and a report in a folder of its own; all numbers of the JSON object are finite."""
+    """Each motion has a folder with its log and its report."""
     hidden = next(each for each in rigs(SEED) if each.name == name)
     found = investigated(tmp_path, hidden, capsys)
     causes, steps = found["causes"], found["steps"]

@@ -279,7 +279,7 @@ class TestGearedDrive:
     """[actuator] kind = "geared_drive"."""
 
     def test_round_trip(self, tmp_path: Path) -> None:
-        """Written and read; what is absent stays so."""
+        """Written and read; absent keys stay absent."""
         effects = {"torque_saturation": {"limit": 2.0}, "torque_sensor_lag": {"time_constant": 0.1}}
         model = GearedDrive(9.0, 0.9, None, 0.05, effects=effects)
         save_model(model, tmp_path / "drive.toml")
@@ -296,7 +296,7 @@ class TestGearedDrive:
         ],
     )
     def test_what_is_wrong_is_said(self, tmp_path: Path, text: str, message: str) -> None:
-        """One line with the key and what is allowed."""
+        """The message names the key and the allowed values."""
         with pytest.raises(UsageError, match=message):
             loaded(tmp_path, f'[actuator]\nkind = "geared_drive"\n{text}\n')
 

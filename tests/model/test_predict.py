@@ -254,7 +254,7 @@ class TestGearedDrive:
     LOG = Signals(t=T, tau_m=TAU_M, omega_j=OMEGA, q_j=-np.cos(W * T + 0.1) / W)
 
     def test_base_equation(self) -> None:
-        """Losses take from the torque where the motor drives, and add to what it must hold where it is driven."""
+        """The efficiency divides the torque if the joint drives the motor."""
         found = predict(GearedDrive(50.0, 0.8, 0.5, 0.2), self.LOG)
         gain = np.where(self.TAU_M * self.OMEGA > 0.0, 0.8, 1.25)
         expected = gain * 50.0 * self.TAU_M - 0.5 * np.sign(self.OMEGA) - 0.2 * self.OMEGA

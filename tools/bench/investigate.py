@@ -1,8 +1,8 @@
-"""Investigations of rigs with hidden causes: what was hidden, the hypotheses after each motion, and the answer.
+"""Investigate rigs with hidden causes, and print the hypotheses after each motion and the answer.
 
 Usage: tools/run bench/investigate [--seed N] [--only TEXT] [--processes 1|2]
 
-Each rig is one that the tests draw by the seed; the loop and the plant run in virtual time. The table has a row for
+The tests draw the rigs by the seed; the loop and the plant run in virtual time. The table has a row for
 each rig, and the last line counts the right answers.
 """
 

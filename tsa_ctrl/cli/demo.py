@@ -82,9 +82,7 @@ def command(
     """
     if leg:
         if full or hidden or bus is not None or setpoint is not None or tendon is not None or load != "imposed":
-            raise UsageError(
-                "demo: --leg has a motion and joints of its own, in virtual time; give --seconds and --out"
-            )
+            raise UsageError("demo: --leg can only be combined with --seconds, --out and --json")
         _leg(seconds, out, as_json)
         return
     if full:

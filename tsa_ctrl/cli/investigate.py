@@ -1,4 +1,4 @@
-"""`tsa investigate`: experiments that the diagnosis chooses, until one cause is left or none can be separated."""
+"""`tsa investigate`: play experiments until one cause remains or none can be separated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plan
     metavar="PLANT.toml",
     help="Move this simulated plant, in virtual time; nothing is sent on a bus.",
 )
-@click.option("--axis", "axis_name", metavar="NAME", help="Which axis, where the file has several.")
+@click.option("--axis", "axis_name", metavar="NAME", help="Axis, if the file has several.")
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
 @click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
@@ -52,8 +52,8 @@ def command(
 ) -> None:
     """Diagnose, play the motion that separates the open causes best, and diagnose again.
 
-    Ends with one cause, with a group that no motion within the limits separates, or with "outside the catalogue". The
-    limits are those of CONTROLLER.toml unless an option narrows them. The files of the rig are not changed. Ctrl-C at
+    The answer is one cause, a group that no motion within the limits separates, or "outside the catalogue". The
+    options narrow the limits of CONTROLLER.toml. The files of the rig are not changed. Ctrl-C at
     any point leaves the drive disabled and keeps the result of the motions so far.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -79,7 +79,7 @@ def command(
     if plant is None and not yes:
         question = (
             f"move the joint of axis {session.axis.name} up to {most} times for {LONGEST:g} s with up to "
-            f"{bounds.torque:.3g} N*m and {bounds.speed:g} rad/s; nobody may wear it. Start?"
+            f"{bounds.torque:.3g} N*m and {bounds.speed:g} rad/s; do not wear it. Start?"
         )
         if not sys.stdin.isatty():
             raise UsageError(f"investigate: would {question.removesuffix(' Start?')}; confirm by --yes")

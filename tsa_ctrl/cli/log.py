@@ -134,7 +134,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     "--kind",
     type=click.Choice(["tendon_sheath", "rigid_drive", "geared_drive"]),
     show_default="tendon_sheath with a joint torque, else rigid_drive",
-    help="What the model file to fill in describes.",
+    help="Kind of the model file to fill in.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for CSV, mapping, model, picture.")
 @click.option("--yes", is_flag=True, help="Take the proposals for all open questions.")

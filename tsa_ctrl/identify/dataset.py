@@ -142,8 +142,8 @@ class Dataset(Displayed):
         """Return this log with the columns that follow from others by `model`.
 
         The `[routing]` of tendon-sheaths gives the wrap angle theta from the angles q_j.NAME; a log that lacks an angle
-        keeps its column theta, and UsageError is raised if it has neither. The ratio of a geared drive gives the
-        joint's motion from the motor's, and back. A plain drive leaves the joint torque aside, and says so.
+        keeps its column theta, and UsageError is raised if it has neither. The ratio of a geared drive converts between
+        the motion of motor and joint. A plain drive does not use the joint torque, and a note states this.
         """
         if isinstance(model, GearedDrive):
             return self._turned_by(model.ratio)

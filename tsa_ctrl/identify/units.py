@@ -30,7 +30,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
     "t3": (2e4, "N", "mN"),
     "temperature": (200.0, "degC", "kelvin"),
 }
-# No joint that tendons move turns as fast; a gear's may
+# Limit for joints that tendons move; a joint behind a gear may turn faster
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by
@@ -84,7 +84,7 @@ def check_sizes(
 
 
 def check_joint(label: str, columns: Mapping[str, Array], first_row: int = 0) -> None:
-    """Raise UsageError when a joint moves as none does that tendons move; the shaft of a drive may turn faster."""
+    """Raise UsageError if a joint moves faster or further than tendons can move it."""
     check_sizes(label, columns, first_row, FASTEST_JOINT)
     q = columns.get("q_j")
     if q is not None and ("omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING):

@@ -1,9 +1,9 @@
-"""Which set-point separates hypotheses best: found by search over waveforms, within the limits of the rig.
+"""Search for the set-point that separates hypotheses best, within the limits of the rig.
 
-The criterion is that of T-optimal designs (Atkinson and Fedorov, Biometrika 62, 1975): the difference between what the
-leading hypothesis predicts and what a rival predicts, after the rival's parameters have been refitted to it. Here the
-rival has to fit the present logs as well, so that a parameter that they know cannot follow a new motion. In units of
-the noise, with samples further apart than the noise remembers.
+The search maximises the T-optimality criterion (Atkinson and Fedorov, Biometrika 62, 1975). The criterion is the
+difference between the predictions of the leading hypothesis and of a rival, after the parameters of the rival were
+fitted to that difference. The rival must also fit the present logs, which limits these parameters. Differences are
+divided by the noise, and correlated samples are counted once.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the sines: one period and a half in SECON
 HEADROOM = 0.8  # of speed and travel that a prediction may use: it is of a fitted joint, not of the joint
 LEAST_TORQUE = 0.05  # of the permitted torque: a smaller experiment shows nothing
 EVERY = 0.04  # s between samples of the criterion: half a period of BAND of a torque sensor's noise after its low-pass
-REMEMBERS = 5.0  # samples that tell as much as one: errors of models are slow
+REMEMBERS = 5.0  # correlated samples that count as one: model errors change slowly
 CHANGE = 1e-3  # relative step of the finite differences of a rival's parameters
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A set-point, its predicted motion, and by how many standard deviations it separates each pair of names."""
+    """Hold a set-point, its predicted motion, and the separation of each pair of names in standard deviations."""
 
     waveform: Waveform
     motion: Motion
@@ -49,13 +49,13 @@ class Experiment:
 
     @property
     def weakest(self) -> float:
-        """The separation of the pair that it separates least; inf without a pair."""
+        """Return the smallest separation; inf without a pair."""
         return min(self.separation.values(), default=math.inf)
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two hypotheses that the present logs do not separate, as models."""
+    """Hold two hypotheses, as models, that the present logs do not separate."""
 
     names: tuple[str, str]
     leading: TendonSheath
@@ -74,7 +74,7 @@ class Designer:
         self._past = [_thinned(log.signals(), EVERY) for log in logs]
 
     def best(self, pairs: Sequence[Pair]) -> Experiment:
-        """The best experiment that was found; without a pair one that covers speeds, loads and angles evenly."""
+        """Return the best experiment; without pairs, one that covers speeds, loads and angles evenly."""
         known = [self._known(pair) for pair in pairs]
 
         def value(u: Array) -> float:
@@ -94,7 +94,7 @@ class Designer:
         return experiment
 
     def _refined(self, value: Callable[[Array], float], best: float, u: Array) -> tuple[float, Array]:
-        """The point after random steps that shrink whenever one does not help."""
+        """Return the point after random steps; the step size decreases after each failed step."""
         step = FIRST_STEP
         for _ in range(EVALUATIONS):
             tried = np.clip(u + step * self._rng.standard_normal(SIZE), 0.0, 1.0)
@@ -105,7 +105,7 @@ class Designer:
         return best, u
 
     def _experiment(self, u: Array, pairs: Sequence[Pair], known: Sequence[tuple[Array, Array]]) -> Experiment | None:
-        """The waveform of a point, scaled down to the limits; None where that leaves hardly any torque."""
+        """Return the experiment of a point, scaled down to the limits; None if hardly any torque remains."""
         shape = _shape(u)
         share = 1.0
         for _ in range(3):
@@ -124,7 +124,7 @@ class Designer:
         return Experiment(waveform, motion, separation)
 
     def _excess(self, motion: Motion) -> float:
-        """Over the limit, 1: of speed and travel; a joint that something else moves keeps its own."""
+        """Return the largest ratio of motion to limit; 0 for a joint that is moved from outside."""
         if not self._joint.driven:
             return 0.0
         out = float(np.max(np.abs(motion.omega_j))) / (HEADROOM * self._bounds.speed)
@@ -134,7 +134,7 @@ class Designer:
         return out
 
     def _known(self, pair: Pair) -> tuple[Array, Array]:
-        """Difference (n,) and the rival's gradients (n, k) on the present logs, in units of the noise."""
+        """Return difference (n,) and gradients of the rival (n, k) on the present logs, divided by the noise."""
         difference, gradients = zip(*(self._compared(pair, signals) for signals in self._past), strict=True)
         return np.concatenate(difference), np.concatenate(gradients)
 
@@ -155,10 +155,10 @@ SIZE = 8  # numbers that describe a waveform, each 0 to 1
 
 
 def _shape(u: Array) -> Waveform:
-    """A waveform of peak 1: two waves between sine and square, an offset, and a swell.
+    """Return a waveform with peak 1: two waves between sine and square, an offset, and a slow amplitude modulation.
 
-    u: frequency and share of each wave (Hz by their logarithm), how square they are, offset, depth and rate of the
-    swell, phase.
+    u contains the two frequencies, the share of the second wave, the squareness, the offset, the depth and rate of the
+    modulation, and the phase, each from 0 to 1.
     """
     t = np.arange(0.0, SECONDS + 0.5 / RATE, 1.0 / RATE)
     low, high = (SLOWEST * (FASTEST / SLOWEST) ** float(part) for part in (0.55 * u[0], 0.35 + 0.65 * u[1]))
@@ -175,13 +175,13 @@ def _shape(u: Array) -> Waveform:
 
 
 def _benefit(experiment: Experiment) -> float:
-    """What counts is the pair that is separated least, and beside it all others a little."""
+    """Return the value of an experiment: the smallest separation, and a tenth of all others."""
     sizes = [math.log1p(size) for size in experiment.separation.values()]
     return min(sizes) + 0.1 * sum(sizes)
 
 
 def _coverage(motion: Motion) -> float:
-    """Of a motion without a question: how evenly speed, torque and angle are visited, as the entropy of a histogram."""
+    """Return how evenly a motion covers speed, torque and angle: the entropy of their histogram."""
     columns = np.column_stack([motion.omega_j, motion.tau_m, motion.q_j])[:: round(EVERY / (motion.t[1] - motion.t[0]))]
     span = np.maximum(np.abs(columns).max(axis=0), 1e-9)
     counts = np.histogramdd(columns / span, bins=(6, 6, 4))[0].ravel()
@@ -190,7 +190,7 @@ def _coverage(motion: Motion) -> float:
 
 
 def variations(model: TendonSheath) -> list[TendonSheath]:
-    """The model with each of its numbers a little larger: friction angle, pretension, those of its effects."""
+    """Return the model with one parameter slightly increased, for each parameter of the base model and the effects."""
     out = [
         model.recalibrated(friction_angle=model.friction_angle * math.exp(CHANGE)),
         model.recalibrated(pretension=model.pretension * math.exp(CHANGE)),
@@ -210,7 +210,7 @@ def variations(model: TendonSheath) -> list[TendonSheath]:
 
 
 def _left(difference: Array, gradients: Array) -> float:
-    """Sum of squares that no change of the rival's numbers takes."""
+    """Return the sum of squares that no change of the rival's parameters removes."""
     if not gradients.shape[1]:
         return float(difference @ difference)
     rest = difference - gradients @ np.linalg.lstsq(gradients, difference, rcond=1e-9)[0]
@@ -218,7 +218,7 @@ def _left(difference: Array, gradients: Array) -> float:
 
 
 def _signals(motion: Motion, model: TendonSheath, like: Signals) -> Signals:
-    """The predicted motion as a log with the columns of `like`."""
+    """Return the predicted motion as a log with the columns of `like`."""
     columns: dict[str, Array] = {"t": motion.t, "tau_m": motion.tau_m, "omega_j": motion.omega_j}
     gear = model.joint_pulley_radius / model.motor_pulley_radius
     optional: Mapping[str, Callable[[], Array]] = {
@@ -236,12 +236,12 @@ def _signals(motion: Motion, model: TendonSheath, like: Signals) -> Signals:
 
 
 def _held(motion: Motion, column: Array | None) -> Array:
-    """The last value of a column for the whole motion."""
+    """Return the last value of a column for the whole motion."""
     return np.full_like(motion.t, math.nan if column is None else float(column[-1]))
 
 
 def _thinned(signals: Signals, every: float) -> Signals:
-    """Every so many seconds one sample."""
+    """Return one sample for each `every` seconds."""
     step = max(1, round(every / signals.period))
     columns = {entry.name: getattr(signals, entry.name) for entry in dataclasses.fields(signals)}
     joints = {name: angle[::step] for name, angle in columns.pop("joints").items()}

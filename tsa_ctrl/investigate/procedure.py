@@ -1,4 +1,4 @@
-"""Motion after motion, each chosen for the question that is open, until one answer is left."""
+"""Play motions, each designed for the open question, until one answer remains."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Waveform, pro
 from tsa_ctrl.tune.run import RigRunner, longest
 
 PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its ramps
-SEPARATES = 5.0  # standard deviations that a motion must promise for a pair, to be worth playing
-LEAST_MOTIONS = 2  # an answer has to hold on a motion that it was not found on
-ATTEMPTS = 2  # motions that promised to separate a pair and did not: the pair then stays
+SEPARATES = 5.0  # standard deviations; a motion with a smaller predicted separation is not played
+LEAST_MOTIONS = 2  # an answer must also hold on a second motion
+ATTEMPTS = 2  # motions designed for the same pair; after them the pair counts as inseparable
 MORE_THAN_NOISE = 1.5  # of the sensor noise, RMS while sliding: the noise is known to a quarter
-OUTSIDE = 3  # motions after which what no effect explains is outside the catalogue
+OUTSIDE = 3  # motions, after which an unexplained error counts as outside the catalogue
 
 Play = Callable[[str, Waveform], tuple[Sequence[Dataset], Path]]  # name, set-point: its logs, and its folder
-Progress = Callable[[str, float], None]  # what is being done, completed share of the most motions
+Progress = Callable[[str, float], None]  # activity, and the completed share
 
 
 class Answer(Enum):
-    """How an investigation ends."""
+    """The possible answers of an investigation."""
 
-    NONE = "none"  # the model fits; no cause
+    NONE = "none"  # the model fits
     CAUSE = "cause"
-    GROUP = "group"  # of causes that no motion within the limits separates
+    GROUP = "group"  # no motion within the limits separates these causes
     OUTSIDE = "outside"  # of the catalogue
     INSUFFICIENT = "insufficient"
     STOPPED = "stopped"  # by the user or by the most motions, with a question open
@@ -42,7 +42,7 @@ class Answer(Enum):
 
 @dataclass(frozen=True)
 class Step:
-    """One motion and what was known after it. `promised`: the separation of each pair that the motion was made for."""
+    """Hold one motion and its diagnosis. `promised`: the predicted separation of each pair, in standard deviations."""
 
     name: str
     seconds: float
@@ -58,7 +58,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Investigation:
-    """The answer with the steps that led to it; `statement` says it in a sentence."""
+    """Hold the answer, one sentence that states it, and the steps that led to it."""
 
     answer: Answer
     statement: str
@@ -66,7 +66,7 @@ class Investigation:
 
     @property
     def result(self) -> Diagnosis | None:
-        """The last diagnosis."""
+        """Return the last diagnosis."""
         return self.steps[-1].result if self.steps else None
 
 
@@ -82,7 +82,7 @@ def investigate(
 ) -> Investigation:
     """Diagnose `logs`, or a first motion, and play motions until an answer is left; at most `most` of them.
 
-    `write` receives each step as soon as it is done. A KeyboardInterrupt ends with what is known.
+    `write` receives each step as soon as it is done. A KeyboardInterrupt ends the investigation and keeps the result.
 
     Raises:
         UsageError: the joint does not move, or no motion is possible within `bounds`.
@@ -127,7 +127,7 @@ class _Course:
                     return answer
                 self._perform(f"motion-{self._motions + 1}", answer)
         except KeyboardInterrupt:
-            return self._ended(Answer.STOPPED, "stopped by Ctrl-C; the result is that of the motions so far")
+            return self._ended(Answer.STOPPED, "stopped by Ctrl-C; the result contains the motions so far")
 
     def _first(self) -> None:
         """Probe with increasing torque until the joint moves, then cover speeds, loads and angles."""
@@ -167,7 +167,7 @@ class _Course:
         self._write(self._steps[-1])
 
     def _answer(self) -> Investigation | Experiment:
-        """The end, or the next motion."""
+        """Return the result, or the next motion."""
         result = self._steps[-1].result
         pairs = open_pairs(result)
         if pairs:
@@ -214,9 +214,9 @@ class _Course:
 
 
 def unexplained_while_sliding(result: Diagnosis) -> bool:
-    """Whether something is left that is neither noise nor in moments of reversals, which no model has exactly.
+    """Return True if the error while sliding and the error on held-out data both exceed the sensor noise.
 
-    Compared with the noise are the error while sliding and the error on held-out data.
+    Errors at reversals do not count, because no model reproduces these moments exactly.
     """
     if result.verdict not in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         return False
@@ -226,7 +226,7 @@ def unexplained_while_sliding(result: Diagnosis) -> bool:
 
 
 def open_pairs(result: Diagnosis) -> list[Pair]:
-    """Each cause with each alternative that the logs leave, as models; wrong base parameters are no experiment's."""
+    """Return each cause with each remaining alternative, as models; base parameters are left to calibration."""
     assert isinstance(result.model, TendonSheath)
     return [
         Pair((cause.effect, name), result.model, rival)
@@ -237,7 +237,7 @@ def open_pairs(result: Diagnosis) -> list[Pair]:
 
 
 def on_the_rig(runner_of: Callable[[Path], RigRunner], folder: Path, path: Path) -> Play:
-    """Return a `Play` that gives each motion a folder of its own below `folder`; `path`: the model file."""
+    """Return a `Play` that uses one subfolder of `folder` for each motion; `path` is the model file."""
 
     def play(name: str, wave: Waveform) -> tuple[Sequence[Dataset], Path]:
         own = folder / name
@@ -248,4 +248,4 @@ def on_the_rig(runner_of: Callable[[Path], RigRunner], folder: Path, path: Path)
     return play
 
 
-LONGEST = SECONDS  # s of a motion, for what is told before it starts
+LONGEST = SECONDS  # s, duration of one motion; the command prints it before the start

@@ -1,4 +1,4 @@
-"""What an investigation leaves: JSON, the extended model, a page with a row for each motion."""
+"""Write the JSON object and the page of an investigation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STYLE = (
 
 
 def to_dict(found: Investigation, folder: Path) -> dict[str, Any]:
-    """The JSON object; paths are relative to `folder`."""
+    """Return the JSON object; paths are relative to `folder`."""
     result = found.result
     return {
         "schema": 1,

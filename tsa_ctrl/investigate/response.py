@@ -1,4 +1,4 @@
-"""How a joint answers a set-point: what is needed to predict the motion of an experiment before it is played.
+"""Predict the motion of an experiment before it is played.
 
 A joint that the torque moves follows J dw/dt = tau_J - b w - k q - A sin q - B cos q - c, which is linear in its
 parameters; they are fitted to logs. Through the transmission tau_J = R cosh(x) tau_M - F sigma while it slides (3.55).
@@ -30,7 +30,7 @@ FASTEST = 60.0  # rad/s at which a prediction ends that has run away
 
 @dataclass(frozen=True)
 class Motion:
-    """A predicted experiment at STEP: t in s, tau_m in N*m, q and omega of the joint in rad and rad/s, (n,) each."""
+    """Hold a predicted motion with period STEP: t (s), tau_m (N*m), q_j (rad) and omega_j (rad/s), (n,) each."""
 
     t: Array
     tau_m: Array
@@ -40,7 +40,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Joint:
-    """The prediction of one joint. `terms`: of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None: others move it."""
+    """Predict one joint. `terms`: factors of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None: moved from outside."""
 
     model: TendonSheath
     terms: tuple[float, ...] | None
@@ -68,11 +68,11 @@ class Joint:
 
     @property
     def driven(self) -> bool:
-        """Whether the torque moves it."""
+        """Return True if the torque moves the joint."""
         return self.terms is not None
 
     def predict(self, wave: Waveform) -> Motion:
-        """The motion under a desired joint torque, without compensation of friction."""
+        """Return the motion under a desired joint torque, without compensation of friction."""
         t = np.arange(0.0, wave.seconds, STEP)
         wanted = np.interp(t, wave.t, wave.tau_j_des)
         gear = self.model.joint_pulley_radius / self.model.motor_pulley_radius

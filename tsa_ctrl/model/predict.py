@@ -1,4 +1,4 @@
-"""What a model expects for a log: the joint torque of tendon-sheaths or of a gear, or the motor torque of a drive.
+"""Predict the joint torque of tendon-sheaths or of a gear, or the motor torque of a plain drive.
 
 Source: (3.55) with the effects in their order of composition. All SI, plain numpy.
 """
@@ -295,7 +295,7 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
 def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array:
     """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s the sign of the power tau_M omega_J; then the joint's effects.
 
-    Where presliding makes sigma continuous, s is sigma in the direction of tau_M.
+    With presliding, sigma is continuous, and so is s.
     """
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
@@ -320,7 +320,7 @@ def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array
 
 
 def _sensed(stack: Stack, torque: Array, t: Array) -> Array:
-    """What the sensor reports of a torque, (n,), N*m."""
+    """Return the torque (n,) in N*m as the sensor reports it."""
     for effect in stack.sensor:
         torque = effect.apply(torque, t)
     return torque

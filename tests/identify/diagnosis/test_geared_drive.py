@@ -30,7 +30,7 @@ SIZES = {
     "gravity_load": "amplitude",
     "backlash": "gap",
     "transport_delay": "delay",
-}  # of each effect the parameter that is compared; Stribeck friction trades its three for each other
+}  # the compared parameter of each effect; the three parameters of Stribeck friction are correlated
 
 
 def diagnosed(case: Case) -> Diagnosis:
@@ -67,7 +67,7 @@ def test_a_healthy_drive_has_no_cause(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STATIC)
 def test_stairs_of_torque_on_a_held_joint_show_gain_zero_and_saturation(name: str) -> None:
-    """No loss is told then, and an offset may as well be a weight."""
+    """Such a log identifies no losses, and does not separate an offset from a weight."""
     result = diagnosed(case := held_case(name, 0))
     check(case, result)
     assert result.causes[0].alternatives == (("gravity_load",) if name == "torque_offset" else ())

@@ -112,7 +112,7 @@ def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
     """Causes with which the held-out torque is predicted no better than by what needs none of them."""
     best, error = errors.simplest
     if best == "line" and isinstance(problem.base.given, GearedDrive):
-        return  # that is what a gear is, but for its losses
+        return  # except for the losses, a gear is a straight line
     if named and errors.extended >= error:
         driver = "velocity" if problem.base.target == "tau_m" else "motor torque"
         raise InsufficientError(

@@ -161,7 +161,7 @@ class Backlash:
         search=_gaps,
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis"), (Motion.SPEEDS,)),),
         columns=(("q_j",),),
-        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no joint that play could part from it
+        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no separate joint
         feedforward="not compensated, no torque crosses the play of {gap} rad",
         equation="tendon part 0 while |q − q_r| < gap",
     )
@@ -202,7 +202,7 @@ def _sensor_lags(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class TorqueSensorLag:
-    """The measured joint torque is the true one through 1/(1 + T s), from rest at the log's first sample."""
+    """Low-pass the joint torque by 1/(1 + T s); the log starts in steady state."""
 
     time_constant: Annotated[float, non_negative("s")]  # T
 

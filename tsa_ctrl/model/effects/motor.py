@@ -35,7 +35,7 @@ from tsa_ctrl.model.effects.specification import (
 from tsa_ctrl.model.functions import Array, F, Functions
 
 MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for
-LEAST_LIMIT = 0.2  # of the largest motor torque of a log: a motor that saturates below that is another motor
+LEAST_LIMIT = 0.2  # of the largest motor torque of a log; a lower limit means another motor
 LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
 
 
@@ -90,7 +90,7 @@ def _limits(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class TorqueSaturation:
-    """tau_M = limit sign(tau_M) where abs(tau_M) > limit: the drive reports a torque that the motor does not have."""
+    """Limit tau_M to +-limit: the drive reports more torque than the motor delivers."""
 
     limit: Annotated[float, positive("N*m")]
 
@@ -101,7 +101,7 @@ class TorqueSaturation:
         search=_limits,
         unresolved="the motor torque is always 0",
         twins=(Twins(("torque_constant_error", "load_dependent_friction"), (Motion.SIGNS,)),),
-        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive's reported torque is what is predicted
+        kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # the model of a plain drive predicts the reported torque
         feedforward="commands stay within the limit of {limit} N*m",
         equation="τ_M ← min(max(τ_M, −L), L)",
     )
@@ -110,7 +110,7 @@ class TorqueSaturation:
         return self._within(functions, tau_m)
 
     def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
-        """The nearest torque that the motor delivers."""
+        """Return the nearest torque that the motor can deliver."""
         return self._within(functions, tau_m)
 
     def _within(self, functions: Functions[F], tau_m: F) -> F:

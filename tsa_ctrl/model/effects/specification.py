@@ -42,7 +42,7 @@ class Stage(Enum):
 
 
 class Kind(Enum):
-    """What a model file describes: `[actuator] kind`."""
+    """The kinds of model files: `[actuator] kind`."""
 
     TENDON_SHEATH = "tendon_sheath"
     RIGID_DRIVE = "rigid_drive"
@@ -191,7 +191,7 @@ class Specification:
     excludes: tuple[str, ...] = ()
     constants: Parameter | None = None  # of further parameters of any name, numbers
     hypothesis: bool = True  # False: the user's own formula, which no diagnosis proposes
-    kinds: tuple[Kind, ...] = tuple(Kind)  # of model files in which it has a meaning
+    kinds: tuple[Kind, ...] = tuple(Kind)  # model files that may contain the effect
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
     parameters: tuple[Parameter, ...] = ()  # those of the class

@@ -20,7 +20,7 @@ LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
 # Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
 STUCK = 0.5
 FEWEST_HELD = 20  # samples at the largest value: so many are a limit, and no chance
-HELD, MOVED = 0.3, 0.05  # s and share of the range: no torque of a moving joint rests so long on one digit
+HELD, MOVED = 0.3, 0.05  # s, and share of the range: the torque of a moving joint changes earlier
 SPEED_BINS, LOAD_BINS = 8, 8  # a picture that is read at a glance; no verdict hangs on it
 
 
@@ -44,7 +44,7 @@ class Audit:
 def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) -> Audit:
     """Occupancy and excitation of the samples that may be learned from. `notes`: what was done to the logs before.
 
-    `needs_motion`: False for a gear, whose gain, zero and saturation show on a joint that is held, too.
+    `needs_motion`: False for a gear; a held joint shows its gain, offset and saturation.
     """
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
@@ -142,7 +142,7 @@ def _insufficient(moving: float, fast: float, clear: float, frame: Frame, needs_
 
 
 def _held_in_motion(run: Run, column: Array) -> tuple[float, float, float] | None:
-    """Return start (s), length (s) and value of the longest stretch of one value in which the joint moves on."""
+    """Return start (s), length (s) and value of the longest constant torque during which the joint moves."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(column) != 0.0) + 1, [len(column)]])
     path = np.concatenate([[0.0], np.cumsum(np.abs(run.full.omega_j))]) * run.full.period
     lengths = np.diff(edges)

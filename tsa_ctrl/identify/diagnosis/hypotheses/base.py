@@ -2,7 +2,8 @@
 
 The bases are the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty],
 the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, and the geared drive
-tau_J = eta^s N tau_M - tau_c sigma - b omega_J; of both drives all that the file names is free, but the ratio.
+tau_J = eta^s N tau_M - tau_c sigma - b omega_J. Recalibration frees all parameters that the file of a drive contains,
+except the ratio.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from tsa_ctrl.model.signals import Signals
 WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to see what wrong parameters could explain
 
 
-STANDSTILL = 1e-6  # rad/s, which no joint has for minutes that somebody moves
-MOVES = 3.0  # times the noise of its velocity, 95 % of the time below which a joint does not move
+STANDSTILL = 1e-6  # rad/s; a joint that moves is faster
+MOVES = 3.0  # times the velocity noise; a joint with a smaller 95th percentile of the speed is held
 
 
 class Base(Protocol):
@@ -119,7 +120,7 @@ _UNITS: Mapping[str, str] = {
     "viscous_friction": "N*m*s/rad",
     "torque_offset": "N*m",
 }
-# An offset has either sign; no gear gives more than it takes, and below 5 % nobody uses one
+# An offset may have either sign; the efficiency of a gear is between 5 % and 100 %
 _BOUNDS: Mapping[str, tuple[float, float]] = {"torque_offset": (-math.inf, math.inf), "efficiency": (0.05, 1.0)}
 
 
@@ -129,7 +130,7 @@ class DriveBase:
 
     given: RigidDrive | GearedDrive
     scales: Mapping[str, float]  # size of each parameter that moves this log's torque
-    moves: bool = True  # False: a joint that is held shows no loss, and those of the file stay
+    moves: bool = True  # False: the joint is held, and its losses cannot be identified
 
     @property
     def target(self) -> str:

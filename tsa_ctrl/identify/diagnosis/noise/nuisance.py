@@ -47,7 +47,7 @@ STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
 STEP_MARGIN = 0.04  # s: five score samples, in which a filtered step is neither
 MOST_COLUMNS = 800  # a projection costs the square of them; further moments share a column
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
-TAIL = 0.05  # of a moment through a lagging sensor, below which it is left out
+TAIL = 0.05  # of the maximum of a moment after a slow sensor; smaller values are ignored
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
 
 
@@ -198,13 +198,13 @@ def _late(run: Run, pattern: Array, model: Model) -> Array:
 
 
 def _delayed(run: Run, pattern: Array, model: Model) -> Array:
-    """A pattern in the true torque, (n,), late by the delay alone, which leaves short what is short."""
+    """Return a pattern of the true torque (n,), shifted by the transport delay; a lag would lengthen it."""
     late = model.effects.get("transport_delay")
     return pattern if late is None else TransportDelay(float(late["delay"])).apply(pattern, run.signals.t)
 
 
 def _smeared(frame: Frame, moments: Sequence[Moment], lag: float) -> tuple[Moment, ...]:
-    """The moments through a sensor that lags by `lag` s, as long as TAIL of their largest value is left."""
+    """Return the moments after a sensor with time constant `lag` (s), cut off at TAIL of their maximum."""
     longest = math.ceil(-math.log(TAIL) * lag / frame.period)
     out = []
     for moment in moments:
