@@ -165,12 +165,12 @@ def _show(result: Diagnosis, out: Path) -> None:
     from rich.table import Table
 
     from tsa_ctrl.identify.diagnosis.report.page import PAGE
-    from tsa_ctrl.identify.diagnosis.report.words import remarks, spoken
+    from tsa_ctrl.identify.diagnosis.report.words import four_lines, remarks, spoken
 
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
-    for remark in remarks(result):
-        console.print(remark, soft_wrap=True, markup=False, highlight=False)
+    for name, line in four_lines(result).items():
+        console.print(f"{name}: {line}", soft_wrap=True, markup=False, highlight=False)
     if result.causes:
         table = Table("cause", "or", "parameter", "value", "95 % interval")
         for cause in result.causes:
@@ -181,6 +181,8 @@ def _show(result: Diagnosis, out: Path) -> None:
                 table.add_row(*(names if first else ("", "")), spoken(name), *text)
                 first = False
         console.print(table)
+    for remark in remarks(result):
+        console.print(remark, soft_wrap=True, markup=False, highlight=False)
     console.print(
         f"verdict: {result.verdict.value}; next experiment: {result.experiment.text}", soft_wrap=True, markup=False
     )

@@ -9,8 +9,9 @@ import pytest
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.experiment import _parting_most
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, spoken
+from tsa_ctrl.identify.diagnosis.report.words import four_lines, insufficient_sentence, sentence, spoken
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.effects.specification import Motion
 from tsa_ctrl.model.parameters import RigidDrive
 
@@ -84,3 +85,44 @@ def test_one_motion_parts_most_pairs() -> None:
     motion, parted = _parting_most(pairs)
     assert motion is Motion.SPEEDS
     assert parted == pairs[1:]
+
+
+def four(verdict: Verdict, *causes: Cause, left: str = "", sliding: float = 0.011) -> dict[str, str]:
+    rms = Rms(0.06, 0.05, 0.01, 0.009, 0.06, 0.055)
+    errors = ThreeErrors(sliding, 0.03, 0.009)
+    experiment = Experiment("move in both directions")
+    found = Diagnosis(verdict, "", causes, {}, left, {}, {}, experiment, rms, 0.9, RigidDrive(), errors=errors)
+    return four_lines(found)
+
+
+def test_four_lines_state_error_cause_rest_and_next_step() -> None:
+    found = four(Verdict.EXPLAINED, PLAIN)
+    assert list(found) == ["Error", "Cause", "Rest", "Next"]
+    expected = (
+        "55 mN·m RMS as given; with extended.toml 11 mN·m while sliding, 30 mN·m in reversals; the sensor noise is"
+    )
+    assert found["Error"] == f"{expected} 9 mN·m"
+    assert found["Cause"] == "torque offset, offset 0.0003487 N·m (0.00029 to 0.000407)"
+    assert found["Rest"] == "noise"
+    assert found["Next"].startswith("use extended.toml")
+
+
+def test_what_only_reversals_leave_is_not_called_more_than_noise() -> None:
+    left = "what is left depends on time (23% of its mean square); it also depends on the load"
+    assert four(Verdict.PARTLY_EXPLAINED, PLAIN, left=left)["Rest"].startswith("in reversals alone")
+    much = four(Verdict.PARTLY_EXPLAINED, PLAIN, left=left, sliding=0.03)["Rest"]
+    assert much == "more than noise: it depends on time (23% of its mean square)"
+
+
+def test_with_alternatives_the_next_step_is_the_experiment() -> None:
+    found = four(Verdict.EXPLAINED, LONG)
+    assert found["Next"] == "move in both directions"
+    assert "direction asymmetric friction, load dependent friction" in found["Cause"]
+
+
+def test_without_a_cause_the_lines_say_so() -> None:
+    assert four(Verdict.CONSISTENT)["Cause"] == "none"
+    assert four(Verdict.UNEXPLAINED, left="what is left is a slow drift (90% of its mean square)")["Cause"] == (
+        "none in the catalogue"
+    )
+    assert four(Verdict.INSUFFICIENT)["Error"] == "not known"

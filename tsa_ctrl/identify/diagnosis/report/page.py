@@ -19,7 +19,7 @@ from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import DRIVES
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import listed, remarks, spoken, summary_of, told_torque
+from tsa_ctrl.identify.diagnosis.report.words import four_lines, listed, remarks, spoken, summary_of, told_torque
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.model.parameters import save_model
@@ -94,6 +94,7 @@ def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = N
         pictures={caption: base64.b64encode(path.read_bytes()).decode("ascii") for caption, path in pictures.items()},
         details=result.details,
         experiment_file=EXPERIMENT if result.experiment.t else "",
+        lines=four_lines(result),
         remarks=remarks(result),
         drive=DRIVES[result.model.kind],
         model=Path(given).name if given else "a model without a file",

@@ -13,6 +13,7 @@ MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
 MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
+IN_REVERSALS = 1.5  # times the sensor noise; a smaller error while sliding is noise
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
@@ -68,6 +69,55 @@ def sentence(result: Diagnosis) -> str:
     )
     left = "; more is left" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
     return _with_causes(result, f"{gained}{left}")
+
+
+def four_lines(result: Diagnosis) -> dict[str, str]:
+    """Return the error, the causes with their intervals, the remaining error, and the next step, one line each."""
+    if result.verdict is Verdict.INSUFFICIENT:
+        return {"Error": "not known", "Cause": "not known", "Rest": "not known", "Next": result.experiment.text}
+    errors = result.errors
+    given = told_torque(result.rms.simulated)
+    now = ", ".join(
+        f"{told_torque(value)} {where}"
+        for where, value in (("while sliding", errors.sliding), ("in reversals", errors.reversals))
+        if value is not None
+    )
+    written = "with extended.toml" if result.causes else "recalibrated"
+    causes = "; ".join(_with_intervals(cause) for cause in result.causes)
+    return {
+        "Error": f"{given} RMS as given; {written} {now}; the sensor noise is {told_torque(errors.sensor_noise)}",
+        "Cause": causes or ("none" if result.verdict is Verdict.CONSISTENT else "none in the catalogue"),
+        "Rest": _rest(result),
+        "Next": _next(result),
+    }
+
+
+def _with_intervals(cause: Cause) -> str:
+    """Return the name, the alternatives, and each parameter with its 95 % interval."""
+    numbers = [
+        f"{spoken(key)} {value}"
+        for key, value in cause.parameters.items()
+        if isinstance(value, Quantity) and value.told and value.low < value.high
+    ]
+    return ", ".join([_named(cause), *numbers])
+
+
+def _rest(result: Diagnosis) -> str:
+    if not result.unexplained:
+        return "noise"
+    sliding, noise = result.errors.sliding, result.errors.sensor_noise
+    first = result.unexplained.split(";")[0].removeprefix("what is left ")
+    if sliding is not None and noise is not None and sliding < IN_REVERSALS * noise:
+        return f"in reversals alone; while sliding it is noise ({first})"
+    return f"more than noise: it {first}"
+
+
+def _next(result: Diagnosis) -> str:
+    if any(cause.alternatives for cause in result.causes):
+        return result.experiment.text
+    if result.causes:
+        return f"use extended.toml in place of the model file; then {result.experiment.text}"
+    return result.experiment.text
 
 
 def noise_of(result: Diagnosis) -> str:
