@@ -30,6 +30,7 @@ EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plan
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
 @click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
+@click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 120.0), help="Of each motion.")
 @click.option("--most", default=6, show_default=True, type=click.IntRange(1, 30), help="Most motions.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
 @click.option("--allow-simulated", is_flag=True, help="Start from a model file with simulated numbers on real drives.")
@@ -44,6 +45,7 @@ def command(
     torque: float | None,
     speed: float | None,
     travel: tuple[float, float] | None,
+    seconds: float,
     most: int,
     seed: int,
     allow_simulated: bool,
@@ -63,7 +65,7 @@ def command(
     from tsa_ctrl.identify.diagnosis.report.page import write as write_diagnosis
     from tsa_ctrl.identify.diagnosis.report.pictures import plot
     from tsa_ctrl.investigate import report
-    from tsa_ctrl.investigate.procedure import LONGEST, Answer, Step, investigate, on_the_rig
+    from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig
     from tsa_ctrl.tune.session import Plan, Session
 
     session = Session(controller, axis_name, Plan(torque, speed, travel, plant=plant, allow_simulated=allow_simulated))
@@ -78,7 +80,7 @@ def command(
     bounds = session.bounds
     if plant is None and not yes:
         question = (
-            f"move the joint of axis {session.axis.name} up to {most} times for {LONGEST:g} s with up to "
+            f"move the joint of axis {session.axis.name} up to {most} times for {seconds:g} s with up to "
             f"{bounds.torque:.3g} N*m and {bounds.speed:g} rad/s; do not wear it. Start?"
         )
         if not sys.stdin.isatty():
@@ -97,7 +99,7 @@ def command(
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         play = on_the_rig(session.runner, folder, session.path)
-        found = investigate(play, session.model, bounds, most, seed, given, say, keep)
+        found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
     page = report.write(found, folder)
     if as_json:
         click.echo(json.dumps(report.to_dict(found, folder), allow_nan=False))

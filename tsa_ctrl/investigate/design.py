@@ -27,11 +27,11 @@ from tsa_ctrl.tune.excitation import RAMP, RATE, Bounds, Waveform
 
 Array = NDArray[np.float64]
 
-SECONDS = 20.0  # s of one experiment: some periods of the slowest sine
+SECONDS = 20.0  # s, default duration of one motion: some periods of the slowest sine
 DRAWS = 48  # waveforms that are drawn before the best ones are refined
 REFINED, EVALUATIONS = 3, 30  # best draws, and evaluations of each refinement: a tenth of the gain comes from them
 FIRST_STEP, SHRINK = 0.2, 0.93  # of the range of each number, down to a fortieth of it
-SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the sines: one period and a half in SECONDS, and what joints follow
+SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the waves: one and a half periods in SECONDS, and the bandwidth of a joint
 HEADROOM = 0.8  # of speed and travel that a prediction may use: it is of a fitted joint, not of the joint
 LEAST_TORQUE = 0.05  # of the permitted torque: a smaller experiment shows nothing
 EVERY = 0.04  # s between samples of the criterion: half a period of BAND of a torque sensor's noise after its low-pass
@@ -65,8 +65,17 @@ class Pair:
 class Designer:
     """Search for the set-point that separates `pairs` best, on a joint and within bounds."""
 
-    def __init__(self, joint: Joint, bounds: Bounds, logs: Sequence[Dataset], noise: float, seed: int) -> None:
-        """`noise`: RMS error of the leading hypothesis, N*m."""
+    def __init__(
+        self,
+        joint: Joint,
+        bounds: Bounds,
+        logs: Sequence[Dataset],
+        noise: float,
+        seed: int,
+        seconds: float = SECONDS,
+    ) -> None:
+        """`noise`: RMS error of the leading hypothesis, N*m. `seconds`: duration of the motion."""
+        self._seconds = seconds
         self._joint = joint
         self._bounds = bounds
         self._noise = max(noise, 1e-9)
@@ -106,7 +115,7 @@ class Designer:
 
     def _experiment(self, u: Array, pairs: Sequence[Pair], known: Sequence[tuple[Array, Array]]) -> Experiment | None:
         """Return the experiment of a point, scaled down to the limits; None if hardly any torque remains."""
-        shape = _shape(u)
+        shape = _shape(u, self._seconds)
         share = 1.0
         for _ in range(3):
             motion = self._joint.predict(Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des))
@@ -154,20 +163,20 @@ class Designer:
 SIZE = 8  # numbers that describe a waveform, each 0 to 1
 
 
-def _shape(u: Array) -> Waveform:
+def _shape(u: Array, seconds: float) -> Waveform:
     """Return a waveform with peak 1: two waves between sine and square, an offset, and a slow amplitude modulation.
 
     u contains the two frequencies, the share of the second wave, the squareness, the offset, the depth and rate of the
     modulation, and the phase, each from 0 to 1.
     """
-    t = np.arange(0.0, SECONDS + 0.5 / RATE, 1.0 / RATE)
+    t = np.arange(0.0, seconds + 0.5 / RATE, 1.0 / RATE)
     low, high = (SLOWEST * (FASTEST / SLOWEST) ** float(part) for part in (0.55 * u[0], 0.35 + 0.65 * u[1]))
     sharp = 1.0 + 9.0 * float(u[3]) ** 2
     first = np.sin(2.0 * math.pi * low * t)
     first = np.tanh(sharp * first) / math.tanh(sharp)
     second = np.sin(2.0 * math.pi * high * t + 2.0 * math.pi * float(u[7]))
     wave = (1.0 - u[2]) * first + u[2] * second
-    swell = 1.0 - u[5] * 0.5 * (1.0 + np.cos(2.0 * math.pi * (1.0 + 3.0 * u[6]) * t / SECONDS))
+    swell = 1.0 - u[5] * 0.5 * (1.0 + np.cos(2.0 * math.pi * (1.0 + 3.0 * u[6]) * t / seconds))
     wave = wave * swell + (2.0 * u[4] - 1.0)
     edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
     wave = wave * 0.5 * (1.0 - np.cos(math.pi * edge))

@@ -79,16 +79,18 @@ def investigate(
     logs: Sequence[Dataset] = (),
     say: Progress = lambda what, share: None,
     write: Callable[[Step], None] = lambda step: None,
+    seconds: float = SECONDS,
 ) -> Investigation:
     """Diagnose `logs`, or a first motion, and play motions until an answer is left; at most `most` of them.
 
-    `write` receives each step as soon as it is done. A KeyboardInterrupt ends the investigation and keeps the result.
+    `seconds`: duration of each motion. `write` receives each step as soon as it is done. A KeyboardInterrupt ends the
+    investigation and keeps the result.
 
     Raises:
         UsageError: the joint does not move, or no motion is possible within `bounds`.
         BusError: a run failed.
     """
-    return _Course(play, model, bounds, most, seed, say, write).run(logs)
+    return _Course(play, model, bounds, most, seed, say, write, seconds).run(logs)
 
 
 class _Course:
@@ -101,6 +103,7 @@ class _Course:
         seed: int,
         say: Progress,
         write: Callable[[Step], None],
+        seconds: float,
     ) -> None:
         self._play = play
         self._model = model
@@ -109,6 +112,7 @@ class _Course:
         self._seed = seed
         self._say = say
         self._write = write
+        self._seconds = seconds
         self._logs: list[Dataset] = []
         self._steps: list[Step] = []
         self._motions = 0
@@ -142,7 +146,7 @@ class _Course:
                 f"{share * self._bounds.torque:.2g} N*m), so friction cannot show; move it, free it, or allow more "
                 "--torque"
             )
-        designer = Designer(Joint.of(logs, self._model), self._bounds, logs, 1.0, self._seed)
+        designer = Designer(Joint.of(logs, self._model), self._bounds, logs, 1.0, self._seed, self._seconds)
         self._perform("motion-1", designer.best([]))
 
     def _perform(self, name: str, experiment: Experiment) -> None:
@@ -207,7 +211,7 @@ class _Course:
         noise = result.rms.extended or result.rms.recalibrated or 1.0
         model = result.model if isinstance(result.model, TendonSheath) else self._model
         joint = Joint.of(self._logs, model)
-        return Designer(joint, self._bounds, self._logs, noise, self._seed + self._motions + 1)
+        return Designer(joint, self._bounds, self._logs, noise, self._seed + self._motions + 1, self._seconds)
 
     def _ended(self, answer: Answer, statement: str) -> Investigation:
         return Investigation(answer, statement, tuple(self._steps))
@@ -246,6 +250,3 @@ def on_the_rig(runner_of: Callable[[Path], RigRunner], folder: Path, path: Path)
         return run.learnable(), own
 
     return play
-
-
-LONGEST = SECONDS  # s, duration of one motion; the command prints it before the start
