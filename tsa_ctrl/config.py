@@ -29,6 +29,7 @@ from tsa_ctrl.control.kalman import why_not as beside
 from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings, largest
+from tsa_ctrl.control.temperature import TemperatureSettings
 from tsa_ctrl.control.tension_estimator import why_not as no_tension
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
@@ -93,6 +94,7 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     direction: DirectionSettings = DirectionSettings()
     estimator: EstimatorSettings = EstimatorSettings()
     bending: BendingSettings = BendingSettings()
+    temperature: TemperatureSettings = TemperatureSettings()
     passivity: PassivitySettings = PassivitySettings()
     oscillation: OscillationSettings | None = None  # of earlier versions; has no effect
     plausibility: PlausibilitySettings = PlausibilitySettings()
@@ -311,6 +313,11 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
             'kind "map" needs the source "command", "joints" or "sensor", and no other kind uses them'
+        )
+    if (axis.temperature.source == "serial") != ("temperature" in measured):
+        raise UsageError(
+            f'{where}: temperature.source "{axis.temperature.source}"; the source "serial" and an [[axis.serial]] of '
+            "temperature belong together; give both or neither"
         )
     if (bending.source == "sensor") != ("theta" in measured):
         raise UsageError(

@@ -13,8 +13,10 @@ from tests.daemon.machine import Machine
 from tests.sensors.lines import Line, wait_for
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.estimator import EstimateState
+from tsa_ctrl.control.temperature import Temperature
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.feedforward import Feedforward
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -156,3 +158,49 @@ def test_an_axis_has_only_its_own_sensors(tmp_path: Path) -> None:
         assert sensors.sources("hip") == {}
     finally:
         sensors.close()
+
+
+@pytest.mark.parametrize(("source", "serial"), [("serial", ""), ("none", sensor("temperature", "/dev/a"))])
+def test_a_temperature_and_its_sensor_belong_together(tmp_path: Path, source: str, serial: str) -> None:
+    path = controller(tmp_path, serial)
+    path.write_text(path.read_text().replace('# source = "none" ', f'source = "{source}" ', 1))
+    with pytest.raises(UsageError, match="of temperature belong together"):
+        load_configuration(path)
+
+
+def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:
+    """Friction grows by 1 %/K. A jump of the reading by 10 K changes it by 2 K/s; without a reading it stays."""
+    port = sensor("temperature", "/dev/nothing")
+    still = ("amplitude = 0.5", "amplitude = 0.0")
+    warm = ('# source = "none"  ', 'source = "serial"  ')
+    machine = Machine(tmp_path, still, warm, (f"# {THETA}", f"{port}\n# {THETA}"))
+    try:
+        effects = {"thermal_friction_drift": {"temperature_coefficient": 0.01, "reference_temperature": 25.0}}
+        model = machine.axis.model.with_effects(effects)
+        inverse = Feedforward(model, 1e-3, {"q_j", "q_m", "temperature"})
+        machine.axis.law._inverse = inverse
+        says = [25.0]
+        machine.axis.instruments.connect({"temperature": lambda now: says[0]})
+        found: dict[int, float] = {}
+        for cycle, reading in ((1000, 35.0), (2000, math.nan), (2500, math.nan)):
+
+            def change(cycle: int = cycle, reading: float = reading) -> None:
+                found[cycle] = inverse.friction_angle
+                says[0] = reading
+
+            machine.drive.at_sync[cycle] = change
+        machine.run(seconds=3.0)
+    finally:
+        machine.close()
+    x = model.friction_angle
+    assert found[1000] == pytest.approx(x)
+    assert found[2000] == pytest.approx(1.02 * x, rel=1e-3)
+    assert found[2500] == pytest.approx(found[2000], rel=1e-4)
+
+
+@pytest.mark.parametrize("reading", [math.nan, math.inf, -273.0, 900.0])
+def test_a_broken_temperature_sensor_changes_nothing(reading: float) -> None:
+    temperature = Temperature(1e-3)
+    assert math.isnan(temperature.update(reading))
+    assert temperature.update(30.0) == 30.0
+    assert temperature.update(reading) == 30.0

@@ -14,6 +14,7 @@ from tsa_ctrl.control.compensation_limit import CompensationLimit
 from tsa_ctrl.control.estimator import ConfigurationMap, Estimator, Fixed, Sample
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.control.temperature import Temperature
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
@@ -34,9 +35,19 @@ Source = Callable[[float], float]  # monotonic time now (s) -> SI value, nan whe
 class Instruments:
     """What one axis' instruments say in this cycle; nan where there is none, or its value is too old."""
 
-    __slots__ = ("_image", "_t1", "_t3", "_tau_j", "_theta", "t1", "t3", "tau_j", "theta")
-
-    temperature = math.nan  # K: no instrument measures it yet
+    __slots__ = (
+        "_image",
+        "_t1",
+        "_t3",
+        "_tau_j",
+        "_temperature",
+        "_theta",
+        "t1",
+        "t3",
+        "tau_j",
+        "temperature",
+        "theta",
+    )
 
     def __init__(self, image: Image) -> None:
         self._image = image
@@ -44,14 +55,17 @@ class Instruments:
         self._t1: Source | None = None
         self._t3: Source | None = None
         self._theta: Source | None = None
+        self._temperature: Source | None = None
         self.tau_j = math.nan  # N*m, joint torque
         self.t1 = math.nan  # N, motor-side tension of tendon a
         self.t3 = math.nan  # N, motor-side tension of tendon b
         self.theta = math.nan  # rad, bending of the sheath
+        self.temperature = math.nan  # degC, of the sheath
 
     def connect(self, sources: Mapping[str, Source]) -> None:
-        """Take "tau_j", "t1", "t3" or "theta" from these instead of from the bus."""
+        """Take "tau_j", "t1", "t3", "theta" or "temperature" from these instead of from the bus."""
         self._tau_j, self._t1, self._t3, self._theta = (sources.get(name) for name in ("tau_j", "t1", "t3", "theta"))
+        self._temperature = sources.get("temperature")
 
     def update(self, now: float) -> None:
         """Read all, at monotonic `now` in s; about a microsecond for each source."""
@@ -62,6 +76,8 @@ class Instruments:
             self.t3 = self._t3(now)
         if self._theta is not None:
             self.theta = self._theta(now)
+        if self._temperature is not None:
+            self.temperature = self._temperature(now)
 
 
 BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
@@ -140,6 +156,7 @@ class ControlAxis:
         self.io = io
         self.image: Image = io.image
         self.instruments = Instruments(io.image)
+        self._temperature = Temperature(timing.period)
         self.model = model
         self.supervisor = safeguards.supervisor
         self.set_point = set_point
@@ -263,6 +280,7 @@ class ControlAxis:
         """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
+        self.law.temperature = self._temperature.update(instruments.temperature)
         terms.theta = theta = self.bending.update()
         self._routed = routed = self._path_arm * self.bending.difference
         self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, routed)

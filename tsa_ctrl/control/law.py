@@ -91,6 +91,7 @@ class Inverse(Protocol):
         omega_j: float,
         q_j: float = ...,
         q_m: float = ...,
+        temperature: float = ...,
         *,
         t: float = ...,
     ) -> float: ...
@@ -126,6 +127,7 @@ class Law:
         """`radii`: r_M, r_J in m; `period` in s."""
         r_m, r_j = radii
         self.compensation = settings.compensation
+        self.temperature = math.nan  # degC; nan while it is not measured
         self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
         self.confirmed = 1.0  # 1, of the friction torque in use, covered by the file; a client's excess is not proven
         self.slew = settings.slew
@@ -255,7 +257,7 @@ class Law:
         share = compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
         acceleration = motion.acceleration
         omega = motion.velocity + self._delay * acceleration
-        full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, t=t)
+        full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, self.temperature, t=t)
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term

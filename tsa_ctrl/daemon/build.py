@@ -190,7 +190,10 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     else:
         motion = Motion(period, r_m / r_j * of_motor, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
-    inverse = Feedforward(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
+    signals = {"q_m"} if encoder is None else {"q_j", "q_m"}
+    if settings.temperature.source != "none":
+        signals.add("temperature")
+    inverse = Feedforward(model, period, signals)
     way = wound_by_friction(model) * r_m / r_j
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, bent_at_joint(model))
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)

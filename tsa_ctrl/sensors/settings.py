@@ -18,9 +18,8 @@ class SerialSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     """One sensor: a line of text that matches `pattern` gives value * scale + offset in SI units."""
 
     port: str  # device, or a URL of pyserial
-    quantity: Literal[
-        "tau_j", "t1", "t3", "theta"
-    ]  # N*m at the joint; N of tendon a, b at the motor; rad of the sheath
+    # N*m at the joint; N of tendon a, b at the motor; rad and degC of the sheath
+    quantity: Literal["tau_j", "t1", "t3", "theta", "temperature"]
     baud_rate: Annotated[int, Meta(ge=50, le=12_000_000)] = 115_200
     pattern: str = NUMBER  # regular expression with a group "value" (and optionally "unit")
     unit: str = ""  # when given, the pattern's group "unit" must say this

@@ -1,0 +1,37 @@
+"""The temperature that the control law uses: checked, and followed no faster than a mechanism can warm up."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+
+LOWEST, HIGHEST = -40.0, 150.0  # degC; a value outside is a broken sensor and is ignored
+FASTEST = 2.0  # K/s; a jump of the reading must not become a jump of the torque
+
+
+class TemperatureSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.temperature]."""
+
+    source: Literal["none", "serial"] = "none"  # "serial": [[axis.serial]] of the quantity "temperature"
+
+
+class Temperature:
+    """Follow a temperature sensor; the last value stays while the sensor is silent."""
+
+    __slots__ = ("_step", "value")
+
+    def __init__(self, period: float) -> None:
+        """`period`: of the loop, s."""
+        self._step = FASTEST * period
+        self.value = math.nan  # degC; nan until the first reading
+
+    def update(self, reading: float) -> float:
+        """Return the temperature in degC after a cycle with this reading; nan is no reading."""
+        if LOWEST <= reading <= HIGHEST:
+            if self.value != self.value:
+                self.value = reading
+            else:
+                self.value += min(self._step, max(-self._step, reading - self.value))
+        return self.value
