@@ -16,6 +16,7 @@ from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.investigate.design import Designer, Pair, variations
 from tsa_ctrl.investigate.response import Joint
+from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.tune.excitation import Bounds, multi_sine
 
 SEED = 2  # of the rigs
@@ -131,6 +132,7 @@ def test_the_hidden_cause_is_the_answer(name: str, tmp_path: Path, capsys: pytes
         folder = tmp_path / "out" / step["folder"]
         assert {"report.html", "diagnosis.json", f"{step['name']}.mcap"} <= {path.name for path in folder.iterdir()}
     assert (tmp_path / "out/report.html").read_text(encoding="utf-8").count("<tr>") == 1 + len(steps)
+    load_model(tmp_path / "out/extended.toml")
 
 
 @pytest.mark.slow

@@ -66,6 +66,8 @@ def command(
     from tsa_ctrl.identify.diagnosis.report.pictures import plot
     from tsa_ctrl.investigate import report
     from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig
+    from tsa_ctrl.model.parameters import save_model
+    from tsa_ctrl.plant.process import check
     from tsa_ctrl.tune.session import Plan, Session
 
     session = Session(controller, axis_name, Plan(torque, speed, travel, plant=plant, allow_simulated=allow_simulated))
@@ -77,6 +79,8 @@ def command(
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out}: exists already and is not empty; choose another --out")
     given = load_logs(logs) if logs else []
+    if plant is not None:
+        check(plant)
     bounds = session.bounds
     if plant is None and not yes:
         question = (
@@ -94,12 +98,15 @@ def command(
     folder = out.resolve()
 
     def keep(step: Step) -> None:
-        if step.folder is not None:
-            write_diagnosis(step.result, step.folder, plot=plot)
+        own = folder / "given-logs" if step.folder is None else step.folder
+        own.mkdir(exist_ok=True)
+        write_diagnosis(step.result, own, plot=plot)
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         play = on_the_rig(session.runner, folder, session.path)
         found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
+    if found.result is not None:
+        save_model(found.result.model, folder / "extended.toml")
     page = report.write(found, folder)
     if as_json:
         click.echo(json.dumps(report.to_dict(found, folder), allow_nan=False))

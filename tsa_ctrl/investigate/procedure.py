@@ -190,7 +190,8 @@ class _Course:
             )
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
-        return self._ended(Answer.NONE, "the recalibrated model leaves noise: no cause")
+        beside = "; what is left lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
+        return self._ended(Answer.NONE, f"the recalibrated model leaves noise while the joint slides{beside}")
 
     def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]

@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from tsa_ctrl import settings
-from tsa_ctrl.investigate.procedure import Investigation, Step
+from tsa_ctrl.identify.diagnosis.report.words import four_lines
+from tsa_ctrl.investigate.procedure import Answer, Investigation, Step
 
 JSON, PAGE = "investigation.json", "report.html"
 STYLE = (
     "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "dl{display:grid;grid-template-columns:max-content 1fr;gap:.2em 1em}dt{font-weight:600}dd{margin:0}"
     "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
 )
 
@@ -51,12 +53,25 @@ def write(found: Investigation, folder: Path) -> Path:
     return page
 
 
+TITLES = {
+    Answer.NONE: "no cause found",
+    Answer.CAUSE: "the cause was found",
+    Answer.GROUP: "causes that this rig cannot separate",
+    Answer.OUTSIDE: "a cause outside the catalogue",
+    Answer.INSUFFICIENT: "the motions are insufficient",
+    Answer.STOPPED: "stopped with an open question",
+}
+
+
 def _page(found: Investigation, folder: Path) -> str:
     rows = "\n".join(_row(step, folder) for step in found.steps)
-    title = f"Investigation: {found.answer.value}"
+    title = f"Investigation: {TITLES[found.answer]}"
+    statement = escape(found.statement[:1].upper() + found.statement[1:])
+    lines = {} if found.result is None else four_lines(found.result)
+    summary = "".join(f"<dt>{name}</dt><dd>{escape(line)}</dd>" for name, line in lines.items())
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
-        f"</head><body>\n<h1>{title}</h1>\n<p>{escape(found.statement)}.</p>\n"
+        f"</head><body>\n<h1>{title}</h1>\n<p>{statement}.</p>\n<dl>{summary}</dl>\n"
         "<table><tr><th>motion</th><th>seconds</th><th>made to separate (standard deviations)</th><th>verdict</th>"
         f"<th>causes, with alternatives</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
