@@ -48,6 +48,17 @@ def test_an_offset_inside_the_torque_is_a_claim() -> None:
     assert meaningless(problem, found) == []
 
 
+def test_a_spring_that_rests_far_outside_the_motion_is_an_offset() -> None:
+    """The torque is constant: a spring that explains it hardly changes over the motion. A stiff one is a claim."""
+    problem, found = fitted("joint_stiffness")
+    (values,) = found.hypothesis.effects(found.point).values()
+    assert abs(values["rest_angle"]) > 10.0 * 0.1
+    assert meaningless(problem, found) == [0]
+    own = found.point.copy()
+    own[-2:] = 1.0, 0.5  # as large as the torque at the end of the range
+    assert meaningless(problem, dataclasses.replace(found, point=own)) == []
+
+
 def test_giants_that_cancel_are_no_claims() -> None:
     problem, found = fitted("gravity_load", "torque_offset")
     own = found.point.copy()

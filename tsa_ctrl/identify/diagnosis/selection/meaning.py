@@ -21,6 +21,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 # Largest contribution of an effect over the torque: other contributions cancel eight ninths of the square of one that
 # is three times as large, so that its parameter is the difference of two guesses.
 MOST_PART = 3.0
+FAR = 10.0  # half ranges of the motion, to the rest angle: the torque of such a spring varies by a tenth
 AT_BOUND = 1e-6  # of the range between two bounds: a fit that is held there stands on it, but for rounding
 # Decrease of the sum of squares (white units) by noise alone: 3.7 deviations; one test in 5,000 has more
 BY_NOISE = 14.0
@@ -33,7 +34,9 @@ def meaningless(problem: Problem, found: Fit) -> list[int]:
     return [
         index
         for index, part in enumerate(_parts(problem, found))
-        if _at_bound(problem, found, index) or part > MOST_PART * torque(problem)
+        if _at_bound(problem, found, index)
+        or part > MOST_PART * torque(problem)
+        or _rests_far_away(problem, found, index)
     ]
 
 
@@ -62,6 +65,17 @@ def _parts(problem: Problem, found: Fit) -> list[float]:
         without = problem.predicted(hypothesis.without(index).model(rest))
         parts.append(_rms((whole - without)[problem.mask]))
     return parts
+
+
+def _rests_far_away(problem: Problem, found: Fit, index: int) -> bool:
+    """Return True for a spring that rests so far outside the motion that it is a constant torque."""
+    variant, frame = found.hypothesis.variants[index], problem.frame
+    if variant.effect != "joint_stiffness":
+        return False
+    own = found.hypothesis.own(found.point)[index]
+    angles = frame.stack([run.angle for run in frame.runs])[problem.mask]
+    rest = float(variant.parameters(own)["rest_angle"])
+    return abs(rest - float(np.mean(angles))) > FAR * 0.5 * float(np.ptp(angles))
 
 
 def _at_bound(problem: Problem, found: Fit, index: int) -> bool:
