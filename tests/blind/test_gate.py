@@ -1,10 +1,12 @@
-"""The small blind benchmark: what the diagnosis must hold on every change; `tools/run bench/diagnose` is the large one.
+"""Check the diagnosis on a small blind benchmark; `tools/run bench/diagnose` is the large one.
 
-Draws are fixed, so a count can only change with the code. The limits are those of the targets for so few cases.
+The draws are fixed, so that a count changes only with the code. The limits follow from the targets and the number of
+cases.
 
-Each change asks each effect once, a third of the kinds of causes outside, two logs of each kind without an effect and
-three pairs (`EACH_CHANGE`). Of a diagnosis whose share of right answers has fallen from the target to the second figure
-they tell in so many cases of a hundred, which `test_a_diagnosis_that_got_worse_fails` computes:
+Each change is tested on one case of each effect, a third of the causes outside the catalogue, two logs of each kind
+without an effect, and three pairs (`EACH_CHANGE`). The table gives, for a share of right answers that falls from the
+target to the second figure, the probability in per cent that the test fails
+(`test_a_diagnosis_that_got_worse_fails` computes it):
 
     one effect named alone          0.95 -> 0.7    97
     within two alternatives         0.99 -> 0.8    97
@@ -13,7 +15,7 @@ they tell in so many cases of a hundred, which `test_a_diagnosis_that_got_worse_
     both of two effects             0.90 -> 0.5    50
     no structure without an effect  0.95 -> 0.8    79
 
-`tools/test -m soak` asks two to four times as many of each (`WHOLE`).
+`tools/test -m soak` has two to four times as many cases (`WHOLE`).
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Temperature:
         self.value = math.nan  # degC; nan until the first reading
 
     def update(self, reading: float) -> float:
-        """Return the temperature in degC after a cycle with this reading; nan is no reading."""
+        """Return the temperature in degC after a cycle with this reading; nan means no reading."""
         if LOWEST <= reading <= HIGHEST:
             if self.value != self.value:
                 self.value = reading

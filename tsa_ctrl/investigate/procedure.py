@@ -190,7 +190,7 @@ class _Course:
             )
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
-        beside = "; what is left lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
+        beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
         return self._ended(Answer.NONE, f"the recalibrated model leaves noise while the joint slides{beside}")
 
     def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:

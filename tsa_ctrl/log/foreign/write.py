@@ -96,7 +96,7 @@ def _skeleton(columns: Columns, tendon_sheath: Path, kind: str) -> str:
     kind = kind or ("tendon_sheath" if "tau_j" in columns else "rigid_drive")
     if kind == "tendon_sheath":
         text = tendon_sheath.read_text(encoding="utf-8")
-        return "# A SKELETON: radii, tendon and sheath are those of an example; put in yours.\n" + text
+        return "# A SKELETON: replace the radii, the tendon and the sheath of the example by yours.\n" + text
     text, name, share = (GEARED, "tau_j", 0.05) if kind == "geared_drive" else (RIGID, "tau_m", 0.5)
     tau = columns.get(name, np.zeros(1))
     coulomb = share * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0
