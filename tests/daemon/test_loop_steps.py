@@ -27,6 +27,20 @@ STEP = 20_000  # ns that each look at the clock costs
 SETTLED = 3  # cycles
 
 
+class Law:
+    """Record the lateness of each cycle, s."""
+
+    def __init__(self) -> None:
+        self.told: list[float] = []
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name == "late":
+            assert isinstance(value, float)
+            self.told.append(value)
+        else:
+            super().__setattr__(name, value)
+
+
 class Axis:
     """What the loop sees of one, and what it did with it."""
 
@@ -38,6 +52,7 @@ class Axis:
         self.limiter = SimpleNamespace(reset=lambda: self.did.append("released"))
         self.guard = SimpleNamespace(count=0, words="took back")
         self.compensation_limit = SimpleNamespace(count=0, words="less friction")
+        self.law = Law()
         self.request: object = None
         self.at_rest = self.is_off = True
 
@@ -163,6 +178,7 @@ def test_cycles_come_on_the_grid_and_are_told(bench: Bench) -> None:
     assert (name, rig, axes, now) == ("cycle", bench.rig, bench.axes, begin * 1e-9)
     assert until - now == pytest.approx(0.6e-3)
     assert bench.cycle_calls[1] == ("after", bench.rig, bench.axes, begin * 1e-9)
+    assert bench.axes[0].law.told[:6] == pytest.approx([0.0, 0.0, 0.0, 0.0, 100e-6, 0.0])
     records = bench.telemetry.of("record")
     assert [record[1] for record in records[:8]] == list(range(8))
     assert records[3] == pytest.approx((0.003, 3, 0.0, 20e-6))

@@ -127,6 +127,7 @@ class Law:
         """`radii`: r_M, r_J in m; `period` in s."""
         r_m, r_j = radii
         self.compensation = settings.compensation
+        self.late = 0.0  # s, from the planned time of the cycle to its measurements
         self.temperature = math.nan  # degC; nan while it is not measured
         self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
         self.confirmed = 1.0  # 1, of the friction torque in use, covered by the file; a client's excess is not proven
@@ -202,11 +203,12 @@ class Law:
             ahead: set-point at the end of a reversal that starts now, N*m; nan without torque.
             rate: slope of that set-point, N*m/s; 0 without torque.
         """
-        direction, turn = self.direction, self.turn
+        direction, turn, motion = self.direction, self.turn, self._motion
+        since = self.late * motion.velocity  # rad, moved since the planned time
         if self._has_encoder:
-            self._motion.update(q_j, fresh)
+            motion.update(q_j - since, fresh)
         else:
-            self._motion.update(self._ratio * (q_m - self._stretch), fresh)
+            motion.update(self._ratio * (q_m - self._stretch) - since, fresh)
             self._blind = BLIND * self._motion.memory if turn.turning else self._blind - self._period
             if self._blind > 0.0:  # what the motor does by the turn itself is no motion of the joint
                 turn.update(direction.sigma)

@@ -149,6 +149,9 @@ class Loop:
             planned = ticker.deadline
             now = wait(planned * 1e-9)
             woke = round(now * 1e9)
+            late = (woke - planned) * 1e-9
+            for axis in self._axes:
+                axis.law.late = late
             run_cycle(self._rig, self._axes, now, now + self._collect)
             done = clock()
             follow_up(self._rig, self._axes, now)
