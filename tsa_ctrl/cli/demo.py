@@ -81,7 +81,15 @@ def command(
     extended and the true model), the models estimated from the nominal run's log.
     """
     if leg:
-        if full or hidden or bus is not None or setpoint is not None or tendon is not None or load != "imposed":
+        if (
+            full
+            or hidden
+            or bus is not None
+            or rate is not None
+            or setpoint is not None
+            or tendon is not None
+            or load != "imposed"
+        ):
             raise UsageError("demo: --leg can only be combined with --seconds, --out and --json")
         _leg(seconds, out, as_json)
         return

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -55,18 +56,19 @@ def command(
     """Diagnose, play the motion that separates the open causes best, and diagnose again.
 
     The answer is one cause, a group that no motion within the limits separates, or "outside the catalogue". The
-    options narrow the limits of CONTROLLER.toml. The files of the rig are not changed. Ctrl-C at
-    any point leaves the drive disabled and keeps the result of the motions so far.
+    options narrow the limits of CONTROLLER.toml. The files of the rig are not changed. Ctrl-C at any point leaves the
+    drive disabled and keeps the result of the motions so far.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # as in tsa diagnose
     from tsa_ctrl.cli.tuning import interrupted_once, shown
     from tsa_ctrl.identify.dataset import load_logs
+    from tsa_ctrl.identify.diagnosis.report.page import MODEL
     from tsa_ctrl.identify.diagnosis.report.page import write as write_diagnosis
     from tsa_ctrl.identify.diagnosis.report.pictures import plot
     from tsa_ctrl.investigate import report
     from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig
-    from tsa_ctrl.model.parameters import save_model
+    from tsa_ctrl.model.provenance import Origin
     from tsa_ctrl.plant.process import check
     from tsa_ctrl.tune.session import Plan, Session
 
@@ -96,17 +98,17 @@ def command(
     except OSError as error:
         raise UsageError(f"{out}: cannot be made ({error.strerror}); choose another --out") from None
     folder = out.resolve()
+    simulated = None if plant is None else Origin("simulated")
 
     def keep(step: Step) -> None:
         own = folder / "given-logs" if step.folder is None else step.folder
         own.mkdir(exist_ok=True)
-        write_diagnosis(step.result, own, plot=plot)
+        write_diagnosis(step.result, own, session.path, plot, simulated)
+        shutil.copyfile(own / MODEL, folder / MODEL)  # that of the last motion
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         play = on_the_rig(session.runner, folder, session.path)
         found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
-    if found.result is not None:
-        save_model(found.result.model, folder / "extended.toml")
     page = report.write(found, folder)
     if as_json:
         click.echo(json.dumps(report.to_dict(found, folder), allow_nan=False))

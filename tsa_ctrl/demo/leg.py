@@ -10,15 +10,11 @@ from typing import Any
 import numpy as np
 import tomlkit
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
-from tsa_ctrl.demo.rig import FADE_IN, PERIOD, RATE, Play
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.log.table import load_run
-from tsa_ctrl.virtual.simulation import simulate_loop
+from tsa_ctrl.demo.outcome import Course, course_of, window
+from tsa_ctrl.demo.rig import PERIOD, RATE, Play, cycle
+from tsa_ctrl.virtual.simulation import play
 
-FloatArray = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 # Typical level walking over one stride, of the literature, in degrees, and small assisting torques in N*m. Share of the
@@ -43,37 +39,17 @@ def strides() -> dict[str, Play]:
     """One stride of each joint."""
     t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
     return {
-        name: Play(t, _stride(TORQUES[name])(t / PERIOD % 1.0), np.radians(_stride(ANGLES[name])(t / PERIOD % 1.0)))
+        name: Play(t, cycle(TORQUES[name])(t / PERIOD % 1.0), np.radians(cycle(ANGLES[name])(t / PERIOD % 1.0)))
         for name in ANGLES
     }
-
-
-def _stride(points: tuple[tuple[float, float], ...]) -> CubicSpline:
-    table = np.array([*points, (1.0, points[0][1])])
-    return CubicSpline(table[:, 0], table[:, 1], bc_type="periodic")
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint in one run after the fade-in: `t` (n) in s since the enable, torques (n) in N*m."""
-
-    t: FloatArray
-    wanted: FloatArray
-    delivered: FloatArray
-
-    @property
-    def rms(self) -> float:
-        """RMS error, N*m."""
-        return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
 
 
 @dataclass(frozen=True)
 class Leg:
     """The three runs on the same motion, joints by name in each."""
 
-    runs: Mapping[str, Mapping[str, Joint]]
+    runs: Mapping[str, Mapping[str, Course]]
     picture: Path
-    log: Path
 
     def rms(self, run: str) -> float:
         """RMS error over all joints, N*m."""
@@ -87,6 +63,8 @@ class Leg:
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa demo --leg --json`."""
         names = list(self.runs[FOLLOWED])
+        courses = [next(iter(joints.values())) for joints in self.runs.values()]
+        cycles = [course.summary["cycles"] for course in courses]
         return {
             "schema": 1,
             "bus": "virtual time",
@@ -101,7 +79,8 @@ class Leg:
             ],
             "reduction_percent": self.reduction,
             "picture": str(self.picture),
-            "log": str(self.log),
+            "log": str(courses[-1].log),
+            "cycles": {key: sum(c[key] for c in cycles) for key in ("planned", "sent", "late", "missed_pdo")},
         }
 
     def draw(self) -> None:
@@ -114,14 +93,13 @@ class Leg:
             FOLLOWED: ("tab:blue", "with routing"),
         }
         for row, (name, joint) in zip(rows, self.runs[FOLLOWED].items(), strict=True):
-            shown = (joint.t >= joint.t[0]) & (joint.t <= joint.t[0] + SHOWN)
-            row[0].plot(joint.t[shown], joint.wanted[shown], "k", lw=2.2, label="desired")
+            first = joint.t[0]
+            row[0].plot(*window(joint.t, joint.wanted, first, SHOWN), "k", lw=2.2, label="desired")
             for run, (colour, label) in looks.items():
                 one = self.runs[run][name]
-                part = (one.t >= joint.t[0]) & (one.t <= joint.t[0] + SHOWN)
-                row[0].plot(one.t[part], one.delivered[part], colour, lw=1.0)
-                error = 1e3 * (one.delivered - one.wanted)[part]
-                row[1].plot(one.t[part], error, colour, lw=1.0, label=f"{label}: {1e3 * one.rms:.0f} mN·m RMS")
+                row[0].plot(*window(one.t, one.delivered, first, SHOWN), colour, lw=1.0)
+                text = f"{label}: {1e3 * one.rms:.0f} mN·m RMS"
+                row[1].plot(*window(one.t, 1e3 * one.error, first, SHOWN), colour, lw=1.0, label=text)
             row[0].set_ylabel(f"{name}: torque (N·m)")
             row[1].set_ylabel("error (mN·m)")
             row[1].axhline(0.0, color="k", lw=0.5)
@@ -143,28 +121,18 @@ def demo(folder: Path, seconds: float, say: Progress) -> Leg:
     Raises BusError when a run fails.
     """
     text = (folder / "controller.toml").read_text(encoding="utf-8")
-    runs: dict[str, dict[str, Joint]] = {}
+    runs: dict[str, dict[str, Course]] = {}
     for number, run in enumerate((WITHOUT, FIXED, FOLLOWED)):
-        path = folder / f"controller-{run}.toml"
-        path.write_text(_controller(folder, text, run), encoding="utf-8")
+        (folder / f"controller-{run}.toml").write_text(_controller(folder, text, run), encoding="utf-8")
 
         def tick(share: float, run: str = run, number: int = number) -> None:
             say(f"leg, {run}", (number + share) / 3.0)
 
-        result = simulate_loop(path, folder / "plant.toml", seconds, out=folder / run, tick=tick)
-        summary = result.summary.as_dict()
-        if summary["failed"] or summary["log"] is None:
-            raise BusError(f"demo --leg: the run '{run}' failed: {summary['cause']}")
-        log = Path(str(summary["log"]))
-        runs[run] = {name: _joint(log, name, seconds) for name in ANGLES}
-    leg = Leg(runs, folder / "demo.png", log)
+        summary = play(folder, run, seconds, tick)
+        runs[run] = {name: course_of(folder, summary, seconds, name) for name in ANGLES}
+    leg = Leg(runs, folder / "demo.png")
     leg.draw()
     return leg
-
-
-def _joint(log: Path, name: str, seconds: float) -> Joint:
-    columns = load_run(f"{log}:{name}", (), FADE_IN, seconds)
-    return Joint(columns["t"], columns["tau_j_des"], columns["tau_j"])
 
 
 def _controller(folder: Path, text: str, run: str) -> str:

@@ -44,13 +44,15 @@ class Course:
         return 1.0 - float(cycles["sent"]) / max(float(cycles["planned"]), 1.0)
 
 
-def course_of(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
+def course_of(folder: Path, summary: dict[str, Any], seconds: float, axis: str = "") -> Course:
     """A run's log from the end of the fade-in to the begin of the stop, `seconds` s after the enable.
+
+    `axis`: its name, if the log has several.
 
     Raises BusError when it holds too little torque.
     """
     log = folder / str(summary["log"])
-    columns = load_run(log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
+    columns = load_run(f"{log}:{axis}" if axis else log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
     return Course(columns["t"], columns["tau_j_des"], columns["tau_j"], log, summary, columns["q_j"])
 
 
@@ -96,15 +98,15 @@ class Outcome:
         torque, error, motion = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
         first = self.compensated.t[0]
         wanted = self.compensated
-        torque.plot(*_window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="desired")
+        torque.plot(*window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="desired")
         for run, colour, label, width in (
             (self.without, "tab:red", "without compensation", 2.6),  # seen beneath the other where both are alike
             (self.compensated, "tab:blue", "with compensation", 1.2),
         ):
-            torque.plot(*_window(run.t, run.delivered, first, seconds), colour, lw=1.0, label=f"delivered {label}")
+            torque.plot(*window(run.t, run.delivered, first, seconds), colour, lw=1.0, label=f"delivered {label}")
             shown = f"{label}: RMS {1e3 * run.rms:.0f} mN·m"
-            error.plot(*_window(run.t, run.error, first, seconds), colour, lw=1.0, label=shown)
-            motion.plot(*_window(run.t, run.angle, first, seconds), colour, lw=width, label=label)
+            error.plot(*window(run.t, run.error, first, seconds), colour, lw=1.0, label=shown)
+            motion.plot(*window(run.t, run.angle, first, seconds), colour, lw=width, label=label)
         torque.set_ylabel("joint torque (N·m)")
         error.set_ylabel("error (N·m)")
         motion.set_ylabel("joint angle (rad)")
@@ -122,6 +124,7 @@ class Outcome:
         figure.savefig(self.picture, dpi=130)
 
 
-def _window(t: FloatArray, y: FloatArray, first: float, seconds: float) -> tuple[FloatArray, FloatArray]:
+def window(t: FloatArray, y: FloatArray, first: float, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Return time and signal (n each) from `first` (s) on, for `seconds`."""
     chosen = (t >= first) & (t <= first + seconds)
     return t[chosen], y[chosen]

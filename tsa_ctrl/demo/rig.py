@@ -63,7 +63,7 @@ def _write(path: Path, header: str, *columns: FloatArray) -> None:
 def gait() -> Play:
     """One cycle of the built-in gait."""
     t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
-    return Play(t, _cycle(KNEE_TORQUE)(t / PERIOD % 1.0), np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)))
+    return Play(t, cycle(KNEE_TORQUE)(t / PERIOD % 1.0), np.radians(cycle(KNEE_ANGLE)(t / PERIOD % 1.0)))
 
 
 def play_for(load: str) -> Play:
@@ -77,7 +77,8 @@ def play_for(load: str) -> Play:
     return Play(t, wanted, np.zeros_like(t), shown=2.0 * SINE_PERIOD)
 
 
-def _cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
+def cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
+    """Return the periodic curve through points of (share of the cycle, value)."""
     table = np.array([*points, (1.0, points[0][1])])
     return CubicSpline(table[:, 0], table[:, 1], bc_type="periodic")
 
@@ -96,7 +97,7 @@ def from_file(path: Path, most_torque: float) -> Play:
             f"{most_torque:.2g} N*m; scale the file down"
         )
     angle = table.columns.get("q_j")
-    angle = np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle
+    angle = np.radians(cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle
     return Play(t, wanted, angle, shown=min(12.0, 2.0 * float(t[-1])))
 
 

@@ -33,6 +33,7 @@ CONTINUED = 1.2  # power of 1/f up to which noise rises below the motion's frequ
 LOWEST = 0.2  # Hz, below which noise counts as flat: a log of seconds shows less than a wave of it
 BANDS = 6  # per octave, of the smoothed spectrum
 LONGEST = 300_000  # samples that the noise is taken from: five minutes at 1 kHz
+MORE_THAN_NOISE = 1.5  # times the sensor noise, RMS; a smaller error while sliding counts as noise
 FEWEST = 64  # samples with a known direction, the least for a spectrum
 
 

@@ -23,19 +23,20 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.tune.excitation import RAMP, RATE, Bounds, Waveform
+from tsa_ctrl.tune.excitation import RATE, Bounds, Waveform, fading
 
 Array = NDArray[np.float64]
 
 SECONDS = 20.0  # s, default duration of one motion: some periods of the slowest sine
 DRAWS = 48  # waveforms that are drawn before the best ones are refined
-REFINED, EVALUATIONS = 3, 30  # best draws, and evaluations of each refinement: a tenth of the gain comes from them
+REFINED, EVALUATIONS = 3, 30  # best draws, and evaluations of each refinement: a search takes some seconds
 FIRST_STEP, SHRINK = 0.2, 0.93  # of the range of each number, down to a fortieth of it
 SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the waves: one and a half periods in SECONDS, and the bandwidth of a joint
+SCALINGS, BELOW = 3, 0.95  # attempts to scale a waveform down, each to 95 % of the limit
 HEADROOM = 0.8  # of speed and travel that a prediction may use: it is of a fitted joint, not of the joint
 LEAST_TORQUE = 0.05  # of the permitted torque: a smaller experiment shows nothing
-EVERY = 0.04  # s between samples of the criterion: half a period of BAND of a torque sensor's noise after its low-pass
-REMEMBERS = 5.0  # correlated samples that count as one: model errors change slowly
+EVERY = 0.04  # s between samples of the criterion: ten in a period of the fastest wave
+REMEMBERS = 5.0  # samples that count as one, 0.2 s: model errors change slowly
 CHANGE = 1e-3  # relative step of the finite differences of a rival's parameters
 
 
@@ -47,11 +48,6 @@ class Experiment:
     motion: Motion
     separation: Mapping[tuple[str, str], float]
 
-    @property
-    def weakest(self) -> float:
-        """Return the smallest separation; inf without a pair."""
-        return min(self.separation.values(), default=math.inf)
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -60,6 +56,19 @@ class Pair:
     names: tuple[str, str]
     leading: TendonSheath
     rival: TendonSheath
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Hold what the present logs show of a pair, divided by the noise.
+
+    `difference` (n) of the predictions, `gradients` (n, k) of the rival, and the sum of squares `left` that the rival
+    cannot follow.
+    """
+
+    difference: Array
+    gradients: Array
+    left: float
 
 
 class Designer:
@@ -113,19 +122,21 @@ class Designer:
                 step *= SHRINK
         return best, u
 
-    def _experiment(self, u: Array, pairs: Sequence[Pair], known: Sequence[tuple[Array, Array]]) -> Experiment | None:
+    def _experiment(self, u: Array, pairs: Sequence[Pair], known: Sequence[_Known]) -> Experiment | None:
         """Return the experiment of a point, scaled down to the limits; None if hardly any torque remains."""
         shape = _shape(u, self._seconds)
         share = 1.0
-        for _ in range(3):
-            motion = self._joint.predict(Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des))
+        for _ in range(SCALINGS):
+            waveform = Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des)
+            motion = self._joint.predict(waveform)
             excess = self._excess(motion)
             if excess <= 1.0:
                 break
-            share *= 0.95 / excess
-        if share < LEAST_TORQUE or self._excess(motion) > 1.0:
+            share *= BELOW / excess
+        else:
             return None
-        waveform = Waveform(shape.t, share * self._bounds.torque * shape.tau_j_des)
+        if share < LEAST_TORQUE:
+            return None
         signals = _thinned(_signals(motion, self._joint.model, self._past[0]), EVERY)
         separation = {
             pair.names: self._separation(pair, signals, past) for pair, past in zip(pairs, known, strict=True)
@@ -142,10 +153,10 @@ class Designer:
             out = max(out, float(np.max(np.abs(motion.q_j - middle))) / (HEADROOM * half))
         return out
 
-    def _known(self, pair: Pair) -> tuple[Array, Array]:
-        """Return difference (n,) and gradients of the rival (n, k) on the present logs, divided by the noise."""
-        difference, gradients = zip(*(self._compared(pair, signals) for signals in self._past), strict=True)
-        return np.concatenate(difference), np.concatenate(gradients)
+    def _known(self, pair: Pair) -> _Known:
+        parts = zip(*(self._compared(pair, signals) for signals in self._past), strict=True)
+        difference, gradients = (np.concatenate(part) for part in parts)
+        return _Known(difference, gradients, _left(difference, gradients))
 
     def _compared(self, pair: Pair, signals: Signals) -> tuple[Array, Array]:
         rival = predict(pair.rival, signals)
@@ -154,10 +165,10 @@ class Designer:
         gradients = np.column_stack(changed) / (CHANGE * self._noise) if changed else np.zeros((len(rival), 0))
         return difference, gradients
 
-    def _separation(self, pair: Pair, signals: Signals, past: tuple[Array, Array]) -> float:
+    def _separation(self, pair: Pair, signals: Signals, past: _Known) -> float:
         difference, gradients = self._compared(pair, signals)
-        every = np.concatenate([past[0], difference]), np.concatenate([past[1], gradients])
-        return math.sqrt(max(_left(*every) - _left(*past), 0.0) / REMEMBERS)
+        every = np.concatenate([past.difference, difference]), np.concatenate([past.gradients, gradients])
+        return math.sqrt(max(_left(*every) - past.left, 0.0) / REMEMBERS)
 
 
 SIZE = 8  # numbers that describe a waveform, each 0 to 1
@@ -178,8 +189,7 @@ def _shape(u: Array, seconds: float) -> Waveform:
     wave = (1.0 - u[2]) * first + u[2] * second
     swell = 1.0 - u[5] * 0.5 * (1.0 + np.cos(2.0 * math.pi * (1.0 + 3.0 * u[6]) * t / seconds))
     wave = wave * swell + (2.0 * u[4] - 1.0)
-    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
-    wave = wave * 0.5 * (1.0 - np.cos(math.pi * edge))
+    wave = wave * fading(t)
     return Waveform(t, wave / max(float(np.abs(wave).max()), 1e-12))
 
 

@@ -11,6 +11,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
+from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE
 from tsa_ctrl.investigate.design import SECONDS, Designer, Experiment, Pair
 from tsa_ctrl.investigate.response import Joint
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR
@@ -22,7 +23,6 @@ PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its r
 SEPARATES = 5.0  # standard deviations; a motion with a smaller predicted separation is not played
 LEAST_MOTIONS = 2  # an answer must also hold on a second motion
 ATTEMPTS = 2  # motions designed for the same pair; after them the pair counts as inseparable
-MORE_THAN_NOISE = 1.5  # of the sensor noise, RMS while sliding: the noise is known to a quarter
 OUTSIDE = 3  # motions, after which an unexplained error counts as outside the catalogue
 
 Play = Callable[[str, Waveform], tuple[Sequence[Dataset], Path]]  # name, set-point: its logs, and its folder
@@ -90,10 +90,10 @@ def investigate(
         UsageError: the joint does not move, or no motion is possible within `bounds`.
         BusError: a run failed.
     """
-    return _Course(play, model, bounds, most, seed, say, write, seconds).run(logs)
+    return _Investigator(play, model, bounds, most, seed, say, write, seconds).run(logs)
 
 
-class _Course:
+class _Investigator:
     def __init__(
         self,
         play: Play,
@@ -182,7 +182,7 @@ class _Course:
             return self._designer(result).best([])
         named = " and ".join(cause.effect for cause in result.causes)
         if result.verdict is Verdict.INSUFFICIENT:
-            return self._ended(Answer.INSUFFICIENT, result.sentence)
+            return self._ended(Answer.INSUFFICIENT, result.sentence.rstrip("."))
         if left:
             beside = f"beside {named} " if named else ""
             return self._ended(

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 BAND = 8.0  # Hz, in which the equation of motion is fitted: joints move below 5 Hz, and noise of derivatives is above
 SLIDES = 0.02  # rad/s over which the friction of the prediction turns: a step would chatter at STEP
-STEP = 0.002  # s, of the prediction: a tenth of the fastest time constant of a joint
+STEP = 0.002  # s, of the prediction: 200 steps in a period of the fastest wave
 FASTEST = 60.0  # rad/s at which a prediction ends that has run away
 
 

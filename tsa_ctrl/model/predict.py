@@ -10,6 +10,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -51,10 +52,7 @@ def predict_each(model: Model, logs: Sequence[Signals]) -> list[Array]:
 def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals) -> Array:
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
-    played_out = None
-    if stack.backlash is not None:
-        reversal = _kept(signals, "reversal", lambda: Backlash.last_reversal(state.q_j))
-        played_out = stack.backlash.inside(state.q_j, reversal)
+    played_out = _in_play(stack, signals, state)
     growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
     custom = stack.custom_at("joint")
@@ -309,14 +307,22 @@ def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array
     torque = torque - ARRAYS.at_least(friction, 0.0) * state.sigma - (model.viscous_friction or 0.0) * state.omega
     if stack.load is not None:
         torque = stack.load.apply(ARRAYS, torque, state.sigma)
-    if stack.backlash is not None:
-        torque = np.where(stack.backlash.inside(state.q_j, Backlash.last_reversal(state.q_j)), 0.0, torque)
+    if (played_out := _in_play(stack, signals, state)) is not None:
+        torque = np.where(played_out, 0.0, torque)
     behind = torque
     for joint_effect in stack.joint:
         torque = torque - joint_effect.torque(ARRAYS, state)
     if (custom := stack.custom_at("joint")) is not None:
         torque = torque - custom.taken(behind, state)
     return _sensed(stack, torque, signals.t)
+
+
+def _in_play(stack: Stack, signals: Signals, state: State[Array]) -> NDArray[np.bool_] | None:
+    """Return the samples (n,) in which the play is open; None without play."""
+    if stack.backlash is None:
+        return None
+    reversal = _kept(signals, "reversal", lambda: Backlash.last_reversal(state.q_j))
+    return stack.backlash.inside(state.q_j, reversal)
 
 
 def _sensed(stack: Stack, torque: Array, t: Array) -> Array:

@@ -118,9 +118,14 @@ def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> W
     count = len(frequencies)
     phases = [-math.pi * k * (k + 1) / count for k in range(count)]
     wave = np.sum([np.sin(2.0 * np.pi * f * t + p) for f, p in zip(frequencies, phases, strict=True)], axis=0)
-    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
-    wave = wave * 0.5 * (1.0 - np.cos(np.pi * edge))
+    wave = wave * fading(t)
     return Waveform(t, peak * wave / max(float(np.abs(wave).max()), 1e-12))
+
+
+def fading(t: FloatArray) -> FloatArray:
+    """Return a factor (n) at the times `t` (s) that rises from 0 to 1 in RAMP, and falls to 0 at the end."""
+    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
+    return np.asarray(0.5 * (1.0 - np.cos(np.pi * edge)))
 
 
 def from_file(path: Path) -> Waveform:
@@ -137,8 +142,7 @@ def from_file(path: Path) -> Waveform:
         )
     t = np.arange(0.0, given[-1], 1.0 / RATE)
     wave = np.interp(t, given, columns["tau_j_des"])
-    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
-    return Waveform(t, wave * 0.5 * (1.0 - np.cos(np.pi * edge)))
+    return Waveform(t, wave * fading(t))
 
 
 def playing(designed: Design, wave: Waveform) -> Design:

@@ -24,12 +24,12 @@ from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import (
     MOVING,
     PROBE_SHARES,
-    RAMP,
     SHAKE_SECONDS,
     Bounds,
     Design,
     Waveform,
     design,
+    fading,
     playing,
     probe,
     response,
@@ -175,8 +175,7 @@ def shaken(slow: Waveform, peak: float, period: float) -> Waveform:
     since = np.mod(t, SWEEP)
     highest = HIGHEST / period
     phase = 2.0 * np.pi * (LOWEST + 0.5 * (highest - LOWEST) / SWEEP * since) * since
-    edge = 0.5 * (1.0 - np.cos(np.pi * np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)))
-    return Waveform(t, np.interp(t, slow.t, slow.tau_j_des) + peak * edge * np.sin(phase))
+    return Waveform(t, np.interp(t, slow.t, slow.tau_j_des) + peak * fading(t) * np.sin(phase))
 
 
 def fastest(peak: float, period: float) -> float:

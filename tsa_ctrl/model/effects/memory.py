@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from tsa_ctrl.model.effects.search import FEW_SAMPLES, Coordinate, Scales, Value, Variant, geometric
+from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, duration, geometric
 from tsa_ctrl.model.effects.specification import (
     Columns,
     Draw,
@@ -176,30 +176,6 @@ class Backlash:
         return np.asarray(np.abs(q_j - reversal) < self.gap)
 
 
-def _delays(name: str, s: Scales) -> list[Variant]:
-    unit = 0.01  # s
-    coordinate = Coordinate("delay", 0.0, 0.2 / unit, 0.02)
-    starts = tuple((v / unit,) for v in geometric(0.003, 0.1, 8))
-    short = ((FEW_SAMPLES * s.period / unit,),)
-
-    def parameters(u: Array) -> dict[str, Value]:
-        return {"delay": float(u[0]) * unit}
-
-    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
-
-
-def _sensor_lags(name: str, s: Scales) -> list[Variant]:
-    unit = 0.01  # s
-    coordinate = Coordinate("time_constant", 0.0, 0.5 / unit, 0.02)
-    starts = tuple((v / unit,) for v in geometric(0.003, 0.3, 9))
-    short = ((FEW_SAMPLES * s.period / unit,),)
-
-    def parameters(u: Array) -> dict[str, Value]:
-        return {"time_constant": float(u[0]) * unit}
-
-    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
-
-
 @dataclass(frozen=True)
 class TorqueSensorLag:
     """Low-pass the joint torque by 1/(1 + T s); the log starts in steady state."""
@@ -210,7 +186,7 @@ class TorqueSensorLag:
         name="torque_sensor_lag",
         stage=Stage.DELAY,
         summary="the joint torque sensor follows its torque slowly",
-        search=_sensor_lags,
+        search=duration("time_constant", 0.5, (0.003, 0.3, 9)),
         twins=(
             Twins(
                 ("transport_delay", "velocity_lag", "presliding_hysteresis", "stribeck_friction", "backlash"),
@@ -218,7 +194,7 @@ class TorqueSensorLag:
             ),
         ),
         kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no such sensor
-        feedforward="not compensated, the sensor's {time_constant} s delay no torque of the joint",
+        feedforward="not compensated, the sensor's lag of {time_constant} s does not change the joint torque",
         equation="τ_J ← τ_J / (1 + T s)",
     )
 
@@ -236,7 +212,7 @@ class TransportDelay:
         name="transport_delay",
         stage=Stage.DELAY,
         summary="the measured joint torque is late",
-        search=_delays,
+        search=duration("delay", 0.2, (0.003, 0.1, 8)),
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis", "backlash"), (Motion.SPEEDS,)),),
         feedforward="not compensated, {delay} s cannot be undone ahead of time",
         equation="τ_J(t) ← τ_J(t − T_d)",

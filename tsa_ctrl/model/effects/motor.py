@@ -11,12 +11,12 @@ from typing import Annotated, ClassVar
 
 from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import (
-    FEW_SAMPLES,
     INF,
     Coordinate,
     Scales,
     Value,
     Variant,
+    duration,
     geometric,
     linear,
     one,
@@ -39,18 +39,6 @@ LEAST_LIMIT = 0.2  # of the largest motor torque of a log; a lower limit means a
 LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
 
 
-def _lags(name: str, s: Scales) -> list[Variant]:
-    unit = 0.01  # s
-    coordinate = Coordinate("time_constant", 0.0, 0.3 / unit, max(0.3, 1.5 * s.period / unit))
-    starts = tuple((v / unit,) for v in geometric(0.004, 0.15, 9))
-    short = ((FEW_SAMPLES * s.period / unit,),)
-
-    def parameters(u: Array) -> dict[str, Value]:
-        return {"time_constant": float(u[0]) * unit}
-
-    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
-
-
 def _derived(s: Scales) -> str:
     return f"{s.derived_velocity} was derived from the angle by a zero-phase filter" if s.derived_velocity else ""
 
@@ -65,7 +53,7 @@ class VelocityLag:
         name="velocity_lag",
         stage=Stage.VELOCITY,
         summary="the measured velocity lags behind the true one",
-        search=_lags,
+        search=duration("time_constant", 0.3, (0.004, 0.15, 9), lambda s: max(0.3, 1.5 * s.period / 0.01)),
         untestable=_derived,
         columns=(("omega_j",),),
         feedforward="compensated in the velocity; the direction is led by the loop",

@@ -98,6 +98,28 @@ def linear(
     return variants
 
 
+def duration(
+    parameter: str, longest: float, starts: tuple[float, float, int], step: Callable[[Scales], float] = lambda _: 0.02
+) -> Search:
+    """One time in s from 0 to `longest`, as a coordinate in hundredths of a second.
+
+    `starts`: shortest, longest (s) and number of the values at which a fit begins. `step`: of finite differences, in
+    hundredths of a second.
+    """
+    unit = 0.01  # s
+
+    def variants(name: str, s: Scales) -> list[Variant]:
+        def parameters(u: Array) -> dict[str, Value]:
+            return {parameter: float(u[0]) * unit}
+
+        coordinate = Coordinate(parameter, 0.0, longest / unit, step(s))
+        begin = tuple((v / unit,) for v in geometric(*starts))
+        short = ((FEW_SAMPLES * s.period / unit,),)
+        return [Variant(name, (coordinate,), begin, (), parameters, full_strength=short)]
+
+    return variants
+
+
 def one(_: Scales) -> float:
     """The scale of a parameter that is a share of the whole."""
     return 1.0

@@ -48,6 +48,11 @@ class Kind(Enum):
     RIGID_DRIVE = "rigid_drive"
     GEARED_DRIVE = "geared_drive"
 
+    @property
+    def spoken(self) -> str:
+        """Return the kind in words."""
+        return {"tendon_sheath": "tendon-sheath", "rigid_drive": "plain drive"}.get(self.value, "geared drive")
+
 
 class Motion(Enum):
     """What a person must record to part effects that look alike; in the order of what it costs."""

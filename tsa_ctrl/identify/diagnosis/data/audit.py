@@ -42,7 +42,7 @@ class Audit:
 
 
 def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) -> Audit:
-    """Occupancy and excitation of the samples that may be learned from. `notes`: what was done to the logs before.
+    """Occupancy and excitation of the samples that may be learned from. `notes`: previous changes of the logs.
 
     `needs_motion`: False for a gear; a held joint shows its gain, offset and saturation.
     """

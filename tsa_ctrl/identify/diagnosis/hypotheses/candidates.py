@@ -11,7 +11,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Scales, Variant
-from tsa_ctrl.model.effects.specification import Kind, Specification, Stage
+from tsa_ctrl.model.effects.specification import Specification, Stage
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import missing_for
@@ -20,7 +20,6 @@ from tsa_ctrl.model.signals import Signals
 LEAST_REACH = 0.02  # rad, of another joint: less bends a sheath by less than its friction is known
 SAME_JOINT = 0.02  # 1, of the range: encoder noise that smoothing removes; two joints that agree so well are one
 
-DRIVES = {Kind.TENDON_SHEATH: "tendon-sheath", Kind.RIGID_DRIVE: "plain drive", Kind.GEARED_DRIVE: "geared drive"}
 Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs can test
 
 
@@ -63,7 +62,7 @@ def _untestable(spec: Specification, frame: Frame, model: Model, scales: Scales)
     if clash:
         return f"the model file has {clash[0]}, which excludes it"
     if model.kind not in spec.kinds:
-        return f"has no meaning for a {DRIVES[model.kind]}"
+        return f"has no meaning for a {model.kind.spoken}"
     rigid = isinstance(model, RigidDrive)
     if not isinstance(model, TendonSheath) and getattr(model, spec.name, None) is not None:
         return "part of the base model, which is recalibrated"

@@ -17,12 +17,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import DRIVES
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import four_lines, listed, remarks, spoken, summary_of, told_torque
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
@@ -39,13 +39,20 @@ WORDS = {
 Plot = Callable[[Diagnosis, Path], dict[str, Path]]  # draws into a folder; caption: path
 
 
-def write(result: Diagnosis, folder: str | Path, template: str | Path | None = None, plot: Plot | None = None) -> None:
+def write(
+    result: Diagnosis,
+    folder: str | Path,
+    template: str | Path | None = None,
+    plot: Plot | None = None,
+    origin: Origin | None = None,
+) -> None:
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
     Where what is left follows a formula, also formula.toml.
 
     Each file beside and renamed, so that a crash leaves whole files. `template`: the model file whose comments
-    extended.toml keeps. `plot`: who draws (default: this process). Raises UsageError when the folder cannot be written.
+    extended.toml keeps. `plot`: who draws (default: this process). `origin`: of the measurements; default: logs, which
+    may be of any joint. Raises UsageError when the folder cannot be written.
     """
     folder, template = Path(folder), None if template is None else Path(template)
     try:
@@ -57,9 +64,10 @@ def write(result: Diagnosis, folder: str | Path, template: str | Path | None = N
                 pictures[caption] = folder / path.name
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
-    save_model(result.model, folder / MODEL, template, _provenance(result, template))
+    source = _provenance(result, template, origin)
+    save_model(result.model, folder / MODEL, template, source)
     if result.formula is not None:
-        save_model(result.formula.model, folder / FORMULA, template, _provenance(result, template))
+        save_model(result.formula.model, folder / FORMULA, template, source)
     if result.experiment.t:
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures, template))
@@ -96,7 +104,7 @@ def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = N
         experiment_file=EXPERIMENT if result.experiment.t else "",
         lines=four_lines(result),
         remarks=remarks(result),
-        drive=DRIVES[result.model.kind],
+        drive=result.model.kind.spoken,
         model=Path(given).name if given else "a model without a file",
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=__version__,
@@ -118,7 +126,7 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
     return {"summary": summary_of(effect), "rows": rows}
 
 
-def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
+def _provenance(result: Diagnosis, template: Path | None, origin: Origin | None) -> dict[str, object]:
     found = {
         f"{cause.effect}.{name}": value
         for cause in result.causes
@@ -127,7 +135,8 @@ def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
     }
     found |= {name: error.found for name, error in result.parameter_errors.items()}
     logs = {} if result.details is None else dict(result.details.logs)
-    return provenance("diagnose", logs, template or result.model.source, found, verdict=result.verdict.value)
+    nominal = template or result.model.source
+    return provenance("diagnose", logs, nominal, found, origin, verdict=result.verdict.value)
 
 
 def _percent(value: float | None) -> str:

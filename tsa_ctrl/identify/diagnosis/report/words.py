@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE
 from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 
 MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
 MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
-IN_REVERSALS = 1.5  # times the sensor noise; a smaller error while sliding is noise
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
@@ -94,12 +94,7 @@ def four_lines(result: Diagnosis) -> dict[str, str]:
 
 def _with_intervals(cause: Cause) -> str:
     """Return the name, the alternatives, and each parameter with its 95 % interval."""
-    numbers = [
-        f"{spoken(key)} {value}"
-        for key, value in cause.parameters.items()
-        if isinstance(value, Quantity) and value.told and value.low < value.high
-    ]
-    return ", ".join([_named(cause), *numbers])
+    return ", ".join([_named(cause), *_numbers(cause)])
 
 
 def _rest(result: Diagnosis) -> str:
@@ -107,7 +102,7 @@ def _rest(result: Diagnosis) -> str:
         return "noise"
     sliding, noise = result.errors.sliding, result.errors.sensor_noise
     first = result.unexplained.split(";")[0].removeprefix("what is left ")
-    if sliding is not None and noise is not None and sliding < IN_REVERSALS * noise:
+    if sliding is not None and noise is not None and sliding < MORE_THAN_NOISE * noise:
         return f"in reversals alone; while sliding it is noise ({first})"
     return f"more than noise: it {first}"
 
@@ -202,12 +197,16 @@ def _visible(result: Diagnosis) -> str:
 
 def cause_phrase(cause: Cause) -> str:
     """Name, alternatives and main parameter of a cause."""
-    numbers = [
+    return ", ".join([_named(cause), *_numbers(cause)[:1]])
+
+
+def _numbers(cause: Cause) -> list[str]:
+    """Return each parameter that the logs identify, with its interval."""
+    return [
         f"{spoken(key)} {quantity}"
         for key, quantity in cause.parameters.items()
         if isinstance(quantity, Quantity) and quantity.told and quantity.low < quantity.high
     ]
-    return f"{_named(cause)}, {numbers[0]}" if numbers else _named(cause)
 
 
 def _named(cause: Cause) -> str:
