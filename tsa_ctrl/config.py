@@ -73,6 +73,9 @@ class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
     enabled: bool = True
     folder: str = "logs"  # relative to the configuration file
+    file_size: Annotated[float, Meta(ge=1.0, le=1e6)] = 500.0  # MB, then the next file begins; one axis, one hour
+    file_age: Annotated[float, Meta(ge=60.0, le=1e7)] | None = None  # s, the same
+    folder_size: Annotated[float, Meta(ge=10.0, le=1e9)] | None = None  # MB; the oldest logs beyond it are deleted
 
 
 class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

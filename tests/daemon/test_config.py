@@ -63,7 +63,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         default = re.match(r"# (\w+ = .+|\[bus\.supervision\])", line)
         keep = default is None or re.match(
             r"# (cpu|options|group|watch_group|eds|vendor_id|product_code|serial_number|pdo_node_id|boot_timeout"
-            r"|answer_timeout|polarity|distance|travel|offset = 2|gains|components|file"
+            r"|answer_timeout|polarity|distance|travel|offset = 2|gains|components|file =|file_age|folder_size"
             r"|enabled = false|output|wearer_speed|emergency_stop|zero_torque_within"
             r"|torque|joint_torque|slip|motor_inertia|delay|turn|lead|ringing|damping) ?=?",
             line,

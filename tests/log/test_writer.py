@@ -6,6 +6,7 @@ import datetime
 import errno
 import os
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 from tests.log.logs import HEADER, kill_an_owner, push, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
-from tsa_ctrl.log.process import LogProcess
+from tsa_ctrl.log.process import LogLimits, LogProcess
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter, WriterState
 from tsa_ctrl.log.writer import LogWriter
@@ -256,3 +257,44 @@ def test_dated_names_are_not_taken(tmp_path: Path) -> None:
         path = untaken(tmp_path, "tsa", ".mcap", now)
         assert path.name == name
         path.touch()
+
+
+def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter, tmp_path: Path) -> None:
+    """Each file is complete and has the configuration; no record is lost or written twice."""
+    limits = LogLimits(file_age=60.0)
+    log = LogWriter(RingReader(ring.fd), tmp_path / "log.mcap", HEADER, limits)
+    for step in range(4):  # a file begins with its first record: at 0 s and at 140 s
+        push(ring, 100, first=100 * step)
+        log.step(70.0 * step)
+    push(ring, 100, first=400)
+    log.end()
+    files = [tmp_path / name for name in ("log.mcap", "log-2.mcap", "log-3.mcap")]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert [count for file in files for count in times(file)] == list(range(500))
+    for file in files:
+        found = LogFile(file)
+        notes = [note.text for note in found.read_notes()]
+        assert found.complete
+        assert found.files == HEADER.files
+        assert (file == files[0]) == (not any("goes on from" in text for text in notes))
+        assert (file == files[-1]) == (not any("goes on in" in text for text in notes))
+    large = LogWriter(RingReader(ring.fd), tmp_path / "large.mcap", HEADER, LogLimits(file_size=1.0))
+    push(ring, 100, first=500)
+    large.step(0.0)
+    push(ring, 100, first=600)
+    large.end()
+    assert times(tmp_path / "large.mcap") + times(tmp_path / "large-2.mcap") == list(range(500, 700))
+
+
+def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWriter, tmp_path: Path) -> None:
+    """Only the daemon's own, never one that changed a moment ago, and the log says which."""
+    for age, name in ((50, "tsa-1.mcap"), (40, "tsa-2.mcap"), (30, "tsa-3.mcap"), (0, "tsa-4.mcap"), (60, "my.mcap")):
+        (tmp_path / name).write_bytes(b"x" * 1000)
+        os.utime(tmp_path / name, (time.time() - age,) * 2)
+    log = LogWriter(RingReader(ring.fd), tmp_path / "tsa-5.mcap", HEADER, LogLimits(folder_size=6000.0))
+    log.step(0.0)
+    assert 3000 < (tmp_path / "tsa-5.mcap").stat().st_size < 4000  # its head
+    log.end()
+    assert {path.name for path in tmp_path.iterdir()} == {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap"}
+    notes = [note.text for note in LogFile(tmp_path / "tsa-5.mcap").read_notes()]
+    assert [text.split(":")[0] for text in notes] == [f"deleted the oldest log tsa-{i}.mcap" for i in (1, 2)]

@@ -27,7 +27,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.protocol import default_path
-from tsa_ctrl.log.process import LogProcess
+from tsa_ctrl.log.process import LOG_KIND, LOG_SUFFIX, LogLimits, LogProcess
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
@@ -35,6 +35,7 @@ from tsa_ctrl.system import realtime
 from tsa_ctrl.system.notify import Notifier
 from tsa_ctrl.system.process_supervisor import Child
 
+MEGA = 1e6  # bytes of a MB
 PATIENCE = 2.0  # s for the socket server to end
 
 
@@ -74,7 +75,9 @@ class Children:
         except OSError as error:
             raise UsageError(f"{folder}: the log folder cannot be made ({error.strerror}); choose another") from None
         self.ring = RingWriter(len(configuration.file.axes))
-        return LogProcess(untaken(folder, "tsa", ".mcap"), self.ring, log_header(configuration))
+        log = configuration.file.log
+        limits = LogLimits(log.file_size * MEGA, log.file_age, log.folder_size and log.folder_size * MEGA)
+        return LogProcess(untaken(folder, LOG_KIND, LOG_SUFFIX), self.ring, log_header(configuration), limits)
 
     @property
     def server_alive(self) -> bool:

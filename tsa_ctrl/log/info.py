@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,21 +93,64 @@ def inspect(path: str | Path) -> LogInfo:
     sha256 = sha256_of(path)
     if kind_of(file) != ".mcap":
         table = read_table(path)
-        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)], problems=_repairs(table))
+        if "t" not in table.columns:
+            names = ", ".join(table.columns) or "none"
+            raise UsageError(f"{table.label}: column t is missing (found: {names}); add it")
+        columns = _Columns(list(table.columns), {})
+        columns.add(table.columns.values())
+        return LogInfo(str(path), sha256, [_axis_info(table, columns, 0.0, empty=True)], problems=_repairs(table))
     log = LogFile(file)
     if axis is not None and axis not in log.axes:
         raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(log.axes)}")
-    blocks: dict[str, list[NDArray[np.float64]]] = {name: [] for name in log.axes if axis in (None, name)}
+    found = {name: _Columns(log.fields, log.codes) for name in log.axes if axis in (None, name)}
     for name, block in log.blocks(log.fields):
-        if name in blocks:
-            blocks[name].append(block)
-    infos = []
-    for name, parts in blocks.items():
-        values = np.concatenate(parts) if parts else np.empty((0, len(log.fields)))
-        columns = {field: values[:, i] for i, field in enumerate(log.fields)}
-        columns = {field: v for field, v in columns.items() if field == "t" or not np.isnan(v).all()}
-        infos.append(_axis_info(Table(f"{file}:{name}", columns, axis=name, recorded=True), np.inf, log.codes))
+        if name in found:
+            found[name].add(block.T)
+    infos = [_axis_info(Table(f"{file}:{name}", {}, axis=name), c, np.inf, empty=False) for name, c in found.items()]
     return LogInfo(str(path), sha256, infos, log.about, log.problems, log.notes)
+
+
+class _Columns:
+    """Collect the times of one axis (s), and of each column range, rows without a value and codes, block by block."""
+
+    def __init__(self, names: Sequence[str], codes: Codes) -> None:
+        self._names = list(names)
+        self._codes = codes
+        self._low = [np.inf] * len(self._names)
+        self._high = [-np.inf] * len(self._names)
+        self._missing = [0] * len(self._names)
+        self._found: dict[str, set[float]] = {name: set() for name in self._names if codes.get(name)}
+        self._times = bytearray()  # grows in place; 8 bytes a row are all that is kept
+
+    def add(self, columns: Iterable[NDArray[np.float64]]) -> None:
+        """Take the next rows: a column for each name."""
+        for i, (name, values) in enumerate(zip(self._names, columns, strict=True)):
+            if name == "t":
+                self._times += values.astype(np.float64).tobytes()
+            good = values[np.isfinite(values)]
+            self._missing[i] += len(values) - len(good)
+            if len(good):
+                self._low[i] = min(self._low[i], float(good.min()))
+                self._high[i] = max(self._high[i], float(good.max()))
+            if name in self._found:
+                self._found[name].update(np.unique(good).tolist())
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        return np.frombuffer(self._times, dtype=np.float64)
+
+    def ranges(self, empty: bool) -> list[ColumnRange]:
+        """Return the columns; `empty`: those without any value, too."""
+        found = []
+        for i, name in enumerate(self._names):
+            there = self._low[i] <= self._high[i]
+            if not (there or empty or name == "t"):
+                continue
+            unit = COLUMNS[name].unit if name in COLUMNS else ""
+            low, high = (self._low[i], self._high[i]) if there else (None, None)
+            codes = tuple(coded(np.array(sorted(self._found[name])), self._codes[name])) if name in self._found else ()
+            found.append(ColumnRange(name, unit, low, high, self._missing[i], codes))
+        return found
 
 
 def _repairs(table: Table) -> list[str]:
@@ -117,24 +161,13 @@ def _repairs(table: Table) -> list[str]:
         return [str(error).removeprefix(f"{table.label}: ")]
 
 
-def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) -> AxisInfo:
-    columns = table.columns
-    if "t" not in columns:
-        raise UsageError(f"{table.label}: column t is missing (found: {', '.join(columns) or 'none'}); add it")
-    t = columns["t"]
+def _axis_info(table: Table, columns: _Columns, longest_skip: float, empty: bool) -> AxisInfo:
+    t = columns.t
     if len(t) < 2:
         raise UsageError(f"{table.label}: holds {len(t)} rows; at least 2 are needed to tell a rate: give a longer log")
     check_increasing(table, t, doubled=True)
     grid = fit_grid(np.unique(t), longest_skip) if np.ptp(t) > 0.0 else fit_grid(t)
-    ranges = [_range(name, values, (codes or {}).get(name, {})) for name, values in columns.items()]
+    ranges = columns.ranges(empty)
     return AxisInfo(
         table.axis, grid.rate, float(t[-1] - t[0]), len(t), grid.jitter, grid.skipped, ranges, table.left_out
     )
-
-
-def _range(name: str, values: NDArray[np.float64], codes: dict[int, str]) -> ColumnRange:
-    good = values[np.isfinite(values)]
-    unit = COLUMNS[name].unit if name in COLUMNS else ""
-    low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
-    names = tuple(coded(np.unique(good), codes)) if codes else ()
-    return ColumnRange(name, unit, low, high, len(values) - len(good), names)

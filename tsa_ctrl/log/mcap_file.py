@@ -146,6 +146,11 @@ class McapFile:
         """Return the number of records written so far."""
         return sum(self._sequence)
 
+    @property
+    def size(self) -> int:
+        """Return the number of bytes written so far."""
+        return self._position
+
     def write(self, records: Sequence[NDArray[np.float64]]) -> None:
         """Write one chunk with the records of each axis, shape (k, fields). Raises OSError and then adds nothing."""
         messages = [self._messages(axis, block) for axis, block in enumerate(records)]

@@ -30,6 +30,20 @@ class LogHeader:
     version: str = __version__
 
 
+@dataclass(frozen=True)
+class LogLimits:
+    """Limit the files of a log.
+
+    `file_size` in bytes and `file_age` in s end a file and begin the next. `folder_size` in bytes deletes the oldest
+    logs of the daemon in the folder. None: no limit.
+    """
+
+    file_size: float | None = None
+    file_age: float | None = None
+    folder_size: float | None = None
+
+
+LOG_KIND, LOG_SUFFIX = "tsa", ".mcap"  # of the names of the daemon's logs: tsa-20250131-142501.mcap
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s until the writer reads the ring
 POLL = 0.01  # s
@@ -41,13 +55,13 @@ class LogProcess:
     Start it before real-time scheduling is requested, so that the child does not inherit it.
     """
 
-    def __init__(self, path: Path, ring: RingWriter, header: LogHeader) -> None:
+    def __init__(self, path: Path, ring: RingWriter, header: LogHeader, limits: LogLimits | None = None) -> None:
         """Start the process; raises UsageError if no new file can be created at `path`."""
         self.path = path
         self._ring = ring
         check_place(path)
         self._child = Child("tsa_ctrl.log.writer", ring.fd, path, reports=False, fd=ring.fd)
-        self._child.send(msgspec.json.encode(header))
+        self._child.send(msgspec.json.encode((header, limits or LogLimits())))
 
     @property
     def pid(self) -> int:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import io
 import json
-import mmap
+import os
 import struct
 import zlib
 from collections.abc import Callable, Collection, Iterator
@@ -212,16 +212,15 @@ class LogFile:
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
         """Yield opcode and content of each complete record, up to the point where the file is truncated."""
-        with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            position, end = len(MAGIC), len(data)
-            while position + _PREFIX <= end:
-                opcode = data[position]
-                length = int.from_bytes(data[position + 1 : position + _PREFIX], "little")
-                position += _PREFIX
-                if length > end - position:
+        with self.path.open("rb") as stream:
+            left = os.fstat(stream.fileno()).st_size - stream.seek(len(MAGIC))
+            while left >= _PREFIX:
+                prefix = stream.read(_PREFIX)
+                opcode, length = prefix[0], int.from_bytes(prefix[1:], "little")
+                left -= _PREFIX + length
+                if left < 0:
                     return
-                yield opcode, data[position : position + length]
-                position += length
+                yield opcode, stream.read(length)
                 if opcode == Opcode.FOOTER:
                     return
 

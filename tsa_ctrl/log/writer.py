@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.log.mcap_file import McapFile, Note
-from tsa_ctrl.log.process import LogHeader
+from tsa_ctrl.log.process import LOG_KIND, LOG_SUFFIX, LogHeader, LogLimits
 from tsa_ctrl.log.ring import RingReader, WriterState
 from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.process_supervisor import ignore, supervise
@@ -32,6 +32,7 @@ SYNCED = 1.0  # s between two fsync calls: a power failure loses the records sin
 RETRY = 1.0  # s between attempts after a trouble
 HANGS = 4.0  # s without a sign of life until another one takes over: half of what the ring holds at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
+IN_USE = 10.0  # s since its last change, within which a log may belong to another daemon and is not deleted
 MOST_NOTES = 1000  # kept while the disk is in trouble
 MOST_PENDING = 120_000  # records kept while the disk is in trouble, about 25 MB; older ones are lost
 
@@ -39,12 +40,18 @@ Blocks = list[NDArray[np.float64]]
 
 
 class LogWriter:
-    """Drains one ring into one file; `step` is one look, without sleeping."""
+    """Drain one ring into a file, or several in a row; `step` is one look, without sleeping.
 
-    def __init__(self, ring: RingReader, path: Path, header: LogHeader) -> None:
+    The files are `first`, then NAME-2.mcap, NAME-3.mcap; a file that exists is never continued.
+    """
+
+    def __init__(self, ring: RingReader, first: Path, header: LogHeader, limits: LogLimits | None = None) -> None:
         self._ring = ring
-        self._path = path
+        self._first = first
+        self._path = next_file(first) if first.exists() else first
         self._header = header
+        self._limits = limits or LogLimits()
+        self._begun = 0.0  # s, when the file was begun
         self._file: McapFile | None = None
         self._pending: list[Blocks] = [[] for _ in header.axes]
         self._notes: list[Note] = []
@@ -95,16 +102,51 @@ class LogWriter:
         try:
             if self._file is None:
                 self._file = McapFile(self._path, self._header)
+                self._begun = now
+                self._tidy()
             if self._waiting:
                 self._file.write([_joined(blocks) for blocks in self._pending])
                 self._forget()
             self._file.write_notes(self._notes)
             self._notes.clear()
             self._sync(self._file, now)
+            self._rotate(self._file, now)
         except OSError as error:
             self._trouble = error.errno or errno.EIO
             return
         self._trouble = 0
+
+    def _rotate(self, file: McapFile, now: float) -> None:
+        """End the file once it is too large or too old; the next write begins another one."""
+        limits = self._limits
+        large = limits.file_size is not None and file.size >= limits.file_size
+        if not (large or (limits.file_age is not None and now - self._begun >= limits.file_age)):
+            return
+        following = next_file(self._first)
+        file.write_notes([Note(self._newest, "", f"the log goes on in {following.name}", False)])
+        self._notes.append(Note(self._newest, "", f"this log goes on from {self._path.name}", False))
+        self._written += file.written
+        self._file, self._path = None, following
+        self._syncing = self._disk.submit(file.finish)  # after a sync that still runs
+
+    def _tidy(self) -> None:
+        """Delete the oldest logs of the daemon in the folder while all of them exceed `folder_size`."""
+        if self._limits.folder_size is None:
+            return
+        logs = []
+        for path in self._path.parent.glob(f"{LOG_KIND}-*{LOG_SUFFIX}"):
+            status = path.stat()
+            logs.append((status.st_mtime, status.st_size, path))
+        excess = sum(size for _, size, _ in logs) - self._limits.folder_size
+        newest = time.time() - IN_USE
+        for changed, size, path in sorted(logs):
+            if excess <= 0.0:
+                break
+            if path == self._path or changed > newest:
+                continue
+            path.unlink(missing_ok=True)
+            excess -= size
+            self._notes.append(Note(self._newest, "", f"deleted the oldest log {path.name}: [log] folder_size", False))
 
     def _sync(self, file: McapFile, now: float) -> None:
         """Have the disk store the file once a second, and raise the OSError of the last time."""
@@ -146,18 +188,18 @@ def main(argv: list[str]) -> int:
     asked = sys.stdin.buffer.readline()
     if not asked:  # the owner is gone already
         return 0
-    header = msgspec.json.decode(asked, type=LogHeader)
+    header, limits = msgspec.json.decode(asked, type=tuple[LogHeader, LogLimits])
     ring = RingReader(fd)
 
-    def work(before: int) -> int:
-        return write(RingReader(fd), continued(path, before), header)
+    def work(_before: int) -> int:
+        return write(RingReader(fd), path, header, limits)
 
     return supervise(work, ring.alive, lambda: ring.heard, HANGS, ring.replace)
 
 
-def write(ring: RingReader, path: Path, header: LogHeader) -> int:
+def write(ring: RingReader, path: Path, header: LogHeader, limits: LogLimits) -> int:
     """Until the owner has finished the ring, or is gone."""
-    writer = LogWriter(ring, path, header)
+    writer = LogWriter(ring, path, header, limits)
     orphaned = False
     while not (ring.finished or orphaned):
         writer.step(time.monotonic())
@@ -167,9 +209,12 @@ def write(ring: RingReader, path: Path, header: LogHeader) -> int:
     return 0
 
 
-def continued(path: Path, before: int) -> Path:
-    """Where the log of `path` goes on after `before` writers: NAME-2.mcap after the first."""
-    return path if before == 0 else path.with_name(f"{path.stem}-{before + 1}{path.suffix}")
+def next_file(path: Path) -> Path:
+    """Return the first free path among NAME-2.mcap, NAME-3.mcap, ... in which the log NAME.mcap goes on."""
+    number = 2
+    while (found := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
+        number += 1
+    return found
 
 
 if __name__ == "__main__":
