@@ -17,6 +17,7 @@ from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
 from tsa_ctrl.safety.causes import Cause, Fault
+from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.safety.supervisor import Phase, Request
 from tsa_ctrl.system.histogram import BINS
@@ -46,6 +47,7 @@ class Axis:
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.reason = Reason.DISABLED
         self.did: list[object] = []
         self.image = SimpleNamespace(fresh=True)
         self.supervisor = SimpleNamespace(phase=Phase.ENABLED, faults=[], needs_bring_up=False)

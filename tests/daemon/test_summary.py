@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from rich.console import Console
 
 from tsa_ctrl.daemon.events import MOST, Events
 from tsa_ctrl.daemon.summary import NodeCount, Summary
+from tsa_ctrl.daemon.torque_error import SENSOR, UNKNOWN, TorqueError
 from tsa_ctrl.ipc.mailbox import TEXT
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.safety.causes import Cause
@@ -43,6 +45,10 @@ def summary() -> Summary:
         lateness_bins=coarse(bins),
         work_bins=coarse([0] * BINS),
         nodes=(NodeCount("knee", "drive node 1", 3, 1, 0, 0), NodeCount("knee", "joint encoder node 32", 1, 0, 0, 0)),
+        torque=(
+            TorqueError("knee", SENSOR, 8.0, 0.0123, -0.001, 0.05, 0.35, {"UNPROVEN": 0.25, "RATE": 0.001}),
+            TorqueError("hip", UNKNOWN, 0.0, math.nan, math.nan, math.nan, math.nan, {}),
+        ),
         events=(Event(0, 1.5, "knee", "heartbeat lost: [drive] node 1", True),),
         unconfirmed=(),
         simulated=False,
@@ -61,18 +67,29 @@ def test_json_has_no_nan_and_counts_cycles() -> None:
     cycles |= {"error_frames": 0, "flooded": 0}
     assert found["cycles"] == cycles
     assert found["work"]["p50"] is None
+    assert found["torque"][1]["rms"] is None
     assert found["lateness"]["bins"][-1] == [None, 1]
 
 
 def test_tables_show_everything_that_matters() -> None:
-    """Cause, counts, load, histograms, nodes and events stand in the tables."""
+    """The torque error comes first, then cause, counts, load, histograms, nodes and events."""
     stream = io.StringIO()
     summary().show(Console(file=stream, width=100))
     shown = stream.getvalue()
     for words in ("SIGTERM", "10 / 8", "2 in 1", "50 to 60 %", "SCHED_FIFO 80", "/logs/a.mcap: 8 records, 0 lost"):
         assert words in shown
+    assert "12.3" in shown[: shown.index("SIGTERM")]
+    assert "unproven 25 %" in shown
+    assert "rate 0 %" not in shown
+    assert "not measured" in shown
     for words in ("joint encoder node 32", "heartbeat lost: [drive] node 1", "p99"):
         assert words in shown
+
+
+def test_the_histogram_is_left_out_of_a_run_on_time() -> None:
+    stream = io.StringIO()
+    replace(summary(), late=0, skipped=0).show(Console(file=stream, width=100))
+    assert "p99" not in stream.getvalue()
 
 
 def test_is_kept_beside_the_log(tmp_path: Path) -> None:

@@ -6,15 +6,20 @@ import json
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.virtual.files import controller, plant, write
+from tests.virtual.joints import play, sine
+from tests.virtual.test_sensor_truth import BLIND
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.cli import main
+from tsa_ctrl.daemon.torque_error import ELONGATION, SENSOR
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
+from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.script import Change, Fault, parse_fault_option, parse_set_option
 
 
@@ -225,3 +230,20 @@ def test_the_verb_prints_its_json_alone(tmp_path: Path, capsys: pytest.CaptureFi
     assert axis["state"] == "operation_enabled"
     assert 0.0 < axis["rms"] <= axis["peak"]
     assert axis["limit_reasons"]["NONE"] > 500
+
+
+@pytest.mark.parametrize(("column", "source", "axis"), [("tau_j", SENSOR, {}), ("tau_j_stretch", ELONGATION, BLIND)])
+def test_the_summary_has_the_torque_error_of_the_log(
+    tmp_path: Path, column: str, source: str, axis: dict[str, Any]
+) -> None:
+    """By the torque sensor, or else by the elongation; from the end of the fade-in to the begin of the stop."""
+    result = play(tmp_path, "weight", sine(0.5, 0.5), 3.0, axis=axis)
+    log, found = result.axes[0].log, result.summary.torque[0]
+    counted = result.axes[0].counted
+    error = (log[column] - log["tau_j_des"])[counted]
+    assert found.source == source
+    assert found.seconds == pytest.approx(counted.sum() * 1e-3, abs=0.005)
+    assert found.rms == pytest.approx(np.sqrt(np.nanmean(error**2)), rel=0.02)
+    assert found.peak == pytest.approx(np.nanmax(np.abs(error)), rel=0.02)
+    share = np.mean(log["limit_reason"][counted] == Reason.UNPROVEN.value)
+    assert found.limited.get("UNPROVEN", 0.0) == pytest.approx(share, abs=0.01)

@@ -171,6 +171,11 @@ class Law:
         return self._inverse.domain()
 
     @property
+    def faded(self) -> bool:
+        """Return True once the fade-in after the last enable is complete."""
+        return self._fade >= 1.0
+
+    @property
     def pretension(self) -> float:
         """Return T_p0 at the present wrap angle, N."""
         return self._inverse.pretension

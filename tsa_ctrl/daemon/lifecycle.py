@@ -216,6 +216,7 @@ class Lifecycle:
                 for axis in rig.axes
                 for node in axis.image.nodes
             ),
+            torque=tuple(counter.result() for counter in loop.torque_errors),
             events=loop.events.all,
             unconfirmed=tuple(self.unconfirmed),
             simulated=self._simulated,

@@ -18,6 +18,7 @@ from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.notices import Notices
 from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.daemon.torque_error import TorqueErrorCounter
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
 from tsa_ctrl.safety.causes import REMEDIES, Cause
 from tsa_ctrl.safety.release import ReleaseBudget
@@ -62,6 +63,7 @@ class Loop:
         self._telemetry = telemetry
         self._settings = settings
         self._period = 1.0 / settings.rate
+        self.torque_errors = [TorqueErrorCounter(axis, self._period) for axis in axes]
         self._collect = settings.collect / settings.rate
         self._ticker = Ticker(round(1e9 / settings.rate), 0)
         self._start = 0
@@ -159,6 +161,8 @@ class Loop:
             if woke - planned > half:
                 self.late += 1
             count(work, done - woke)
+            for counter in self.torque_errors:
+                counter.update()
             telemetry.record(
                 (planned - start) * 1e-9, (planned - start) // period, (woke - planned) * 1e-9, (done - woke) * 1e-9
             )

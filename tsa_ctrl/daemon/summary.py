@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tsa_ctrl.daemon.torque_error import TorqueError
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.settings import write_text
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SCHEMA = 1
+SHOWN = 0.005  # 1, of the cycles, from which a limit is listed
 BAR = 40  # characters of the longest bar
 
 
@@ -58,6 +60,7 @@ class Summary:
     lateness_bins: list[tuple[float, int]]
     work_bins: list[tuple[float, int]]
     nodes: tuple[NodeCount, ...]
+    torque: tuple[TorqueError, ...]
     events: tuple[Event, ...]
     unconfirmed: tuple[str, ...]
     simulated: bool  # whether the nodes were simulated
@@ -85,7 +88,7 @@ class Summary:
                 "work": _distribution(self.work, self.work_bins),
                 **{
                     name: getattr(self, name)
-                    for name in ("nodes", "events", "unconfirmed", "simulated", "joints", "log")
+                    for name in ("torque", "nodes", "events", "unconfirmed", "simulated", "joints", "log")
                 },
                 "log_records": {"written": self.log_written, "lost": self.log_lost},
             }
@@ -98,9 +101,10 @@ class Summary:
             write_text(Path(self.log).with_suffix(".json"), json.dumps(self.as_dict(), indent=1) + "\n")
 
     def show(self, console: Console) -> None:
-        """Print tables: cycles, histograms of lateness and work, nodes, events."""
+        """Print the torque error first, then cycles, nodes and events; histograms only where cycles began late."""
         from rich.table import Table  # not loaded while the loop runs
 
+        console.print(_torque(self.torque))
         table = Table(title=f"{self.bus}: {self.cause}", title_justify="left", show_header=False)
         table.add_row("cycles planned / run", f"{self.planned} / {self.sent}")
         table.add_row("periods skipped, in overruns", f"{self.skipped} in {self.overruns}")
@@ -112,7 +116,8 @@ class Summary:
         if self.log is not None:
             table.add_row("log", f"{self.log}: {self.log_written} records, {self.log_lost} lost")
         console.print(table)
-        console.print(_histogram(self))
+        if self.late or self.skipped:
+            console.print(_histogram(self))
         nodes = Table("axis", "node", "cycles missed", "late", "repeated", "wrong length")
         for node in self.nodes:
             counts = (node.missed, node.late, node.repeated, node.malformed)
@@ -122,6 +127,19 @@ class Summary:
             console.print(str(event), style="red" if event.fault else None, highlight=False, markup=False)
         for line in self.unconfirmed:
             console.print(line, style="bold red", highlight=False, markup=False)
+
+
+def _torque(errors: tuple[TorqueError, ...]) -> Table:
+    from rich.table import Table
+
+    columns = ("axis", "RMS error (mN·m)", "mean", "peak", "RMS desired", "measured by", "limited")
+    table = Table(*columns, title="joint torque, from the end of the fade-in on", title_justify="left")
+    for error in errors:
+        values = (error.rms, error.mean, error.peak, error.desired_rms)
+        limits = [f"{name.lower()} {100 * share:.0f} %" for name, share in error.limited.items() if share >= SHOWN]
+        texts = ("-" if math.isnan(value) else f"{1e3 * value:.1f}" for value in values)
+        table.add_row(error.axis, *texts, error.source, ", ".join(limits) or "no")
+    return table
 
 
 def _histogram(summary: Summary) -> Table:
