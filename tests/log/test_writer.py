@@ -283,11 +283,12 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
     large.step(0.0)
     push(ring, 100, first=600)
     large.end()
+    assert not any("goes on in" in note.text for note in LogFile(tmp_path / "large-2.mcap").read_notes())
     assert times(tmp_path / "large.mcap") + times(tmp_path / "large-2.mcap") == list(range(500, 700))
 
 
 def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWriter, tmp_path: Path) -> None:
-    """Only the daemon's own, never one that changed a moment ago, and the log says which."""
+    """Other files stay, and so does a log that changed a moment ago. The new log names the deleted ones."""
     for age, name in ((50, "tsa-1.mcap"), (40, "tsa-2.mcap"), (30, "tsa-3.mcap"), (0, "tsa-4.mcap"), (60, "my.mcap")):
         (tmp_path / name).write_bytes(b"x" * 1000)
         os.utime(tmp_path / name, (time.time() - age,) * 2)

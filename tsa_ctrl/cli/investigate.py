@@ -104,7 +104,7 @@ def command(
         own = folder / "given-logs" if step.folder is None else step.folder
         own.mkdir(exist_ok=True)
         write_diagnosis(step.result, own, session.path, plot, simulated)
-        shutil.copyfile(own / MODEL, folder / MODEL)  # that of the last motion
+        shutil.copyfile(own / MODEL, folder / MODEL)  # the last motion replaces it
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         play = on_the_rig(session.runner, folder, session.path)

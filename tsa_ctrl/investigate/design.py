@@ -60,7 +60,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Known:
-    """Hold what the present logs show of a pair, divided by the noise.
+    """How the two models of a pair differ on the present logs, divided by the noise.
 
     `difference` (n) of the predictions, `gradients` (n, k) of the rival, and the sum of squares `left` that the rival
     cannot follow.

@@ -140,7 +140,7 @@ class _Columns:
         return np.frombuffer(self._times, dtype=np.float64)
 
     def ranges(self, empty: bool) -> list[ColumnRange]:
-        """Return the columns; `empty`: those without any value, too."""
+        """Return the columns that have a value; `empty` adds those that have none."""
         found = []
         for i, name in enumerate(self._names):
             there = self._low[i] <= self._high[i]

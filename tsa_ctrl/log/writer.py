@@ -78,6 +78,8 @@ class LogWriter:
         del self._notes[:-MOST_NOTES]
         if now >= self._due or last:
             self._write(now)
+            if self._file is not None and not (last or self._trouble):
+                self._rotate(self._file, now)
             self._due = now + (RETRY if self._trouble else CHUNK)
         while self._waiting > MOST_PENDING:
             self._drop_oldest()
@@ -92,6 +94,7 @@ class LogWriter:
         try:
             if self._file is not None:
                 self._file.finish()
+            self._syncing.result()  # the end of the file before, if it was rotated a moment ago
         except OSError as error:
             self._trouble = error.errno or errno.EIO
         self._disk.shutdown(wait=False)
@@ -110,7 +113,6 @@ class LogWriter:
             self._file.write_notes(self._notes)
             self._notes.clear()
             self._sync(self._file, now)
-            self._rotate(self._file, now)
         except OSError as error:
             self._trouble = error.errno or errno.EIO
             return
@@ -123,7 +125,11 @@ class LogWriter:
         if not (large or (limits.file_age is not None and now - self._begun >= limits.file_age)):
             return
         following = next_file(self._first)
-        file.write_notes([Note(self._newest, "", f"the log goes on in {following.name}", False)])
+        try:
+            file.write_notes([Note(self._newest, "", f"the log goes on in {following.name}", False)])
+        except OSError as error:
+            self._trouble = error.errno or errno.EIO
+            return
         self._notes.append(Note(self._newest, "", f"this log goes on from {self._path.name}", False))
         self._written += file.written
         self._file, self._path = None, following

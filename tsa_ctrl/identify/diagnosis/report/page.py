@@ -48,9 +48,8 @@ def write(
 ) -> None:
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
-    Where what is left follows a formula, also formula.toml.
-
-    Each file beside and renamed, so that a crash leaves whole files. `template`: the model file whose comments
+    If a formula describes the rest of the error, formula.toml is written as well. Each file is written under another
+    name and then renamed, so a crash leaves no partial file. `template`: the model file whose comments
     extended.toml keeps. `plot`: who draws (default: this process). `origin`: of the measurements; default: logs, which
     may be of any joint. Raises UsageError when the folder cannot be written.
     """
