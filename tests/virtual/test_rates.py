@@ -36,3 +36,17 @@ def test_the_shipped_example_rests_at_every_rate(tmp_path: Path) -> None:
         (tmp_path / "controller.toml").write_text(changed, encoding="utf-8")
         result = simulate_loop(tmp_path / "controller.toml", tmp_path / "plant.toml", 4.0)
         assert [event.text for event in result.summary.events if event.fault] == []
+
+
+@pytest.mark.parametrize("rate", [250.0, 500.0, 1000.0])
+@pytest.mark.parametrize("truth", [{"axial_stiffness": 0.93}, {"friction_coefficient": 0.85, "axial_stiffness": 1.05}])
+def test_tendons_within_the_uncertainty_of_the_file_are_not_reported(
+    tmp_path: Path, rate: float, truth: dict[str, float]
+) -> None:
+    """Friction 15 % off, stiffness 7 % off: before both directions have slid, the observer has to learn them."""
+    bus = BusChoice("virtual", "rates")
+    plant = rig.plant(bus, "distributed")
+    plant["axis"][0]["perturbation"] = truth
+    rig.write(tmp_path, gait(), plant, {"with": rig.controller(bus, "with", rate, "nominal.toml", 0.95)})
+    result = simulate_loop(tmp_path / "controller-with.toml", tmp_path / "plant.toml", 5.0)
+    assert not [event.text for event in result.summary.events if "elongation" in event.text]

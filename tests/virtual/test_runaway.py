@@ -36,12 +36,18 @@ def added(result: Simulation, after: float = AT) -> float:
     return float((total - np.minimum.accumulate(total)).max())
 
 
+BREAKS_AWAY = pytest.mark.xfail(
+    strict=True,
+    reason="a second after the loss the spring breaks away from rest once and gets 2.4 mJ within 50 ms, not 1 mJ",
+)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("load", "setpoint", "fault", "most"),
     [
         ("weight", STANDS, "pretension value=0.3", 10e-3),  # swings for ever without the guard: below
-        pytest.param("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3, marks=pytest.mark.soak),
+        pytest.param("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3, marks=[pytest.mark.soak, BREAKS_AWAY]),
         ("free", sine(0.5, 0.5), "friction value=0.75", 10e-3),
     ],
 )

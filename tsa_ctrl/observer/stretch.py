@@ -32,8 +32,9 @@ from tsa_ctrl.observer import tendons
 
 MISFIT = 3.0  # standard deviations of the innovation, beyond which motor torque or tendons differ from the model
 SMOOTH = 0.005  # s, low-pass of the innovation
-# s for which it must last: on healthy rigs single samples come there every ten seconds, four in a row at most
-LASTING = 0.01
+# Cycles in a row that count. In each the observer changes its friction by a twentieth at most, so after 10 it has
+# followed friction that is a standard deviation of the prior off. At 1 kHz healthy rigs show four in a row at most.
+LASTING = 10
 
 
 class Confirmation:
@@ -49,7 +50,6 @@ class Confirmation:
         self._noise = float(noise)
         self._least = MISFIT**2 * self._noise  # m^2: the variance is never less than the noise
         self._share = 1.0 - math.exp(-period / SMOOTH)
-        self._most = max(1, round(LASTING / period))  # cycles
         self.reset()
 
     def reset(self) -> None:
@@ -79,7 +79,7 @@ class Confirmation:
         variance = by_x * by_x * (x + passing) + by_k * by_k * k + zero + self._noise
         off = not self._softest <= stiff <= self._stiffest
         self._beyond = self._beyond + 1 if off or squared > MISFIT**2 * variance else 0
-        self.confirmed = self._beyond < self._most
+        self.confirmed = self._beyond < LASTING
 
 
 CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no better and twice as dear
