@@ -19,8 +19,11 @@ GIVE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.0)
 class Tendons:
     """A joint that is led, a torque, and the motor between: tau/K, and friction that is dragged along by `share`."""
 
-    def __init__(self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE) -> None:
-        self.check = Elongation(give, PERIOD)
+    def __init__(
+        self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE, period: float = PERIOD
+    ) -> None:
+        self.check = Elongation(give, period)
+        self._period = period
         self._compliance = softer / STIFFNESS
         self._half = 0.5 * friction * softer * WOUND
         self._wound = 0.0
@@ -29,10 +32,10 @@ class Tendons:
 
     def step(self, joint: float, torque: float, shown: Callable[[float], float] = lambda joint: joint) -> float | None:
         """Friction follows the joint's way; `shown`: what the encoder makes of the joint's angle."""
-        self.time += PERIOD
+        self.time += self._period
         self._wound = min(self._half, max(-self._half, self._wound - joint + self._last[0]))  # the motor lags
         motor = joint + torque * self._compliance + self._wound
-        speed = (motor - self._last[1]) / PERIOD
+        speed = (motor - self._last[1]) / self._period
         self._last = (joint, motor)
         return self.check.update(torque, motor, speed, shown(joint))
 
@@ -64,6 +67,15 @@ def test_stiffness_and_friction_may_be_a_fifth_off(softer: float, friction: floa
     tendons = Tendons(softer, friction)
     assert found(tendons, 6.0, swing, pull) is None
     assert found(tendons, 3.0, lambda t: swing(6.0), pull) is None  # held from then on, not a bit of it moves
+
+
+@pytest.mark.parametrize("rate", [125.0, 250.0, 500.0, 1000.0])  # Hz
+@pytest.mark.parametrize("acceleration", [10.0, 30.0, 90.0])  # rad/s^2
+def test_a_joint_that_turns_quickly_stops_no_slow_loop(rate: float, acceleration: float) -> None:
+    """A slow loop's low-pass is longer than such a turn."""
+    frequency = math.sqrt(acceleration / 0.3)  # rad/s
+    tendons = Tendons(period=1.0 / rate)
+    assert found(tendons, 6.0, lambda t: 0.3 * math.sin(frequency * t), lambda t: 0.07) is None
 
 
 def test_radii_that_are_a_hundredth_off_and_an_encoder_that_is_late_stop_nothing() -> None:

@@ -71,7 +71,7 @@ class Elongation:
         self._domain = give.domain
         self._inertia = give.inertia / period
         self._unsure = compliance * (LIGHT * give.inertia if give.inertia > 0.0 else HEAVY) / period
-        self._play = 0.75 * give.play  # of one or the other encoder
+        self._play = give.play
         self._response = RESPONSE + give.play
         self._bound = BOUND + give.play
         half = 0.5 * give.free * give.wound
@@ -86,6 +86,7 @@ class Elongation:
         """Forget everything: the next enable starts afresh."""
         self._torque = math.nan
         self._motor = self._joint = self._speed = self._change = 0.0
+        self._rose = self._fell = 0.0  # rad, of the joint's way up and down what the low-pass still holds back
         self._torque_seen = self._joint_seen = 0.0  # N*m, rad, without their noise
         self._least, self._most = -1.0, 1.0  # of z
         self._low, self._high = -math.inf, math.inf  # rad, between which a - tau/K may lie by the first rule
@@ -119,23 +120,27 @@ class Elongation:
         turned = pull - NOISE - seen if pull > seen + NOISE else pull + NOISE - seen if pull < seen - NOISE else 0.0
         self._torque_seen += turned
         turned *= compliance
+        # The joint's ways up and down are filtered apart: at a turn the filtered angle still goes the one way while the
+        # friction, filtered alike, already follows the other.
         seen, play, led = self._joint_seen, self._play, self._joint
-        went = led - play - seen if led > seen + play else led + play - seen if led < seen - play else 0.0
+        went = joint - play - seen if joint > seen + play else joint + play - seen if joint < seen - play else 0.0
         self._joint_seen += went
+        if went > 0.0:
+            self._rose += went
+        else:
+            self._fell -= went
+        rose, fell = smooth * self._rose, smooth * self._fell
+        self._rose -= rose
+        self._fell -= fell
+        went = rose - fell
         # A delay of filtered angles follows the filtered speed: the motor rings on its tendons at 10 rad/s and more.
         unsure = self._late * abs(moved) + self._unsure * abs(self._change)
         if pull > self._domain or pull < -self._domain:
             unsure += compliance * (abs(pull) - self._domain)
         rest = self._motor - led - compliance * pull
         rise, fall = (turned, 0.0) if turned > 0.0 else (0.0, -turned)
-        up, down, loss = rise + doubt * fall, fall + doubt * rise, doubt * (rise + fall)
-        drift = self._creep
-        if went > 0.0:
-            up += went
-            drift += GEARING * went
-        else:
-            down -= went
-            drift -= GEARING * went
+        up, down, loss = rise + doubt * fall + rose, fall + doubt * rise + fell, doubt * (rise + fall)
+        drift = self._creep + GEARING * (rose + fell)
         low, high = rest - unsure, rest + unsure
         # The first rule: f grows by `up` and falls by `down` at most, and `rest` the other way.
         self._low -= up + drift
@@ -164,19 +169,19 @@ class Elongation:
             high += most * self._most_friction
         self._top -= loss + drift
         self._bottom += loss + drift
-        fell, rose = self._top - high - self._bound, low - self._bottom - self._bound
-        beyond = falls > 0.0 or rises > 0.0 or fell > 0.0 or rose > 0.0
+        below, above = self._top - high - self._bound, low - self._bottom - self._bound
+        beyond = falls > 0.0 or rises > 0.0 or below > 0.0 or above > 0.0
         if beyond:
             self.reversed = (
                 against
-                or (fell > 0.0 and pull > self._top_pull + NOISE)
-                or (rose > 0.0 and pull < self._bottom_pull - NOISE)
+                or (below > 0.0 and pull > self._top_pull + NOISE)
+                or (above > 0.0 and pull < self._bottom_pull - NOISE)
             )
         if low > self._top:
             self._top, self._top_pull = low, pull
         if high < self._bottom:
             self._bottom, self._bottom_pull = high, pull
-        return max(falls, rises, fell, rose) if beyond else None
+        return max(falls, rises, below, above) if beyond else None
 
 
 class Velocity:
