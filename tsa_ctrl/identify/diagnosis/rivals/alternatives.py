@@ -16,7 +16,7 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit, without_causes
-from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless, meaningless_by_error
+from tsa_ctrl.identify.diagnosis.selection.meaning import SIMPLER, meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 
 MOST_CHANGES = 8  # of a name, by a rival that does better: each leaves less, so that they end, and few are ever needed
@@ -37,6 +37,8 @@ def alternatives(
         found = _winner(grouped)
         if found is None and structure is not None:
             found = _better(problem, chosen.fitted, grouped)
+        if found is None:
+            found = _simpler(problem, chosen.fitted, grouped)
         if found is None:
             break
         chosen = with_fit(chosen, found)
@@ -103,6 +105,23 @@ def _better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | No
             if error < least:
                 best, least = rival.fitted, error
     return best
+
+
+def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
+    """The causes with the simpler effect that one turns into in its place, where the logs do not exclude it.
+
+    A spring whose stiffness may as well be none is a constant torque; it is named only where it simulates clearly
+    better. None where no cause has such a twin.
+    """
+    reversals = models_reversals(fitted)
+    for group in grouped:
+        for rival in group.alternatives:
+            if rival.name != SIMPLER.get(group.name) or not _takes_the_place(rival):
+                continue
+            error = simulation_error(problem, rival.fitted, reversals)
+            if CLEARLY_BETTER * error <= simulation_error(problem, fitted, reversals):
+                return rival.fitted
+    return None
 
 
 def _less_than_structure(

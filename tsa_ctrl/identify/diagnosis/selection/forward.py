@@ -172,11 +172,18 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
 
 
 def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Nuisance and noise model as the causes found so far leave them, and the fit under them."""
+    """Nuisance and noise model as the causes found so far leave them, and the fit under them.
+
+    Moments move with the causes only while the same causes explain as much: a gap that is fitted beside a moment that
+    hides when it ends is free by some samples, and the moment that follows it would lay the whole reversal bare.
+    """
     for _ in range(2):  # a delay moves the moments of unknown direction, and they bias the delay
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
-        problem = dataclasses.replace(problem, nuisance=columns)
-        fitted = fit(problem, fitted.hypothesis, fitted.point)
+        moved = dataclasses.replace(problem, nuisance=columns)
+        refitted = fit(moved, fitted.hypothesis, fitted.point)
+        if refitted.rss > MORE_THAN_NOISE * max(fitted.rss, problem.count):
+            break
+        problem, fitted = moved, refitted
     return pilot_noise(problem, fitted, catalogue)
 
 
