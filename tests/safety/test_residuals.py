@@ -19,9 +19,7 @@ GIVE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.0)
 class Tendons:
     """A joint that is led, a torque, and the motor between: tau/K, and friction that is dragged along by `share`."""
 
-    def __init__(
-        self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE, period: float = PERIOD
-    ) -> None:
+    def __init__(self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE, period: float = PERIOD) -> None:
         self.check = Elongation(give, period)
         self._period = period
         self._compliance = softer / STIFFNESS
