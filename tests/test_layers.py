@@ -34,8 +34,8 @@ ROOMS: dict[str, str] = {
     # logs, sensors, the model: what both pipelines share
     "log": "errors version settings outputs system signals",
     "sensors": "errors system",
-    "model": "errors settings",
-    "observer": "errors model",  # joint torque without its sensor
+    "model": "errors settings system.compiling",
+    "observer": "errors model system.compiling",  # joint torque without its sensor
     # the bus, from frames to SI
     "bus": "",  # its door
     "bus.settings": "",
@@ -57,7 +57,7 @@ ROOMS: dict[str, str] = {
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors display version settings outputs system signals log model observer",
     # the machine that answers: independent of everything that computes
-    "plant": "errors settings log.waypoints model.parameters model.routing model.catalogue bus.wire",
+    "plant": "errors settings system.compiling log.waypoints model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
     "virtual": (
         "errors settings display outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant"
@@ -76,8 +76,8 @@ ROOMS: dict[str, str] = {
     "investigate": "errors settings model identify tune",
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
-        "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
-        "virtual published safety.causes doctor bench drills dashboard live tune investigate demo"
+        "errors version settings outputs system signals log model observer bus config readiness ipc daemon identify "
+        "plant virtual published safety.causes doctor bench drills dashboard live tune investigate demo"
     ),
     "__init__": "errors version system ipc.client identify virtual model daemon.controller",
     "__main__": "system cli",

@@ -167,6 +167,7 @@ def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
     write(folder, {**texts, **motions})
     for path in (*texts, *motions):
         click.echo(f"written: {folder / path}")
+    _compile()
     if legs:
         files = f"{folder / 'controller.toml'} {folder / 'plant.toml'}"
         click.echo("next, in virtual time; or in two terminals tsa plant and tsa run, as with --desk:")
@@ -178,6 +179,14 @@ def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
         click.echo("next, for a rig (without hardware: tsa init --desk DIR):")
         click.echo("  fill in the empty values, which tsa run --check lists")
         click.echo(f"  tsa run --check {folder / 'controller.toml'}\n  tsa doctor {folder / 'controller.toml'}")
+
+
+def _compile() -> None:
+    """Compile the observer, so that the first start of a daemon on this machine takes no longer than the next ones."""
+    from tsa_ctrl.model.parameters import load_tendon_sheath
+    from tsa_ctrl.observer.stretch import StretchObserver
+
+    StretchObserver(load_tendon_sheath(SHIPPED / "actuator.toml"), 1e-3, (1e-4, 1e-4))  # its period and counts: any
 
 
 def _shipped() -> list[Path]:

@@ -20,6 +20,9 @@ import numpy as np
 from numba import njit
 
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.compiling import announce
+
+announce()
 
 STIFFNESS = 0  # N/m of spring i
 TENSION = 1  # N of spring i

@@ -9,13 +9,16 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import shutil
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
 
 from numba import config, njit
+
+from tsa_ctrl.system.compiling import announce
+
+announce()
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -43,7 +46,6 @@ def _cache_of(folder: Path) -> str:
                 if time.time() - other.stat().st_mtime > _KEPT:
                     shutil.rmtree(other, ignore_errors=True)
             cache.mkdir(parents=True)
-            print("tsa: compiling the plant once, which takes some ten seconds", file=sys.stderr)
     return str(cache)
 
 

@@ -9,6 +9,9 @@ import numpy as np
 from numba import njit
 
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.compiling import announce
+
+announce()
 
 
 @njit("float64[::1](float64[::1], float64[::1], float64)", cache=True)
