@@ -1,4 +1,4 @@
-"""The first use on a machine says that it compiles, once, and later uses say nothing."""
+"""One notice at the first compilation on a machine, none afterwards."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ class Elongation:
         """Forget everything: the next enable starts afresh."""
         self._torque = math.nan
         self._motor = self._joint = self._speed = self._change = 0.0
-        self._rose = self._fell = 0.0  # rad, of the joint's way up and down what the low-pass still holds back
+        self._rose = self._fell = 0.0  # rad, part of the joint's path up and down that the low-pass has not passed yet
         self._torque_seen = self._joint_seen = 0.0  # N*m, rad, without their noise
         self._least, self._most = -1.0, 1.0  # of z
         self._low, self._high = -math.inf, math.inf  # rad, between which a - tau/K may lie by the first rule
@@ -120,8 +120,8 @@ class Elongation:
         turned = pull - NOISE - seen if pull > seen + NOISE else pull + NOISE - seen if pull < seen - NOISE else 0.0
         self._torque_seen += turned
         turned *= compliance
-        # The joint's ways up and down are filtered apart: at a turn the filtered angle still goes the one way while the
-        # friction, filtered alike, already follows the other.
+        # The paths up and down are filtered separately. At a turn the filtered angle still moves in the old direction
+        # while the filtered friction already follows the new one.
         seen, play, led = self._joint_seen, self._play, self._joint
         went = joint - play - seen if joint > seen + play else joint + play - seen if joint < seen - play else 0.0
         self._joint_seen += went

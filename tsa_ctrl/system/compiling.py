@@ -1,4 +1,4 @@
-"""Announce that numba compiles: without a line the first use on a machine looks like a program that hangs."""
+"""Announce compilation by numba, so that the first use on a machine does not look like a hang."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ NOTICE = "tsa: compiling for the first use on this machine; once, up to a minute
 
 
 class _Announcer(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Print the notice at the first function that is compiled; one that is loaded from the cache is no such event."""
+    """Print the notice at the first compilation. Loading from the cache does not count."""
 
     def __init__(self) -> None:
         self._announced = False

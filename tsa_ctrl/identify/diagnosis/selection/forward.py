@@ -174,8 +174,8 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
 def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
     """Nuisance and noise model as the causes found so far leave them, and the fit under them.
 
-    Moments move with the causes only while the same causes explain as much: a gap that is fitted beside a moment that
-    hides when it ends is free by some samples, and the moment that follows it would lay the whole reversal bare.
+    The moments follow the causes unless the fit becomes worse. A moment hides when a gap closes, so the fitted gap may
+    be wrong by some samples. The moment that follows it then no longer covers the reversal.
     """
     for _ in range(2):  # a delay moves the moments of unknown direction, and they bias the delay
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
