@@ -14,6 +14,7 @@ MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
 MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
+NO_MORE = 1.1  # times the sensor noise: its estimate is no better than that
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
@@ -103,7 +104,9 @@ def _rest(result: Diagnosis) -> str:
     sliding, noise = result.errors.sliding, result.errors.sensor_noise
     first = result.unexplained.split(";")[0].removeprefix("what is left ")
     if sliding is not None and noise is not None and sliding < MORE_THAN_NOISE * noise:
-        return f"in reversals alone; while sliding it is noise ({first})"
+        if sliding <= NO_MORE * noise:
+            return "in reversals alone; while sliding it is noise"
+        return f"mostly in reversals; while sliding it is {sliding / noise:.2g} times the sensor noise and {first}"
     return f"more than noise: it {first}"
 
 
