@@ -25,6 +25,7 @@ import pytest
 from tests.daemon.serving import PATIENCE, Serving, until
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, SLOTS, Command, Mailbox
@@ -298,6 +299,14 @@ def test_no_daemon_is_one_line(tmp_path: Path) -> None:
     """Without a daemon the client says so and what to do."""
     with pytest.raises(BusError, match="no daemon answers there"):
         Client(str(tmp_path / "none.sock"))
+
+
+def test_a_daemon_without_a_socket_yet_is_named(tmp_path: Path) -> None:
+    """At the first use it compiles before it opens the socket."""
+    socket = str(tmp_path / "tsa.sock")
+    pid_file.write(socket, os.getpid())
+    with pytest.raises(BusError, match=f"process {os.getpid()} is starting"):
+        Client(socket)
 
 
 def test_socket_may_belong_to_a_group(tmp_path: Path) -> None:

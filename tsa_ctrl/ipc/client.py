@@ -105,6 +105,12 @@ class Client:
             self._connect(path, timeout)
         except OSError as error:
             self._socket.close()
+            process = pid_file.running(path)
+            if process is not None:
+                raise BusError(
+                    f"{path}: no daemon answers there yet; process {process} is starting, or restarts its socket "
+                    "server; try again in some seconds"
+                ) from None
             raise BusError(
                 f"{path}: no daemon answers there ({error.strerror or error}); "
                 "start one with `tsa run CONTROLLER.toml`, or give its --socket"
