@@ -17,6 +17,7 @@ from tsa_ctrl.daemon.torque_error import SENSOR, UNKNOWN, TorqueError
 from tsa_ctrl.ipc.mailbox import TEXT
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.safety.causes import Cause
+from tsa_ctrl.safety.limiter import MEANINGS, Reason
 from tsa_ctrl.system.histogram import BINS, coarse, count, distribution
 
 
@@ -81,9 +82,15 @@ def test_tables_show_everything_that_matters() -> None:
     assert "12.3" in shown[: shown.index("SIGTERM")]
     assert "unproven 25 %" in shown
     assert "rate 0 %" not in shown
+    assert "unproven: the sensors confirm less friction" in shown
+    assert "rate: " not in shown  # what hardly acted needs no explanation
     assert "not measured" in shown
     for words in ("joint encoder node 32", "heartbeat lost: [drive] node 1", "p99"):
         assert words in shown
+
+
+def test_each_limit_that_may_act_on_a_torque_is_explained() -> None:
+    assert set(Reason) - set(MEANINGS) == {Reason.NONE, Reason.DISABLED, Reason.NOT_FINITE, Reason.OVER_SPEED}
 
 
 def test_the_histogram_is_left_out_of_a_run_on_time() -> None:

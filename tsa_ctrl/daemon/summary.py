@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from tsa_ctrl.daemon.torque_error import TorqueError
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.outputs import json_types
+from tsa_ctrl.safety.limiter import MEANINGS, Reason
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.histogram import Distribution
 
@@ -139,6 +140,10 @@ def _torque(errors: tuple[TorqueError, ...]) -> Table:
         limits = [f"{name.lower()} {100 * share:.0f} %" for name, share in error.limited.items() if share >= SHOWN]
         texts = ("-" if math.isnan(value) else f"{1e3 * value:.1f}" for value in values)
         table.add_row(error.axis, *texts, error.source, ", ".join(limits) or "no")
+    acted = {Reason[name] for error in errors for name, share in error.limited.items() if share >= SHOWN}
+    meanings = [f"{reason.name.lower()}: {MEANINGS[reason]}" for reason in sorted(acted) if reason in MEANINGS]
+    if meanings:
+        table.caption, table.caption_justify = "\n".join(meanings), "left"
     return table
 
 

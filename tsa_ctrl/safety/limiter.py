@@ -40,6 +40,23 @@ class Reason(IntEnum):
     UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
 
 
+# What each limit does and how to avoid it, for people. Faults and disabled cycles have texts of their own.
+MEANINGS = {
+    Reason.STALE: "no torque in cycles without fresh measurements; look for lost frames with tsa doctor",
+    Reason.SPEED: "the torque fades out above 80 % of joint_speed",
+    Reason.TRAVEL: "the outward torque fades out within travel_margin of the end of travel",
+    Reason.DISTANCE: "the command is further than limits.distance from the motor torque that the drive reports",
+    Reason.RATE: "the torque grows no faster than limits.rate",
+    Reason.ABSOLUTE: "the torque is at limits.torque; a larger one needs a higher limit",
+    Reason.OSCILLATION: "the motor oscillated, so less of the friction is compensated; run tsa tune",
+    Reason.DOMAIN: "a larger torque would slacken one tendon; lower the set-point or raise the pretension",
+    Reason.PASSIVITY: "the compensation moved the joint, so less of the friction is compensated; run tsa tune",
+    Reason.SENSE: "the torque stays small after each enable until the motor has shown its direction",
+    Reason.UNPROVEN: "the sensors confirm less friction than the model has, so less is compensated; move the joint, "
+    "run tsa tune, or add a joint torque sensor",
+}
+
+
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.limits]: the bounds of one axis' motor torque; only `torque` has no default."""
 
