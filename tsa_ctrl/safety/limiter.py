@@ -40,7 +40,7 @@ class Reason(IntEnum):
     UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
 
 
-# What each limit does and how to avoid it, for people. Faults and disabled cycles have texts of their own.
+# The effect of each limit and the remedy, in plain words. Faults have their own texts in `safety.causes`.
 MEANINGS = {
     Reason.STALE: "no torque in cycles without fresh measurements; look for lost frames with tsa doctor",
     Reason.SPEED: "the torque fades out above 80 % of joint_speed",

@@ -14,7 +14,7 @@ MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
 MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
-NO_MORE = 1.1  # times the sensor noise: its estimate is no better than that
+NO_MORE = 1.1  # times the sensor noise, the accuracy of its estimate
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
