@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,22 @@ def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     assert axis.law.damping == data["law"]["keys"]["damping"] > 0.0
     assert "# tsa tune: gain margin" in (tmp_path / "out" / controller.name).read_text()
     assert main_status("tune", str(controller), "--undo") == 2
+
+
+@pytest.mark.slow
+def test_a_new_rig_is_verified_with_compensation_although_its_file_has_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rig.write(tmp_path, VIRTUAL, RATE, controller_axis={"law": {"compensation": 0.0}})
+    short = ("--seconds", "8", "--verify-seconds", "4")
+    assert tune(tmp_path, "--yes", "--out", str(tmp_path / "out"), *short) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    reduction = re.search(r"by ([\d.]+) % with the new one", said)
+    assert reduction is not None
+    assert float(reduction[1]) > 85.0
+    assert "compensation is still 0; the verification used 0.95" in said
+    written = load_configuration(tmp_path / "out" / rig.CONTROLLER)
+    assert written.file.axes[0].law.compensation == 0.0
 
 
 def main_status(*arguments: str) -> object:

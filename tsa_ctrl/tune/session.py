@@ -49,6 +49,7 @@ from tsa_ctrl.tune.run import Play, RigRunner, longest
 FloatArray = NDArray[np.float64]
 
 SHOWN = 8.0  # s of a run
+TRIED = 0.95  # share of the friction term in the verification if the file's is 0, as of a rig that is commissioned
 DPI = 120
 
 
@@ -225,7 +226,7 @@ class Session:
         self._settings = Settings(
             seconds=plan.seconds if played is None else played.seconds,
             verification_seconds=plan.verification_seconds,
-            compensation=self.axis.law.compensation,
+            compensation=self.axis.law.compensation or TRIED,
             period=self._configuration.period,
             certified_gain=plan.certified_gain,
             forms=plan.forms,
@@ -295,6 +296,16 @@ class Session:
                 )
         undo(kept)
         return kept
+
+    @property
+    def next_step(self) -> str:
+        """Return the next step after the files are written, "" if there is none."""
+        if self.axis.law.compensation > 0.0:
+            return ""
+        return (
+            f"[axis.law] compensation is still 0; the verification used {self._settings.compensation:g}. While tsa run "
+            "runs, raise it in steps: tsa set compensation 0.5"
+        )
 
     def plan_dict(self) -> dict[str, Any]:
         """Return the planned run in JSON types."""
