@@ -57,7 +57,7 @@ def test_json_has_exactly_the_public_keys(folder: Path, capsys: pytest.CaptureFi
         "schema", "parameters", "combinations", "split", "condition_number", "admitted_seconds", "refused", "rms",
         "experiment",
     }  # fmt: skip
-    assert set(data) == public | {"notes", "rms_in_sample", "worse_than_given"}
+    assert set(data) == public | {"notes", "rms_in_sample", "worse_than_given", "errors"}
     assert data["schema"] == 1
     assert {name: value["unit"] for name, value in data["parameters"].items()} == {
         "friction_angle": "1",
@@ -101,6 +101,7 @@ def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys:
     assert "NOT parted" in out
     assert "to settle it" in out
     assert "held-out" in out
+    assert "while sliding" in out
 
 
 def test_what_was_done_to_several_logs_is_said_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,11 +118,15 @@ def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 def test_the_error_told_is_that_of_the_file_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa("low.csv", "--model", "a.toml", "--out", "new.toml", "--json") == 0
-    told = json.loads(capsys.readouterr().out)["rms_in_sample"]
+    calibrated = json.loads(capsys.readouterr().out)
+    told = calibrated["rms_in_sample"]
     for file, value in (("a.toml", told["before"]), ("new.toml", told["after"])):
         with pytest.raises(SystemExit):
             main(["simulate", "low.csv", "--model", file, "--json"])
-        assert json.loads(capsys.readouterr().out)["models"][0]["rms"] == pytest.approx(value, rel=1e-6)
+        simulated = json.loads(capsys.readouterr().out)["models"][0]
+        assert simulated["rms"] == pytest.approx(value, rel=1e-6)
+    assert simulated["errors"].pop("unit") == calibrated["errors"].pop("unit") == "N*m"
+    assert simulated["errors"] == pytest.approx(calibrated["errors"], rel=1e-6)
 
 
 def test_worse_than_given_is_told_and_not_written_unasked(

@@ -161,6 +161,8 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from tsa_ctrl.identify.diagnosis.report.words import told_torque
+
     table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified by these logs")
     rows = (
         ("friction torque", None, result.half_loop_torque),
@@ -192,6 +194,11 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
     click.echo(
         f"RMS error on held-out data, calibrated without them: {result.rms_before:.4g} N·m as given, "
         f"{result.rms_after:.4g} N·m calibrated"
+    )
+    errors = result.errors
+    click.echo(
+        f"With the written model, on all samples: error while sliding {told_torque(errors.sliding)}, in reversals "
+        f"{told_torque(errors.reversals)}, sensor noise {told_torque(errors.sensor_noise)}"
     )
     if result.worse:
         click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")

@@ -28,6 +28,7 @@ from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
 from tsa_ctrl.identify.torque_scale import friction_beyond
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -262,7 +263,15 @@ def calibrate(
         rms_written=_rms(prepared, found),
         model=found,
         notes=(*notes_of(logs), *result.notes, *([tension] if tension else [])),
+        errors=_three_errors(logs, found),
     )
+
+
+def _three_errors(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
+    """Return the errors of `model` on all samples of the logs."""
+    logs = [log.completed_for(model) for log in logs]
+    residuals = [log["tau_j"] - predict(model, log.signals()) for log in logs]
+    return three_errors(logs, residuals, "tau_j")
 
 
 def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from tsa_ctrl.display import Displayed, bars
 from tsa_ctrl.identify.quantity import Quantity, rounded
+from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.outputs import json_types
 
@@ -32,6 +33,7 @@ class Calibration(Displayed):
 
     RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
     `rms_given` and `rms_written` (`model`, which is what a file gets) on all data, which `model` has learned from.
+    `errors`: those of `model` on all samples, reversals and standstill included, as `simulate` prints them.
     """
 
     friction_angle: Quantity
@@ -49,6 +51,7 @@ class Calibration(Displayed):
     experiment: str
     notes: tuple[str, ...]
     model: TendonSheath
+    errors: ThreeErrors = ThreeErrors()
 
     @property
     def worse(self) -> str:
@@ -100,6 +103,7 @@ class Calibration(Displayed):
                 **{name: getattr(self, name) for name in ("split", "condition_number", "admitted_seconds", "refused")},
                 "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
                 "rms_in_sample": {"before": self.rms_given, "after": self.rms_written, "unit": "N*m"},
+                "errors": self.errors.to_dict(),
                 "worse_than_given": bool(self.worse),
                 "experiment": self.experiment,
                 "notes": self.notes,
