@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from tsa_ctrl.display import Displayed, bars
@@ -51,7 +51,7 @@ class Calibration(Displayed):
     experiment: str
     notes: tuple[str, ...]
     model: TendonSheath
-    errors: ThreeErrors = ThreeErrors()
+    errors: ThreeErrors = field(default_factory=ThreeErrors)
 
     @property
     def worse(self) -> str:
