@@ -15,6 +15,7 @@ import tomlkit
 from numpy.typing import NDArray
 
 from tsa_ctrl.config import AxisSettings, Configuration
+from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.table import load_run, sha256_of
@@ -130,7 +131,7 @@ class RigRunner:
     ) -> str:
         """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
         data = tomllib.loads(self._configuration.text)
-        keep = {self._axis.name, *self._axis.bending.gains}
+        keep = self._needed()
         data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
         data["log"] = {"folder": "."}
         data["controller"] = {**data.get("controller", {}), "name": f"tune-{name}"[:32], "after_fault": "exit"}
@@ -151,6 +152,21 @@ class RigRunner:
                 axis["law"] = {**axis.get("law", {}), "compensation": 0.0}
         text: str = tomlkit.dumps(data)
         return text
+
+    def _needed(self) -> set[str]:
+        """Return the names of the tuned axis and of all axes whose joints bend its sheaths, directly or in turn."""
+        file = self._configuration.file
+        crossed = {
+            axis.name: () if (routing := routing_of(axis.bending, model.routing)) is None else routing.joints
+            for axis, model in zip(file.axes, self._configuration.models, strict=True)
+        }
+        needed, open_names = set[str](), [self._axis.name]
+        while open_names:
+            name = open_names.pop()
+            if name in crossed and name not in needed:
+                needed.add(name)
+                open_names += crossed[name]
+        return needed
 
     def _confine(self, axis: dict[str, Any]) -> None:
         folder, drive = self._configuration.folder, axis["drive"]
