@@ -20,9 +20,9 @@ state sigma friction_term friction_angle pretension estimate_state limit_reason 
 tau_j_stretch_high tau_j_model tau_j_model_low tau_j_model_high
 """
 STATUS = """
-name t tau_j_des tau_m_cmd tau_m tau_j omega_j q_j q_m omega_m sigma friction_term friction_angle pretension estimate_state
-state limit_reason missed pdo_age late repeated malformed tau_j_stretch tau_j_model guard_latched estimator ages
-set_point_limit parameters
+name t tau_j_des tau_m_cmd tau_m tau_j omega_j q_j q_m omega_m sigma friction_term friction_angle pretension
+estimate_state state limit_reason missed pdo_age late repeated malformed tau_j_stretch tau_j_model guard_latched
+estimator ages set_point_limit parameters
 """
 CLIENT = """
 name tau_j_des tau_m_cmd tau_m tau_j tau_j_stretch tau_j_model q_j omega_j q_m omega_m permitted limit_reason

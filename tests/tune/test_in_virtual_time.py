@@ -116,6 +116,23 @@ def test_a_new_rig_is_verified_with_compensation_although_its_file_has_none(
     assert written.file.axes[0].law.compensation == 0.0
 
 
+@pytest.mark.slow
+def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lean PDOs: the velocity of the motor is a derived one."""
+    assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
+    files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
+    capsys.readouterr()
+    short = ("--seconds", "8", "--verify-seconds", "4", "--yes", "--json", "--out", str(tmp_path / "out"))
+    assert main_status("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["verification"]["reduction_percent"]["after"] > 92.0
+    stiffness = data["parameters"]["axial_stiffness"]
+    given = load_tendon_sheath(tmp_path / "leg" / "knee.toml").axial_stiffness
+    assert stiffness["low"] <= 0.93 * given <= stiffness["high"]  # [axis.perturbation] of plant.toml
+
+
 def main_status(*arguments: str) -> object:
     with pytest.raises(SystemExit) as done:
         main(list(arguments))

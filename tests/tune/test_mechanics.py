@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from tests.tune.shaken import LAG, PERIOD, play, true_delay
 from tests.virtual.rigs import Drawn, draw
@@ -68,6 +69,18 @@ def test_delay_inertia_and_stiffness_lie_in_their_intervals(tmp_path: Path, draw
     assert stiffness.low <= drawn.truth.axial_stiffness <= stiffness.high
     assert stiffness.low <= model.axial_stiffness <= stiffness.high
     assert stiffness.high - stiffness.low < 0.15 * stiffness.value
+
+
+@pytest.mark.slow
+def test_a_velocity_that_the_drive_filters_changes_nothing(tmp_path: Path) -> None:
+    """First-order low-pass at 100 Hz, the default of velocity_cutoff."""
+    drawn = RIGS[0]
+    log = shake(tmp_path, drawn)
+    share = 1.0 - math.exp(-2.0 * math.pi * 100.0 * PERIOD)
+    filtered = lfilter([share], [1.0, share - 1.0], log["omega_m"])
+    found = measured([dataclasses.replace(log, columns={**log.columns, "omega_m": filtered})], drawn.nominal)
+    assert found.swing is not None
+    assert found.swing.inertia.low <= drawn.inertia <= found.swing.inertia.high
 
 
 @pytest.mark.slow

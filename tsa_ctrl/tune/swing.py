@@ -3,10 +3,12 @@
     J_M e'' + b e' + K e = tau - what moves slowly,     e = q_M - r_J/r_M q_J
 
 is linear while every part of both tendons slides one way: while what the motor's swing adds to the slip is less than
-the joint's own. Stretches of the log where that is so are fitted together, each with its own beginning (angle and
-speed, so that a swing that was there already is used as well) and its own slow part (a cubic in angle and speed), by
-J_M, K, b and how late the motor answers. The command is the input, exactly as it is held and as the drive's torque loop
-follows it (`delay`). A joint at rest would ring elsewhere: there the slip fronts move.
+the joint's own. The angles of such windows are fitted together, each with its own beginning (angle and speed) and its
+own slow part (a cubic), by J_M, K, b and the delay of the motor's answer. The reported velocity is not used: drives
+filter it, and the bus layer does so where it derives it. A low-pass at 100 Hz looks like a third more stiffness.
+
+The command is the input, exactly as it is held and as the drive's torque loop follows it (`delay`). A joint at rest
+would ring elsewhere: there the slip fronts move.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ WINDOW = 0.15  # s: some periods of any ringing, short beside a gait
 TRAVEL = 0.1  # rad of the joint since its reversal, after which every part of the tendons slides
 FEWEST = 6  # windows
 CUBIC = 4  # coefficients of the slow part
-ANGLE, SPEED = 2e-4, 0.02  # rad, rad/s: a motor encoder's count and a drive's velocity, as weights
+ANGLE = 2e-4  # rad: a motor encoder's count, as weight
 STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # of log J_M around the first guess
 GUESS = 1e-4  # kg*m^2
 FLOOR = 0.03  # relative: what play, cables and a drive's own filters make of any such measurement
@@ -56,11 +58,10 @@ class Swing:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A log: its command, what the motor did beyond the joint (rad, rad/s), and the windows in it."""
+    """A log: its command, the motor's angle beyond the joint's (rad), and the windows in it."""
 
     command: FloatArray
     angle: FloatArray
-    speed: FloatArray
     windows: tuple[slice, ...]
 
 
@@ -84,12 +85,9 @@ def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float,
         basis = motor.free(samples)
         found = []
         for piece in pieces:
-            angle, speed = motor.driven(piece.command)
+            rest = (piece.angle - motor.driven(piece.command)) / ANGLE
             for window in piece.windows:
-                left = np.concatenate(
-                    ((piece.angle - angle)[window] / ANGLE, (piece.speed - speed)[window] / SPEED),
-                )
-                found.append(left - basis @ (basis.T @ left))
+                found.append(rest[window] - basis @ (basis.T @ rest[window]))
         return np.clip(np.concatenate(found), -1e6, 1e6)
 
     bounds = ([-4.0, -1.2, 0.0, -min(1.0, delay.transport)], [4.0, 1.2, 0.5, LATE])
@@ -138,7 +136,7 @@ def _piece(log: Dataset, radii: tuple[float, float]) -> _Piece:
             if slides:
                 windows.append(part)
             first += count if slides else count // 4
-    return _Piece(log["tau_m_cmd"], angle, speed, tuple(windows))
+    return _Piece(log["tau_m_cmd"], angle, tuple(windows))
 
 
 class _Motor:
@@ -158,8 +156,8 @@ class _Motor:
         self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # by the command before, by the newest
         self._back = whole
 
-    def driven(self, command: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Angle and speed (n) that a command (n) makes of a motor at rest."""
+    def driven(self, command: FloatArray) -> FloatArray:
+        """Return the angle (n) to which a command (n) moves a motor at rest."""
         values, vectors = np.linalg.eig(self._step)
         before, newest = (np.linalg.solve(vectors, push.astype(complex)) for push in self._pushes)
         states = np.empty((3, command.size), dtype=complex)
@@ -167,20 +165,17 @@ class _Motor:
             taps = np.zeros(self._back + 3, dtype=complex)
             taps[self._back + 1], taps[self._back + 2] = newest[i], before[i]
             states[i] = lfilter(taps, [1.0, -values[i]], command)
-        angle, speed = (vectors[:2] @ states).real
-        return angle, speed
+        angle: FloatArray = (vectors[0] @ states).real
+        return angle
 
     def free(self, samples: int) -> FloatArray:
-        """Orthonormal basis of what a window's beginning and slow part can be, weighted (2 samples, 2 + 2 CUBIC)."""
-        swing = np.empty((2, samples, 2))
+        """Return an orthonormal basis (samples, 2 + CUBIC) of the beginning and the slow part of a window."""
+        swing = np.empty((samples, 2))
         state = np.eye(3)[:, :2]
         for i in range(samples):
-            swing[:, i] = state[:2]
+            swing[i] = state[0]
             state = self._step @ state
-        slow = np.vander(np.linspace(-1.0, 1.0, samples), CUBIC)
-        none = np.zeros_like(slow)
-        angle, speed = np.hstack((swing[0], slow, none)) / ANGLE, np.hstack((swing[1], none, slow)) / SPEED
-        basis = np.vstack((angle, speed))
+        basis = np.hstack((swing, np.vander(np.linspace(-1.0, 1.0, samples), CUBIC)))
         orthonormal: FloatArray = np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0]
         return orthonormal
 
