@@ -2,8 +2,8 @@
 
     J_M e'' + b e' + K e = tau - what moves slowly,     e = q_M - r_J/r_M q_J
 
-is linear while every part of both tendons slides one way: while what the motor's swing adds to the slip is less than
-the joint's own. The angles of such windows are fitted together, each with its own beginning (angle and speed) and its
+is linear while both tendons slide completely in one direction: while the slip by the swing is smaller than the slip by
+the joint. The angles of such windows are fitted together, each with its own beginning (angle and speed) and its
 own slow part (a cubic), by J_M, K, b and the delay of the motor's answer. The reported velocity is not used: drives
 filter it, and the bus layer does so where it derives it. A low-pass at 100 Hz looks like a third more stiffness.
 
