@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -128,9 +129,19 @@ def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
     assert main_status("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["verification"]["reduction_percent"]["after"] > 92.0
+    given = load_tendon_sheath(tmp_path / "leg" / "knee.toml")
+    factors = tomllib.loads((tmp_path / "leg" / "plant.toml").read_text())["axis"][1]["perturbation"]
     stiffness = data["parameters"]["axial_stiffness"]
-    given = load_tendon_sheath(tmp_path / "leg" / "knee.toml").axial_stiffness
-    assert stiffness["low"] <= 0.93 * given <= stiffness["high"]  # [axis.perturbation] of plant.toml
+    assert stiffness["low"] <= factors["axial_stiffness"] * given.axial_stiffness <= stiffness["high"]
+    # The hip's motion separates friction angle and pretension by the change of the pretension with the wrap angle.
+    for name, true in (
+        ("friction_angle", factors["friction_coefficient"] * given.friction_angle),
+        ("pretension", factors["pretension"] * given.pretension),
+    ):
+        found = data["calibration"]["parameters"][name]
+        assert found["low"] <= true <= found["high"]
+        assert found["value"] == pytest.approx(true, rel=0.03)
+        assert found["high"] < 1.15 * found["value"]
 
 
 def main_status(*arguments: str) -> object:

@@ -305,6 +305,7 @@ class Procedure:
         designed = self._design()
         mechanics = self._shake(designed.shake)
         logs, learned = self._excite(designed.excitation, mechanics)
+        learned = self._with_stiffness(logs, learned, mechanics)
         trials = [self._trial(learned, mechanics, logs)]
         if learned.plain is not None:
             trials.append(self._trial(learned.plain, mechanics, logs, "-plain"))
@@ -319,6 +320,13 @@ class Procedure:
             found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, runs[0], runs[best])))
         verification = Verification(without, before, runs[best])
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
+
+    def _with_stiffness(self, logs: Sequence[Dataset], learned: Estimate, mechanics: Mechanics) -> Estimate:
+        """Return the estimate with the measured stiffness where it separates friction angle and pretension."""
+        if not learned.calibration.split or mechanics.swing is None:
+            return learned
+        stiffness = stiff(learned, mechanics).model.axial_stiffness
+        return learn(logs, dataclasses.replace(self._model, axial_stiffness=stiffness), self._settings)
 
     def _trial(self, learned: Estimate, mechanics: Mechanics, logs: Sequence[Dataset], kind: str = "") -> _Trial:
         """Write the model file of an estimate for its trial and return the inputs of the verification run."""

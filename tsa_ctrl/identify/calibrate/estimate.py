@@ -118,6 +118,33 @@ def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
     return made[0], made[1]
 
 
+def _with_stiffness(
+    found: tuple[Quantity, Quantity], logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool
+) -> tuple[Quantity, Quantity]:
+    """Return the same with the intervals widened by the uncertainty of the file's axial stiffness.
+
+    A bent sheath changes the pretension by the stiffness and contact_offset. Where the wrap angle varies, that change
+    separates x from T_p, and an error of the stiffness is an error of both.
+    """
+    uncertain = model.axial_stiffness_uncertainty
+    if model.pretension_slope == 0.0 or uncertain == 0.0:
+        return found
+    stiffer = dataclasses.replace(model, axial_stiffness=model.axial_stiffness * (1.0 + uncertain))
+    other = joint_fit(logs, stiffer, lag, certified_gain)
+    if other is None:
+        return found
+    x, tension = (
+        _widened(one, math.log(two.value / one.value)) for one, two in zip(found, quantities(other), strict=True)
+    )
+    return x, tension
+
+
+def _widened(found: Quantity, ratio: float) -> Quantity:
+    """Return the quantity with an interval that contains a second error of exp(+-ratio), independent of the first."""
+    low, high = (math.hypot(math.log(end / found.value), ratio) for end in (found.low, found.high))
+    return Quantity(found.value, found.value * math.exp(-low), found.value * math.exp(high), found.unit)
+
+
 def combinations_of(joint: JointFit, model: TendonSheath) -> tuple[Quantity, Quantity]:
     """Slope and half loop at the model's own configuration from the joint fit (delta method)."""
     value = joint.estimate.value
@@ -288,7 +315,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     if measured is not None:
         found, condition = measured
     elif joint is not None:
-        found, condition = quantities(joint), joint.condition
+        found, condition = _with_stiffness(quantities(joint), logs, model, lag, certified_gain), joint.condition
     is_split = found is not None and narrower(found, model)
     ratio = model.joint_pulley_radius / model.motor_pulley_radius
     impossible = slope.high < (1.0 - GAIN) * ratio and not model.effects
