@@ -9,6 +9,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import tomlkit
 
 from tests.tune import rig
 from tests.virtual.rigs import draw
@@ -142,6 +143,32 @@ def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
         assert found["low"] <= true <= found["high"]
         assert found["value"] == pytest.approx(true, rel=0.03)
         assert found["high"] < 1.15 * found["value"]
+
+
+@pytest.mark.soak
+@pytest.mark.slow
+def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_angle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The torque by the stretch contains the model's friction and cannot separate x and T_p."""
+    leg = tmp_path / "leg"
+    assert main_status("init", "--leg", str(leg)) == 0
+    controller = tomlkit.parse((leg / "controller.toml").read_text())
+    for axis in controller["axis"]:  # type: ignore[union-attr]
+        del axis["torque_sensor"]
+    (leg / "controller.toml").write_text(tomlkit.dumps(controller))
+    capsys.readouterr()
+    short = ("--seconds", "12", "--verify-seconds", "6", "--json", "--out", str(tmp_path / "out"))
+    files = [str(leg / name) for name in ("controller.toml", "plant.toml")]
+    assert main_status("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
+    data = json.loads(capsys.readouterr().out)
+    factors = tomllib.loads((leg / "plant.toml").read_text())["axis"][1]["perturbation"]
+    given = load_tendon_sheath(leg / "knee.toml")
+    x = factors["friction_coefficient"] * given.friction_angle
+    half_loop = 2.0 * given.joint_pulley_radius * factors["pretension"] * given.pretension * x  # evenly bent
+    found = data["calibration"]["combinations"]["half_loop_torque"]
+    assert found["low"] <= half_loop <= found["high"]
+    assert found["value"] == pytest.approx(half_loop, rel=0.05)
 
 
 def main_status(*arguments: str) -> object:

@@ -11,6 +11,8 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch, told
@@ -42,7 +44,45 @@ def moved_by_hand(torque: float) -> str:
 
 
 def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
-    """Stiffness, friction angle and pretension; the form of the transmission stays. Raises UsageError."""
+    """Return stiffness, friction angle and pretension; the form of the transmission stays.
+
+    The joint torque by the stretch cannot show how friction changes with the wrap angle, because it contains the
+    model's friction. If other joints bend the sheaths, the estimate is made at the mean wrap angle and then converted.
+    Raises UsageError.
+    """
+    angles = [log.completed_for(model).signals().theta for log in logs]
+    bent = [angle for angle in angles if angle is not None]
+    if len(bent) < len(logs) or not bent:
+        return _at_one_wrap_angle(logs, model)
+    mean = float(np.mean(np.concatenate(bent)))
+    found = _at_one_wrap_angle(logs, _bent_to(dataclasses.replace(model, routing=None), mean))
+    back = dataclasses.replace(_bent_to(found.model, model.bending_angle), routing=model.routing)
+    calibration = found.calibration
+    of_angle = back.friction_angle / found.model.friction_angle
+    of_tension = back.pretension / found.model.pretension
+    of_loop = sliding(back).half_loop / sliding(found.model).half_loop
+    calibration = dataclasses.replace(
+        calibration,
+        friction_angle=_scaled(calibration.friction_angle, of_angle),
+        pretension=_scaled(calibration.pretension, of_tension),
+        half_loop_torque=_scaled(calibration.half_loop_torque, of_loop),
+        model=back,
+    )
+    note = f"friction was measured at the mean wrap angle of {mean:.3g} rad and converted to bending_angle"
+    return dataclasses.replace(found, model=back, calibration=calibration, notes=(*found.notes, note))
+
+
+def _bent_to(model: TendonSheath, angle: float) -> TendonSheath:
+    """Return the model at another wrap angle (rad): its friction angle and its pretension by (3.56)."""
+    pretension = model.pretension + model.pretension_slope * (angle - model.bending_angle)
+    return dataclasses.replace(model, bending_angle=angle, pretension=pretension)
+
+
+def _scaled(found: Quantity, factor: float) -> Quantity:
+    return dataclasses.replace(found, value=factor * found.value, low=factor * found.low, high=factor * found.high)
+
+
+def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
     bare = [without_torque(log) for log in logs]
     fit = fit_stretch(bare, model)
     stiff = dataclasses.replace(model, axial_stiffness=fit.axial_stiffness.value)
@@ -124,6 +164,6 @@ def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
 
 
 def without_torque(log: Dataset) -> Dataset:
-    """A log as it is without the sensor."""
-    columns = {name: values for name, values in log.columns.items() if name != "tau_j"}
+    """Return a log as it is without the sensor, at one wrap angle."""
+    columns = {name: values for name, values in log.columns.items() if name not in ("tau_j", "theta")}
     return dataclasses.replace(Dataset.from_arrays(columns, log.name), sha256=log.sha256)
