@@ -299,7 +299,7 @@ class Session:
 
     @property
     def next_step(self) -> str:
-        """Return the next step after the files are written, "" if there is none."""
+        """Return the next step after the files are written; empty if there is none."""
         if self.axis.law.compensation > 0.0:
             return ""
         return (

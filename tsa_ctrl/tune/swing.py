@@ -1,6 +1,6 @@
 """Motor inertia and tendon stiffness, from how the motor swings on its tendons while the joint slides.
 
-    J_M e'' + b e' + K e = tau - what moves slowly,     e = q_M - r_J/r_M q_J
+    J_M e'' + b e' + K e = tau - slow part,     e = q_M - r_J/r_M q_J
 
 is linear while both tendons slide completely in one direction: while the slip by the swing is smaller than the slip by
 the joint. The angles of such windows are fitted together, each with its own beginning (angle and speed) and its

@@ -33,7 +33,7 @@ class Calibration(Displayed):
 
     RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
     `rms_given` and `rms_written` (`model`, which is what a file gets) on all data, which `model` has learned from.
-    `errors`: those of `model` on all samples, reversals and standstill included, as `simulate` prints them.
+    `errors`: of `model` on all samples, with reversals and standstill, equal to the output of `simulate`.
     """
 
     friction_angle: Quantity
