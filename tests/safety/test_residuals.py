@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,14 @@ def test_a_joint_that_turns_quickly_stops_no_slow_loop(rate: float, acceleration
     frequency = math.sqrt(acceleration / 0.3)  # rad/s
     tendons = Tendons(period=1.0 / rate)
     assert found(tendons, 6.0, lambda t: 0.3 * math.sin(frequency * t), lambda t: 0.07) is None
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 1.0, 1.5, 3.0, 6.0])  # 1, of WOUND; the file's elongation is 6
+@pytest.mark.parametrize("amplitude", [0.1, 0.2, 0.6])  # rad
+def test_a_file_without_the_place_of_the_bends_stops_no_rig(friction: float, amplitude: float) -> None:
+    """With bends at the joint little or none of the friction shows in the elongation."""
+    tendons = Tendons(friction=friction, give=replace(GIVE, wound=6.0 * WOUND, least_free=0.0))
+    assert found(tendons, 6.0, lambda t: amplitude * math.sin(3.0 * t), lambda t: 0.07) is None
 
 
 def test_radii_that_are_a_hundredth_off_and_an_encoder_that_is_late_stop_nothing() -> None:

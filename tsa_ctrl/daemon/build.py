@@ -221,6 +221,7 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
         play=play + sum(counts_of(settings, geared)),
         doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
         free=free_share(model),
+        least_free=least_free_share(model),
         friction=max(FRICTION, friction),
         inertia=inertia,
     )
@@ -241,6 +242,13 @@ def free_share(model: TendonSheath) -> float:
     if not shape_known(model):
         return 1.0
     return min(1.0, 1.0 - compliance_centre(model) + model.bending_centre_uncertainty)
+
+
+def least_free_share(model: TendonSheath) -> float:
+    """Return the least of 1 - s_c; 0 for an unknown shape, because the sheath may bend at the joint alone."""
+    if not shape_known(model):
+        return 0.0
+    return max(0.0, 1.0 - compliance_centre(model) - model.bending_centre_uncertainty)
 
 
 def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:

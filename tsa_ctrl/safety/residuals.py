@@ -46,8 +46,8 @@ class Give:
 
     `stiffness`: N*m/rad; `wound`: rad by which friction stretches the tendons from one direction to the other;
     `domain`: N*m, beyond which one tendon pulls alone and gives twice as much; `play`: rad, of counts and known
-    backlash; `doubt`: 1, of the stiffness; `free`: 1 - s_c, share of the friction that shows in the elongation;
-    `friction`: 1, uncertainty of the friction; `inertia`: kg*m^2, 0 where it is not known.
+    backlash; `doubt`: 1, of the stiffness; `free`, `least_free`: most and least of 1 - s_c, the share of the friction
+    that shows in the elongation; `friction`: 1, uncertainty of the friction; `inertia`: kg*m^2, 0 if it is not known.
     """
 
     stiffness: float
@@ -56,6 +56,7 @@ class Give:
     play: float
     doubt: float = DOUBT
     free: float = 1.0
+    least_free: float = 1.0
     friction: float = FRICTION
     inertia: float = 0.0
 
@@ -76,7 +77,7 @@ class Elongation:
         self._bound = BOUND + give.play
         half = 0.5 * give.free * give.wound
         self._most_friction = half * (1.0 + give.friction)
-        self._turn = 1.0 / max(half * (1.0 - give.friction), 1e-9)
+        self._turn = 1.0 / max(0.5 * give.least_free * give.wound * (1.0 - give.friction), 1e-9)
         self._slide = 2.0 / ((1.0 + give.friction) * (1.0 + give.doubt) * give.wound + BACKLASH + give.play)
         self._creep = CREEP * period
         self._smooth = 1.0 - math.exp(-period / max(SMOOTH, SAMPLES * period))
