@@ -161,7 +161,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from tsa_ctrl.identify.diagnosis.report.words import told_torque
+    from tsa_ctrl.identify.diagnosis.report.words import of_the_written_model
 
     table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified by these logs")
     rows = (
@@ -195,11 +195,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
         f"RMS error on held-out data, calibrated without them: {result.rms_before:.4g} N·m as given, "
         f"{result.rms_after:.4g} N·m calibrated"
     )
-    errors = result.errors
-    click.echo(
-        f"With the written model, on all samples: error while sliding {told_torque(errors.sliding)}, in reversals "
-        f"{told_torque(errors.reversals)}, sensor noise {told_torque(errors.sensor_noise)}"
-    )
+    click.echo(of_the_written_model(result.errors))
     if result.worse:
         click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")
 

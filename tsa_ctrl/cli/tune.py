@@ -161,8 +161,8 @@ def _tune(
                 click.echo(
                     f"written: {path}" + (f"; the file before is {before.name} (back with --undo)" if before else "")
                 )
-            if session.next_step:
-                click.echo(session.next_step)
+            if step := session.next_step(outcome):
+                click.echo(step)
         else:
             click.echo(f"{session.path} is as it was")
 

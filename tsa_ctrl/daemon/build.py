@@ -214,14 +214,15 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
     lost = float(model.effects.get("motor_side_friction", {}).get("coulomb", 0.0))
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     play = 2.0 * geared * float(model.effects.get("backlash", {}).get("gap", 0.0))
+    least_free, free = free_shares(model)
     return Give(
         stiffness=stiffness,
         wound=wound_by_friction(model) + 2.0 * lost / stiffness,
         domain=2.0 * model.pretension * model.motor_pulley_radius,
         play=play + sum(counts_of(settings, geared)),
         doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
-        free=free_share(model),
-        least_free=least_free_share(model),
+        free=free,
+        least_free=least_free,
         friction=max(FRICTION, friction),
         inertia=inertia,
     )
@@ -237,18 +238,15 @@ def bent_at_joint(model: TendonSheath) -> bool:
     return shape_known(model) and 1.0 - compliance_centre(model) < AT_JOINT
 
 
-def free_share(model: TendonSheath) -> float:
-    """Return the most of 1 - s_c, the share of the friction that shows in the elongation; 1 for an unknown shape."""
-    if not shape_known(model):
-        return 1.0
-    return min(1.0, 1.0 - compliance_centre(model) + model.bending_centre_uncertainty)
+def free_shares(model: TendonSheath) -> tuple[float, float]:
+    """Return the least and the most of 1 - s_c, the share of the friction that shows in the elongation.
 
-
-def least_free_share(model: TendonSheath) -> float:
-    """Return the least of 1 - s_c; 0 for an unknown shape, because the sheath may bend at the joint alone."""
+    0 and 1 for an unknown shape, because the sheath may bend at the joint alone or at the motor alone.
+    """
     if not shape_known(model):
-        return 0.0
-    return max(0.0, 1.0 - compliance_centre(model) - model.bending_centre_uncertainty)
+        return 0.0, 1.0
+    share, uncertain = 1.0 - compliance_centre(model), model.bending_centre_uncertainty
+    return max(0.0, share - uncertain), min(1.0, share + uncertain)
 
 
 def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:

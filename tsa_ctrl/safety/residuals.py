@@ -72,7 +72,7 @@ class Elongation:
         self._domain = give.domain
         self._inertia = give.inertia / period
         self._unsure = compliance * (LIGHT * give.inertia if give.inertia > 0.0 else HEAVY) / period
-        self._play = give.play
+        self._play = give.play  # of the joint's angle, rad: a smaller change may be counts alone
         self._response = RESPONSE + give.play
         self._bound = BOUND + give.play
         half = 0.5 * give.free * give.wound

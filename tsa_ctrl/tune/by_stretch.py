@@ -52,12 +52,12 @@ def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimat
     """
     angles = [log.completed_for(model).signals().theta for log in logs]
     bent = [angle for angle in angles if angle is not None]
-    if len(bent) < len(logs) or not bent:
+    if len(bent) < len(logs):
         return _at_one_wrap_angle(logs, model)
     mean = float(np.mean(np.concatenate(bent)))
     found = _at_one_wrap_angle(logs, _bent_to(dataclasses.replace(model, routing=None), mean))
-    back = dataclasses.replace(_bent_to(found.model, model.bending_angle), routing=model.routing)
     calibration = found.calibration
+    back = dataclasses.replace(_bent_to(found.model, model.bending_angle), routing=model.routing)
     of_angle = back.friction_angle / found.model.friction_angle
     of_tension = back.pretension / found.model.pretension
     of_loop = sliding(back).half_loop / sliding(found.model).half_loop
@@ -83,6 +83,7 @@ def _scaled(found: Quantity, factor: float) -> Quantity:
 
 
 def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
+    """Return the estimate for a sheath that no other joint bends."""
     bare = [without_torque(log) for log in logs]
     fit = fit_stretch(bare, model)
     stiff = dataclasses.replace(model, axial_stiffness=fit.axial_stiffness.value)

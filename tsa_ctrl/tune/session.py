@@ -297,10 +297,9 @@ class Session:
         undo(kept)
         return kept
 
-    @property
-    def next_step(self) -> str:
-        """Return the next step after the files are written; empty if there is none."""
-        if self.axis.law.compensation > 0.0:
+    def next_step(self, outcome: Outcome) -> str:
+        """Return the next step after a tuning on the rig is written, or an empty text."""
+        if self.axis.law.compensation > 0.0 or outcome.verification is None:
             return ""
         return (
             f"[axis.law] compensation is still 0; the verification used {self._settings.compensation:g}. While tsa run "

@@ -121,13 +121,13 @@ def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
 def _with_stiffness(
     found: tuple[Quantity, Quantity], logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool
 ) -> tuple[Quantity, Quantity]:
-    """Return the same with the intervals widened by the uncertainty of the file's axial stiffness.
+    """Return x and T_p with intervals that contain the uncertainty of the file's axial stiffness.
 
-    A bent sheath changes the pretension by the stiffness and contact_offset. Where the wrap angle varies, that change
-    separates x from T_p, and an error of the stiffness is an error of both.
+    The wrap angle changes the pretension in proportion to the stiffness (`pretension_slope`). Where the wrap angle
+    varies, that change separates x from T_p, and an error of the stiffness is an error of both.
     """
     uncertain = model.axial_stiffness_uncertainty
-    if model.pretension_slope == 0.0 or uncertain == 0.0:
+    if uncertain == 0.0:
         return found
     stiffer = dataclasses.replace(model, axial_stiffness=model.axial_stiffness * (1.0 + uncertain))
     other = joint_fit(logs, stiffer, lag, certified_gain)

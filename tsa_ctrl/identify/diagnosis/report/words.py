@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE
+from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE, ThreeErrors
 from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 
 MOST_WORDS = 35  # of the first sentence: more is not read at once
@@ -139,6 +139,14 @@ def _with_causes(result: Diagnosis, gained: str) -> str:
     return _short(*(f"{causes[0].upper()}{causes[1:]}: {gained}." for causes in fullness))
 
 
+def of_the_written_model(errors: ThreeErrors) -> str:
+    """Return the three errors of a model that was calibrated or extended, as one sentence."""
+    return (
+        f"With the written model, on all samples: error while sliding {told_torque(errors.sliding)}, in reversals "
+        f"{told_torque(errors.reversals)}, sensor noise {told_torque(errors.sensor_noise)}."
+    )
+
+
 def remarks(result: Diagnosis) -> tuple[str, ...]:
     """What follows the first line: what would have been seen, what is left, which names are excluded."""
     out = []
@@ -147,11 +155,7 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         figures = f"{told_torque(result.rms.recalibrated)} RMS instead of {told_torque(result.rms.as_given)}"
         out.append(f"Recalibration alone makes it worse on held-out data, {figures}{kept}.")
     if result.errors.sensor_noise is not None:
-        errors = result.errors
-        out.append(
-            f"With the written model, on all samples: error while sliding {told_torque(errors.sliding)}, in reversals "
-            f"{told_torque(errors.reversals)}, sensor noise {told_torque(errors.sensor_noise)}."
-        )
+        out.append(of_the_written_model(result.errors))
     if result.verdict is Verdict.CONSISTENT and result.detection_limit:
         out.append(_visible(result))
     if result.of_torque:
