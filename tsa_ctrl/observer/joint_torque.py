@@ -165,7 +165,7 @@ class ModelTorque:
 MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
 SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
 SOFT = 0.1  # s for which the tendons must give as much more than the model's as they may
-OTHER = 2.0  # 1, times more or less friction than the file's: such an elongation is of another curvature profile
+LEAST_FRICTION = 0.5  # 1, of the file's: a motor that gives twice what it reports makes friction look half as large
 OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
 
 
@@ -224,6 +224,7 @@ class JointTorque:
         self._period = period
         self.stretch = stretch
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
+        self._most_friction_angle = self._friction_angle if stretch is None else stretch.most_friction_angle
         self.why_not = why_not
         self.contradicted = False  # the joint torque sensor lies outside the stretch's band most of the time
         self.difference = 0.0  # N*m, of sensor less stretch, over the last seconds
@@ -252,8 +253,12 @@ class JointTorque:
         self._combine()
 
     def _explained(self, friction_angle: float) -> bool:
-        """Return True if a friction angle near the file's value and a stiffness explain the elongation."""
-        return self._friction_angle < OTHER * friction_angle < OTHER * OTHER * self._friction_angle
+        """Return True if a stiffness explains the elongation with a friction that the file allows.
+
+        A motor that gives more torque than it reports makes friction look less, never more. More friction than the
+        file's uncertainty allows shows another curvature profile.
+        """
+        return LEAST_FRICTION * self._friction_angle < friction_angle < self._most_friction_angle
 
     @property
     def contradiction(self) -> str | None:

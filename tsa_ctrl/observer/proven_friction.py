@@ -41,6 +41,9 @@ from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 SLIDES = 0.05  # rad/s of the joint above which it slides: three times the noise of a 16 bit encoder's velocity
 GATE = 1.0  # of the joint's way in which a reversal runs through the sheath, before a sample counts
 SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
+# s, likewise, where the motor's inertia is unknown: its swing on the tendons, from 40 Hz on, looks like friction that
+# rings, and a limit that follows it drives the swing
+RINGS = 0.025
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
 NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
 MEMORY = 1.5  # rad of the joint after which older strokes count 1/e
@@ -90,6 +93,7 @@ class ProvenFriction:
         """
         self._period = period
         self._inertia = inertia
+        self._rings = 0.0 if inertia > 0.0 else RINGS
         r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
         self._r_m, self._r_j = r_m, r_j
         self._expected = abs(sliding(model).motor_half_loop)
@@ -239,7 +243,10 @@ class ProvenFriction:
             return
         side = 1 if direction > 0 else 0
         value, found = self._read[side], friction / self.modelled
-        value = found if value != value else value + way / (SMOOTH + way) * (found - value)
+        if value == value:
+            smooth = SMOOTH + self._rings * way / self._period
+            found = value + way / (smooth + way) * (found - value)
+        value = found
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
         self._read[side], self._spread[side] = value, deviation / self.modelled
