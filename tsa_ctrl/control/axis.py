@@ -307,6 +307,7 @@ class ControlAxis:
         if self._has_torque_sensor:
             excess = instruments.tau_j - self.ramp * terms.tau_j_des if image.fresh else math.nan
             self.direction.measure(excess, law.turn.turning)
+            law.learn(excess, self.set_point.rate)
         unheard = self._lost_commands.update(now)
         if unheard is not None:
             self.supervisor.trip(unheard, now)
@@ -418,6 +419,7 @@ class ControlAxis:
             law.compensation,
             self.instruments.tau_j,
         )
+        law.room = limit.room
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

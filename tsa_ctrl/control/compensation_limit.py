@@ -157,6 +157,7 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
+MORE = 0.1  # of the friction torque, that a joint torque sensor may add to the term: what a calibration leaves open
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough
@@ -253,7 +254,12 @@ class EnergyCredit:
 
 
 class CompensationLimit:
-    """Limit the law's share of the model's friction term; `count`: number of reports, `words`: the last report."""
+    """Limit the law's share of the model's friction term.
+
+    Attributes:
+        room: 1, of the model's friction torque, by which a torque sensor may raise the term.
+        count, words: number of reports, and the last one.
+    """
 
     def __init__(
         self,
@@ -293,6 +299,7 @@ class CompensationLimit:
         self.credit.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
+        self.room = 0.0
         self.share = self._desired = self.ceiling
 
     @property
@@ -350,10 +357,15 @@ class CompensationLimit:
         credit.update(unproven, omega_j, tau_j_des, request, suspended)
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
         middle = 0.5 * (low + high)
-        most = desired * (half_loop if half_loop < middle else middle)
+        friction = half_loop if half_loop < middle else middle
+        most = desired * friction
         allowed = low if low < most else most
         if allowed < most:
             allowed += credit.share * (most - allowed)
+        if half_loop > 0.0:  # the friction may be more than the file's: the sensor then adds to the term
+            more = most + MORE * half_loop
+            lowest = low if low < more else more
+            self.room = (lowest + credit.share * (more - lowest) - allowed) / half_loop
         share = allowed / half_loop if half_loop > 0.0 else desired
         rise = self.share + self._step
         self.share = share if share < rise else rise

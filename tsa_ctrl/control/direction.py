@@ -149,7 +149,7 @@ class Direction:
         period: float,
         give: float | None = None,
         way: float = 0.0,
-        by_sensor: bool = False,
+        unsure: float = math.inf,
     ) -> None:
         """Prepare the rules.
 
@@ -162,7 +162,8 @@ class Direction:
             period: s.
             give: like `reach`, joint moving; None if it is the same.
             way: rad of the joint after which the whole tendons slide.
-            by_sensor: True if the joint torque sensor decides at rest (`measure`).
+            unsure: N*m by which the delivered torque must exceed the desired one until the joint torque sensor
+                decides at rest (`measure`).
         """
         self.lead = lead
         self._motion = motion
@@ -171,7 +172,7 @@ class Direction:
         self._play = settings.play
         self._reach = reach
         self._give = reach if give is None else give
-        self._by_sensor = by_sensor
+        self._unsure = unsure
         self._radius = joint_radius
         self._period = period
         self._little = LITTLE * way
@@ -223,7 +224,7 @@ class Direction:
             excess: N*m, by a sensor of the joint torque; nan without one.
             turning: True while the friction term reverses.
         """
-        if not self._by_sensor:
+        if self._unsure == math.inf:
             return
         if turning or excess != excess:
             self._await()
@@ -239,7 +240,7 @@ class Direction:
         if self._tried:
             self._tried = False
             self._doubt = max(self._doubt, abs(mean))
-        self._needed = 0.0 if abs(mean) < UNSURE + self._doubt else -1.0 if mean > 0.0 else 1.0
+        self._needed = 0.0 if abs(mean) < self._unsure + self._doubt else -1.0 if mean > 0.0 else 1.0
 
     def _await(self) -> None:
         self._excess = 0.0

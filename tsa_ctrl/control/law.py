@@ -40,6 +40,7 @@ from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.slip import Slip
+from tsa_ctrl.control.torque_feedback import TorqueFeedback
 from tsa_ctrl.control.turn import Turn
 
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
@@ -49,6 +50,7 @@ SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
 BLIND = 2.0  # memories of the motion after a turn in which a motor without a joint encoder says nothing
 NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
 MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
+LESS = 0.25  # of the friction torque, by which the torque sensor may reduce the term: a usual error of a file
 _REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
 
 Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
@@ -67,6 +69,7 @@ class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     lead: Annotated[float, Meta(ge=0.0, le=0.03)] | None = None  # s by which the joint's velocity is taken ahead
     ringing: Annotated[float, Meta(gt=0.0, le=2000.0)] | None = None  # Hz of the motor on its tendons
     damping: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None  # N*m*s/rad of that ringing
+    feedback: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0  # Hz, bandwidth of the torque sensor's correction; 0: none
 
 
 class Inverse(Protocol):
@@ -146,6 +149,8 @@ class Law:
         self._has_encoder = has_encoder
         self._nominal = inverse.pretension
         self._slip = Slip(plan.front, r_m, r_j, plan.stiffness, period)
+        self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
+        self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
         self._settle = settings.settle
         self._ratio = r_m / r_j
         self._period = period
@@ -189,6 +194,7 @@ class Law:
         self._slip.reset(self.direction.sigma)
         self._peak = 0.0  # N*m, the set-point farthest in the present direction
         self.damping.reset()
+        self.feedback.reset()
         self._inverse.reset()
         self._stretch = 0.0
         self.half_loop = self._inverse.half_loop()
@@ -268,6 +274,9 @@ class Law:
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
+        if self.feedback.used and back_off == 1.0 and share > 0.0:
+            room = self.room * fade * (1.0 - self._settled) * self._wanted * self.half_loop
+            change += self.feedback.torque(turn.force, -LESS * fade * self.half_loop, room)
         if back_off == 1.0:  # the guard's action is never delayed
             step = self.slew * self._period
             change = step if change > step else -step if change < -step else change
@@ -311,6 +320,26 @@ class Law:
             self._until_refresh = _REFRESH
             self.half_loop = self._inverse.half_loop()
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
+
+    def learn(self, excess: float, rate: float) -> None:
+        """Take the joint torque sensor's result of this cycle into the correction.
+
+        Args:
+            excess: N*m of the delivered joint torque beyond the desired one, nan without a measurement.
+            rate: slope of the set-point, N*m/s.
+        """
+        turn = self.turn
+        if self.feedback.used and self.faded:
+            self.feedback.update(
+                excess,
+                turn.force,
+                turn.turning,
+                self.direction.moving,
+                rate,
+                self.ideal + self.friction_term,
+                self.half_loop,
+                LESS * self.half_loop,
+            )
 
     def swing(self, omega_m: float) -> float:
         """Return the kinetic energy (J) of the motor at `omega_m` rad/s relative to the joint; 0 outside a reversal."""

@@ -16,7 +16,7 @@ from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending, routing_of
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
-from tsa_ctrl.control.direction import LONGEST, Direction, Motion
+from tsa_ctrl.control.direction import UNSURE, LONGEST, Direction, Motion
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
@@ -195,7 +195,9 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
         signals.add("temperature")
     inverse = Feedforward(model, period, signals)
     way = wound_by_friction(model) * r_m / r_j
-    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, bent_at_joint(model))
+    import os
+    unsure = UNSURE + (0.0 if bent_at_joint(model) else float(os.environ.get('OVER','0.25')) * abs(sliding(model).half_loop))
+    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
 
 
