@@ -103,6 +103,11 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     plausibility: PlausibilitySettings = PlausibilitySettings()
     serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions, bending
 
+    @property
+    def has_torque_sensor(self) -> bool:
+        """Return True if the joint torque is measured, on the bus or on a serial line."""
+        return self.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in self.serial)
+
 
 class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """A controller file, as it is written."""
@@ -298,10 +303,15 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     )
     serial.check_all(axis.serial, where, {"tau_j"} if axis.torque_sensor is not None else set())
     estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}
-    if estimator.kind == "sensor" and axis.torque_sensor is None and "tau_j" not in measured:
+    if estimator.kind == "sensor" and not axis.has_torque_sensor:
         raise UsageError(
             f'{where}: estimator.kind "sensor" without [axis.torque_sensor] or a serial sensor of tau_j; give one, '
             "or another kind"
+        )
+    if axis.law.feedback > 0.0 and not axis.has_torque_sensor:
+        raise UsageError(
+            f"{where}: law.feedback {axis.law.feedback:g} Hz without [axis.torque_sensor] or a serial sensor of tau_j; "
+            "give one, or law.feedback = 0"
         )
     if estimator.kind == "tension" and (reason := no_tension(estimator.attribute, measured)):
         raise UsageError(f'{where}: estimator.kind "tension" {reason}')

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, TREMOR, Direction, DirectionSettings, Motion
+from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, TREMOR, UNSURE, Direction, DirectionSettings, Motion
 
 PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad
@@ -405,7 +405,7 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
 
 def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
     """A joint that moved the `way` and has come to rest, under a torque sensor that agreed with the law meanwhile."""
-    by = By(give=0.0, by_sensor=by_sensor)
+    by = By(give=0.0, unsure=UNSURE if by_sensor else math.inf)
     for _ in range(1000):
         by(way * 0.25)
         by.direction.measure(0.0, False)
@@ -437,7 +437,7 @@ def test_the_torque_sensor_does_not_decide_where_the_elongation_does_or_a_revers
 
 
 def test_a_sensor_that_was_wrong_while_the_joint_moved_decides_only_beyond_that_error() -> None:
-    by = By(give=0.0, by_sensor=True)
+    by = By(give=0.0, unsure=UNSURE)
     for _ in range(2000):
         by(0.25)
         by.direction.measure(0.1, False)

@@ -29,6 +29,7 @@ import math
 from dataclasses import dataclass
 
 from tsa_ctrl.control.bending import BendingSettings, routing_of
+from tsa_ctrl.control.torque_feedback import MORE
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
@@ -157,7 +158,6 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
-MORE = 0.1  # of the friction torque, that a joint torque sensor may add to the term: what a calibration leaves open
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough

@@ -15,12 +15,13 @@ separate rule:
   `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
   every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
-* The joint torque sensor contradicts, where the elongation carries no information: by the model file all bends are at
-  the joint (`by_sensor`), so the elongation is the same in both directions, and a hand's motion below one encoder
-  count decides. Sliding tendons deliver at most the desired torque in their direction, because the friction term does
-  not exceed the friction (`law`). More than that at rest shows that they stick, and that they slide next in the other
-  direction. The sensor counts beyond its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is
-  measured while the joint moves, and after the sensor has changed the direction.
+* The joint torque sensor contradicts. Sliding tendons deliver at most the desired torque in their direction, because
+  the friction term does not exceed the friction (`law`). More than that at rest shows that they stick, and that they slide
+  next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond its
+  uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
+  after the sensor has changed the direction. Where the elongation shows the direction of a locked joint as well, a
+  reversal with a wrong friction delivers too much once, so there the sensor counts from `OVERSHOOT` on. Where all bends
+  are at the joint, the elongation is the same in both directions, and the sensor alone decides.
 
 If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
 happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then
@@ -122,6 +123,7 @@ NOISE = 1.5  # times one count's velocity that the zone is at least: a count and
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
 LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
 UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at a gait's 10 N*m/s
+OVERSHOOT = 0.25  # of the friction torque: twice the part that the sensor may have to correct (`torque_feedback`)
 MEAN = 0.01  # s: a motor on its tendons rings at 40 Hz and more
 SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is averaged: 0.2 s
 SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean counts

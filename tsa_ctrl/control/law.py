@@ -50,7 +50,6 @@ SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
 BLIND = 2.0  # memories of the motion after a turn in which a motor without a joint encoder says nothing
 NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
 MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
-LESS = 0.25  # of the friction torque, by which the torque sensor may reduce the term: a usual error of a file
 _REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
 
 Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
@@ -275,8 +274,8 @@ class Law:
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
         if self.feedback.used and back_off == 1.0 and share > 0.0:
-            room = self.room * fade * (1.0 - self._settled) * self._wanted * self.half_loop
-            change += self.feedback.torque(turn.force, -LESS * fade * self.half_loop, room)
+            room = self.room * (1.0 - self._settled) * self._wanted * self.half_loop
+            change += fade * self.feedback.torque(turn.force, self.half_loop, room)
         if back_off == 1.0:  # the guard's action is never delayed
             step = self.slew * self._period
             change = step if change > step else -step if change < -step else change
@@ -338,7 +337,6 @@ class Law:
                 rate,
                 self.ideal + self.friction_term,
                 self.half_loop,
-                LESS * self.half_loop,
             )
 
     def swing(self, omega_m: float) -> float:

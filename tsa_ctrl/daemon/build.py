@@ -16,7 +16,7 @@ from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending, routing_of
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
-from tsa_ctrl.control.direction import UNSURE, LONGEST, Direction, Motion
+from tsa_ctrl.control.direction import LONGEST, OVERSHOOT, UNSURE, Direction, Motion
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
@@ -128,7 +128,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 law=law_of(settings, model, plan, period),
                 safeguards=safeguards_of(settings, model, supervisor, joint_torque, limit, plan.inertia, period),
                 timing=Timing(period, most_age, file.controller.stop_time),
-                has_torque_sensor=has_torque_sensor(settings),
+                has_torque_sensor=settings.has_torque_sensor,
             )
         )
     by_name = {axis.name: axis for axis in axes}
@@ -161,7 +161,7 @@ def safeguards_of(
         guard=Guard(
             settings.passivity,
             period,
-            by_stretch=not has_torque_sensor(settings),
+            by_stretch=not settings.has_torque_sensor,
             compliance=joint_compliance(model),
         ),
         plausibility=Plausibility(
@@ -195,8 +195,9 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
         signals.add("temperature")
     inverse = Feedforward(model, period, signals)
     way = wound_by_friction(model) * r_m / r_j
-    import os
-    unsure = UNSURE + (0.0 if bent_at_joint(model) else float(os.environ.get('OVER','0.25')) * abs(sliding(model).half_loop))
+    unsure = UNSURE
+    if not bent_at_joint(model):
+        unsure += OVERSHOOT * abs(sliding(model).half_loop)
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
 
@@ -288,13 +289,8 @@ def proven_friction_of(
 
     A serial sensor comes last because its values are late: a torque that changes looks like friction meanwhile.
     """
-    by_sensor = settings.torque_sensor is not None or (has_torque_sensor(settings) and joint_torque.stretch is None)
+    by_sensor = settings.torque_sensor is not None or (settings.has_torque_sensor and joint_torque.stretch is None)
     return ProvenFriction(model, period, inertia, by_sensor, joint_torque.stretch)
-
-
-def has_torque_sensor(settings: AxisSettings) -> bool:
-    """Return True if the axis has a joint torque sensor, on the bus or on a serial line."""
-    return settings.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in settings.serial)
 
 
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
@@ -308,7 +304,7 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         model,
         bending_range=settings.bending.range,
         bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and bool(estimator.use) and follows),
-        sees=has_torque_sensor(settings) or joint_torque.stretch is not None,
+        sees=settings.has_torque_sensor or joint_torque.stretch is not None,
         compensation=settings.law.compensation,
     )
     notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]

@@ -231,7 +231,7 @@ class Session:
             certified_gain=plan.certified_gain,
             forms=plan.forms,
             extended=plan.extended,
-            by_stretch=not self._has_sensor(),
+            by_stretch=not self.axis.has_torque_sensor,
             excitation=played,
         )
         self._plant = plan.plant
@@ -405,7 +405,7 @@ class Session:
 
         Raises UsageError, BusError.
         """
-        if not self._has_sensor() and (reason := why_not_told(self._model, self.axis.encoder is not None)):
+        if not self.axis.has_torque_sensor and (reason := why_not_told(self._model, self.axis.encoder is not None)):
             raise UsageError(
                 f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, and {reason}; or "
                 "give [axis.torque_sensor] or an [[axis.serial]] of tau_j"
@@ -417,9 +417,6 @@ class Session:
         for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
                 raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
-
-    def _has_sensor(self) -> bool:
-        return self.axis.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in self.axis.serial)
 
     def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
         """Return the estimate from existing logs; `cutoff` as in `load_log`. Raises UsageError."""

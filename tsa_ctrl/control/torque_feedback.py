@@ -1,0 +1,147 @@
+"""Correct the friction term by the joint torque sensor: integral action for each direction of the tendons.
+
+While the tendons slide, the sensor shows by how much the command of this direction is wrong, whatever the cause:
+friction that is off, gear friction, ripple, an eccentric pulley. One integrator per direction follows it,
+
+    dC/dt = k (tau_J* - tau_J) r_M/r_J
+
+so that a reversal begins with the correction of its own direction. Tendons that stick make the integral useless: the
+joint torque does not follow the motor until the whole friction is turned. At a joint at rest therefore
+
+* it counts only while the command is the farthest since the last reversal, because before that nothing slides;
+* it takes back at most what the set-point adds, because a motor that turns back only releases friction;
+* what a reversal delivered too much is taken from the next one at once. What the integral added within a stroke is
+  kept in part (`KEPT`), because the motor's inertia carries a reversal further than the same torque at rest.
+
+The sum of friction term and correction stays within the friction that is proven (`compensation_limit`).
+"""
+
+from __future__ import annotations
+
+import math
+
+WAIT = 0.02  # s after a turn, in which motor and sensor settle
+MEAN = 0.01  # s, low-pass of the sensor before a reversal's result is read; half a period of a motor's ringing at 50 Hz
+JUMP = 0.7  # of a reversal's excess, taken from the next one: below 1, so that noise does not swing
+KEPT = 0.3  # of what the integral added within a stroke at rest; random rigs: 0 and 0.6 are worse for either use
+LARGEST = 0.15  # of the friction torque: a larger error is a fault or a wrong direction, and does not count
+FARTHEST = 0.002  # of the friction torque: so near to the farthest command the tendons still slide
+MORE = 0.1  # of the friction torque, that the sensor may add to the term: what a calibration leaves open
+LESS = 0.25  # of it, by which the sensor may reduce the term: the usual error of a file
+FORGET = 0.3  # s in which the correction fades without a sensor
+
+
+class TorqueFeedback:
+    """Corrections of the friction term, N*m at the motor, one for each direction."""
+
+    def __init__(self, bandwidth: float, ratio: float, period: float) -> None:
+        """`bandwidth`: Hz, 0 for none; `ratio`: r_M/r_J; `period`: s."""
+        self.used = bandwidth > 0.0
+        self._step = 2.0 * math.pi * bandwidth * period
+        self._ratio = ratio
+        self._period = period
+        self._smooth = period / (MEAN + period)
+        self._fade = math.exp(-period / FORGET)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: a new enable."""
+        self._corrections, self._begun = [0.0, 0.0], [0.0, 0.0]
+        self._forget()
+
+    def _forget(self) -> None:
+        """Forget the present stroke."""
+        self._since = 0.0  # s since the last turn
+        self._mean = self._before = math.nan  # N*m, smoothed excess, and its value before the last turn
+        self._farthest = -math.inf  # N*m, of the command in this direction since the turn
+        self._side = -1  # direction of this stroke: 0 or 1, -1 unknown
+        self._rested = True  # the joint was at rest during this whole stroke
+
+    def torque(self, force: float, half_loop: float, most: float) -> float:
+        """Return the correction, N*m at the motor.
+
+        Args:
+            force: present direction of the friction term, -1 to 1.
+            half_loop: N*m at the motor, the friction torque.
+            most: N*m, by which the correction may raise the friction term.
+        """
+        least = -LESS * half_loop
+        backward, forward = self._corrections
+        correction = 0.5 * (forward + backward + force * (forward - backward))
+        if force < 0.0:
+            return -min(most, max(least, -correction))
+        return min(most, max(least, correction))
+
+    def update(
+        self,
+        excess: float,
+        force: float,
+        turning: bool,
+        moving: bool,
+        rate: float,
+        command: float,
+        half_loop: float,
+    ) -> None:
+        """Take one cycle.
+
+        Args:
+            excess: N*m of the delivered joint torque beyond the desired one; nan without a measurement.
+            force: direction of the friction term, -1 to 1.
+            turning: True while it reverses.
+            moving: True if the joint moves.
+            rate: N*m/s of the set-point.
+            command: N*m of the motor.
+            half_loop: N*m at the motor, the friction torque.
+        """
+        if excess != excess or force == 0.0:
+            self._forget()
+            self._corrections = [self._fade * each for each in self._corrections]
+            self._begun = self._corrections.copy()
+            return
+        if turning:
+            if self._since > 0.0:
+                self._end_stroke()
+            return
+        self._since += self._period
+        if self._since < WAIT:
+            return
+        self._mean = excess if self._mean != self._mean else self._mean + self._smooth * (excess - self._mean)
+        sigma = 1.0 if force > 0.0 else -1.0
+        side = self._side = 1 if force > 0.0 else 0
+        if self._before == self._before:
+            if self._since < WAIT + 2.0 * MEAN:
+                return
+            slid = (self._mean - self._before) * sigma > 0.0
+            if slid and self._mean * sigma > 0.0 and not moving:
+                self._correct(side, -JUMP * self._mean * self._ratio, half_loop)
+            self._begun[side] = self._corrections[side]
+            self._before = math.nan
+        self._rested = self._rested and not moving
+        along = command * sigma
+        if moving or along > self._farthest:
+            self._farthest = along
+        error = -excess * self._ratio
+        if not -LARGEST * half_loop < error < LARGEST * half_loop:
+            return
+        step = self._step * error
+        if not moving:
+            if along < self._farthest - FARTHEST * half_loop:
+                return
+            back = max(0.0, rate * sigma) * self._ratio * self._period
+            if step * sigma < -back:
+                step = -back * sigma
+        self._correct(side, step, half_loop)
+
+    def _correct(self, side: int, by: float, half_loop: float) -> None:
+        sigma = 1.0 if side else -1.0
+        along = sigma * (self._corrections[side] + by)
+        self._corrections[side] = sigma * min(MORE * half_loop, max(-LESS * half_loop, along))
+
+    def _end_stroke(self) -> None:
+        side = self._side
+        if side >= 0 and self._rested:
+            begun = self._begun[side]
+            self._corrections[side] = self._begun[side] = begun + KEPT * (self._corrections[side] - begun)
+        before = self._mean
+        self._forget()
+        self._before = before
