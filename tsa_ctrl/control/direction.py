@@ -16,12 +16,12 @@ separate rule:
   every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
 * The joint torque sensor contradicts. Sliding tendons deliver at most the desired torque in their direction, because
-  the friction term does not exceed the friction (`law`). More than that at rest shows that they stick, and that they slide
-  next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond its
-  uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
+  the friction term does not exceed the friction (`law`). More than that at rest shows that they stick, and that they
+  slide next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond
+  its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
   after the sensor has changed the direction. Where the elongation shows the direction of a locked joint as well, a
-  reversal with a wrong friction delivers too much once, so there the sensor counts from `OVERSHOOT` on. Where all bends
-  are at the joint, the elongation is the same in both directions, and the sensor alone decides.
+  reversal with a wrong friction delivers too much once, so the sensor counts from `OVERSHOOT` on. Where all bends are at
+  the joint, the elongation is the same in both directions, and the sensor alone decides.
 
 If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
 happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then

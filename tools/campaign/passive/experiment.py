@@ -23,6 +23,7 @@ from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.plant.axis import COLUMNS, Record
 from tsa_ctrl.plant.process import check
+from tsa_ctrl.tune.mechanics import FEEDBACK
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import Run
@@ -61,7 +62,7 @@ class Experiment:
 
     `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
     `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has the true
-    value, not the data sheet's; `file_model` replaces the controller's model; `hand`: script of a hand on the joint,
+    value, not the data sheet's; `feedback`: Hz, of the torque sensor, where there is one; `file_model` replaces the controller's model; `hand`: script of a hand on the joint,
     default for a wearer: the wearer's script. `axis`, `file`, `plant`: tables that replace values of the controller's
     [[axis]], of its other tables and of the plant's [[axis]].
     """
@@ -79,6 +80,7 @@ class Experiment:
     fade_in: float = 0.5
     inertia: float = rig.MOTOR_INERTIA
     true_stiffness: bool = False
+    feedback: float = FEEDBACK
     file_model: TendonSheath | None = None
     seed: int = 1
     hand: Sequence[Sequence[float]] | None = None
@@ -155,6 +157,8 @@ class Experiment:
             del axis["encoder"]
         if self.sensors != "sensor":
             del axis["torque_sensor"]
+        elif self.compensation > 0.0:
+            axis["law"]["feedback"] = self.feedback
         _over(axis, self.axis)
         _over(tables, self.file)
         return tables

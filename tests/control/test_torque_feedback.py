@@ -1,0 +1,115 @@
+"""The torque sensor's correction on a locked joint and on a moving one, with a play operator for the tendons."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.control.torque_feedback import LESS, MORE, TorqueFeedback
+
+PERIOD = 1e-3
+RATIO = 0.8  # r_M/r_J
+LOOP = 0.5  # N*m at the motor, friction by the file
+TURN = 0.02  # s of a reversal
+STROKE = 1.0  # s between two reversals
+
+
+class Rig:
+    """A feedforward of `LOOP` on tendons whose friction is `true` times that, and whose motor adds `offset` N*m."""
+
+    def __init__(self, true: float, offset: float = 0.0, bandwidth: float = 3.0, most: float = MORE) -> None:
+        self.feedback = TorqueFeedback(bandwidth, RATIO, PERIOD)
+        self.true, self.offset, self.most = true * LOOP, offset, most * LOOP
+        self.delivered = 0.0  # N*m at the motor's side
+        self.corrections: list[float] = []
+        self._mean, self._turned = 0.0, 0.0
+
+    def run(self, seconds: float, amplitude: float, moving: bool, noise: float = 0.0) -> np.ndarray:
+        """Return the error of the joint torque, N*m, over time; a reversal begins every `STROKE`."""
+        rng = np.random.default_rng(3)
+        errors = []
+        for n in range(round(seconds / PERIOD)):
+            t = n * PERIOD
+            wanted = -amplitude * math.cos(math.pi * t / STROKE)
+            rate = amplitude * math.pi / STROKE * math.sin(math.pi * t / STROKE)
+            way = 1.0 if (t / STROKE) % 2.0 < 1.0 else -1.0
+            since = t % STROKE
+            force = way * min(1.0, 2.0 * since / TURN - 1.0) if t >= STROKE else way
+            turning = t >= STROKE and since < TURN
+            correction = self.feedback.torque(force, LOOP, self.most)
+            self.corrections.append(correction)
+            command = RATIO * wanted + LOOP * force + correction
+            pull = command + self.offset
+            if moving:
+                self.delivered = pull - way * self.true
+            else:  # what the tendons hand on follows the motor only beyond their friction
+                self.delivered = min(max(self.delivered, pull - self.true), pull + self.true)
+            error = self.delivered / RATIO - wanted
+            errors.append(error)
+            measured = error + noise * float(rng.standard_normal())
+            if self.feedback.used:
+                self.feedback.update(measured, force, turning, moving, rate, command, LOOP)
+        return np.array(errors)
+
+
+def last(errors: np.ndarray) -> float:
+    """RMS over the last two strokes, without their reversals."""
+    strokes = errors[-round(2 * STROKE / PERIOD) :].reshape(2, -1)[:, round(TURN / PERIOD) :]
+    return float(np.sqrt(np.mean(np.square(strokes))))
+
+
+@pytest.mark.parametrize("true", [0.85, 0.93, 1.04, 1.08])
+@pytest.mark.parametrize("offset", [-0.01, 0.0, 0.01])
+def test_a_small_signal_arrives_at_a_locked_joint(true: float, offset: float) -> None:
+    """Without the sensor the reversals miss by the error of the friction, which is more than the signal itself."""
+    without = last(Rig(true, offset, bandwidth=0.0).run(12.0, 0.02, False))
+    assert last(Rig(true, offset).run(12.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
+
+
+@pytest.mark.parametrize("true", [0.8, 1.09])
+@pytest.mark.parametrize("moving", [True, False])
+def test_wrong_friction_is_corrected_on_a_large_signal(true: float, moving: bool) -> None:
+    without = last(Rig(true, bandwidth=0.0).run(12.0, 0.5, moving))
+    assert last(Rig(true).run(12.0, 0.5, moving, noise=0.005)) < 0.4 * without
+
+
+def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
+    rig = Rig(2.0, most=0.03)
+    rig.run(6.0, 0.5, True)
+    assert max(abs(each) for each in rig.corrections) <= 0.03 * LOOP + 1e-12
+    assert max(abs(each) for each in Rig(2.0, most=0.0).corrections or [0.0]) == 0.0
+
+
+def test_a_sensor_that_shows_too_much_takes_back_a_part_only() -> None:
+    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(20_000):
+        feedback.update(0.05, 1.0, False, True, 0.0, LOOP, LOOP)
+    assert feedback.torque(1.0, LOOP, MORE * LOOP) == pytest.approx(-LESS * LOOP)
+
+
+def test_an_error_too_large_for_friction_does_not_count() -> None:
+    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(1000):
+        feedback.update(-1.0, 1.0, False, True, 0.0, LOOP, LOOP)
+    assert feedback.torque(1.0, LOOP, MORE * LOOP) == 0.0
+
+
+def test_without_its_sensor_the_correction_fades() -> None:
+    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(1000):
+        feedback.update(-0.05, 1.0, False, True, 0.0, LOOP, LOOP)
+    before = feedback.torque(1.0, LOOP, MORE * LOOP)
+    assert before > 0.02
+    for _ in range(2000):
+        feedback.update(math.nan, 1.0, False, True, 0.0, LOOP, LOOP)
+    assert abs(feedback.torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
+
+
+def test_a_correction_belongs_to_its_direction() -> None:
+    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(1000):
+        feedback.update(-0.02, 1.0, False, True, 0.0, LOOP, LOOP)
+    assert feedback.torque(1.0, LOOP, MORE * LOOP) > 0.01
+    assert feedback.torque(-1.0, LOOP, MORE * LOOP) == 0.0
