@@ -20,8 +20,8 @@ separate rule:
   slide next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond
   its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
   after the sensor has changed the direction. Where the elongation shows the direction of a locked joint as well, a
-  reversal with a wrong friction delivers too much once, so the sensor counts from `OVERSHOOT` on. Where all bends are at
-  the joint, the elongation is the same in both directions, and the sensor alone decides.
+  reversal with a wrong friction delivers too much once, so the sensor counts from `OVERSHOOT` on. Where all bends are
+  at the joint, the elongation is the same in both directions, and the sensor alone decides.
 
 If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
 happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then

@@ -62,9 +62,10 @@ class Experiment:
 
     `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
     `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has the true
-    value, not the data sheet's; `feedback`: Hz, of the torque sensor, where there is one; `file_model` replaces the controller's model; `hand`: script of a hand on the joint,
-    default for a wearer: the wearer's script. `axis`, `file`, `plant`: tables that replace values of the controller's
-    [[axis]], of its other tables and of the plant's [[axis]].
+    value, not the data sheet's; `feedback`: Hz, of the torque sensor, where there is one; `file_model` replaces the
+    controller's model; `hand`: script of a hand on the joint, default for a wearer: the wearer's script. `axis`,
+    `file`, `plant`: tables that replace values of the controller's [[axis]], of its other tables and of the plant's
+    [[axis]].
     """
 
     load: str
