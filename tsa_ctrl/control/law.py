@@ -187,6 +187,7 @@ class Law:
     def reset(self) -> None:
         """Forget everything but the motion of the joint; the next enable starts uncompensated and fades in."""
         self.ideal = self.friction_term = self.planned = self._fade = self._settled = 0.0
+        self._correction = 0.0  # N*m, of the friction term, by the torque sensor
         self._wanted = 1.0  # 0 when the socket's client is gone
         self.beyond = False
         self.direction.forget()
@@ -230,9 +231,8 @@ class Law:
             slip, inverse = self._slip, self._inverse
             slip.turn(turn)
             if rested > STOOD and ahead == ahead:
-                slip.begin(
-                    sigma, self.friction_term + self._ratio * self._peak, inverse.friction_angle, inverse.pretension
-                )
+                pull = self.friction_term - self._correction + self._ratio * self._peak
+                slip.begin(sigma, pull, inverse.friction_angle, inverse.pretension)
             else:
                 slip.slide(sigma)
             self._peak = ahead if ahead == ahead else 0.0
@@ -273,9 +273,11 @@ class Law:
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
+        self._correction = 0.0
         if self.feedback.used and back_off == 1.0 and share > 0.0:
             room = self.room * (1.0 - self._settled) * self._wanted * self.half_loop
-            change += fade * self.feedback.torque(turn.force, self.half_loop, room)
+            self._correction = fade * self.feedback.torque(turn.force, self.half_loop, room)
+            change += self._correction
         if back_off == 1.0:  # the guard's action is never delayed
             step = self.slew * self._period
             change = step if change > step else -step if change < -step else change
@@ -328,7 +330,7 @@ class Law:
             rate: slope of the set-point, N*m/s.
         """
         turn = self.turn
-        if self.feedback.used and self.faded:
+        if self.feedback.used and self.faded and not self.beyond:
             self.feedback.update(
                 excess,
                 turn.force,

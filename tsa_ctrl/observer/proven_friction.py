@@ -43,7 +43,7 @@ GATE = 1.0  # of the joint's way in which a reversal runs through the sheath, be
 SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
 # s, likewise, where the motor's inertia is unknown: its swing on the tendons, from 40 Hz on, looks like friction that
 # rings, and a limit that follows it drives the swing
-RINGS = 0.025
+RINGS = 0.1
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
 NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
 MEMORY = 1.5  # rad of the joint after which older strokes count 1/e
