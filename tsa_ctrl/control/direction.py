@@ -129,6 +129,10 @@ SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is a
 SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean counts
 AT_REST = 5e-3  # s of rest after which that is said: a reversal passes the zone in less
 TREMOR = 0.04  # s between two turns of a hand that trembles: 12 Hz is the fastest tremor of people (Deuschl 1998)
+QUICK = 3  # turns in a row, each within `TREMOR`, that no hand makes
+BEYOND = 1.5  # of the way between them: the term throws the joint farther at some turns than at others
+MOST_PLAY = 0.02  # rad; a joint with more is loose
+REMEMBERED = 5.0  # s of the play that was found: a limit cycle that comes again has it found again within 0.1 s
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -178,6 +182,7 @@ class Direction:
         self._radius = joint_radius
         self._period = period
         self._little = LITTLE * way
+        self._fade = math.exp(-period / REMEMBERED)
         self._mean = period / MEAN if period < MEAN else 1.0
         self._settled = max(1, round(SETTLED * MEAN / period))
         self.reset()
@@ -209,6 +214,7 @@ class Direction:
         self._before, self._turned_at = 0.0, math.nan  # the direction before the joint's last turn, and its angle then
         self._follows = False
         self._since = TREMOR  # s since the last turn
+        self._gap, self._quick, self._swung_at = 0.0, 0, math.nan  # rad of play, quick turns in a row, rad
         self.forget()
 
     def forget(self) -> None:
@@ -261,6 +267,7 @@ class Direction:
         stretch = self._reach * ahead
         self.age = 0.0
         self._since += self._period
+        self._gap *= self._fade
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
             if self._needed != 0.0 or self._tried:
@@ -270,6 +277,8 @@ class Direction:
             slip = self._radius * omega + self._give * rate
             if slip * self.sigma <= 0.0 and slip != 0.0:
                 turned = 1.0 if slip > 0.0 else -1.0
+                if self._in_play():
+                    return self.sigma
                 if not self._little_since_turn():
                     self._before, self._turned_at = self.sigma, motion.angle
                 elif turned == self._before:
@@ -301,6 +310,22 @@ class Direction:
         else:
             self._edge = edge
         return self.sigma
+
+    def _in_play(self) -> bool:
+        """Return True if the joint has moved within its play only since the last reversal by its motion.
+
+        Reversals that follow each other faster than a tremor are made by the friction term itself: each one throws the
+        joint across its play, which looks like a motion back. The way between them is the play.
+        """
+        angle = self._motion.angle
+        way = abs(angle - self._swung_at)  # nan before the first one
+        if way < self._gap:
+            return True
+        self._quick = self._quick + 1 if self._since < TREMOR else 0
+        if self._quick >= QUICK:
+            self._gap = min(MOST_PLAY, BEYOND * way)
+        self._swung_at = angle
+        return False
 
     def _turn(self, sigma: float, follows: bool = False) -> None:
         if sigma != self.sigma:
