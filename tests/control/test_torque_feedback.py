@@ -44,7 +44,7 @@ class Rig:
             pull = command + self.offset
             if moving:
                 self.delivered = pull - way * self.true
-            else:  # what the tendons hand on follows the motor only beyond their friction
+            else:  # sticking tendons follow the motor only beyond their friction
                 self.delivered = min(max(self.delivered, pull - self.true), pull + self.true)
             error = self.delivered / RATIO - wanted
             errors.append(error)

@@ -203,7 +203,9 @@ def trial(rig: Rig, folder: Path) -> Row:
         return {**row, "outcome": (run.stderr.strip().splitlines() or [f"exit code {run.returncode}"])[-1]}
     found = json.loads(run.stdout)
     row["verified"] = found["verification"]["reduction_percent"]["after"]
-    row["outcome"] = "tuned" if found["written"] else "tuned, not written"
+    if not found["written"]:
+        return {**row, "outcome": "the new file is not better, nothing is written"}
+    row["outcome"] = "tuned"
     for name in SECONDS:
         try:
             row |= evaluate(folder, name)

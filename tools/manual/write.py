@@ -21,6 +21,7 @@ PAGES = (
     "tools/README.md",
     "tsa_ctrl/README.md",
     "tsa_ctrl/cli/README.md",
+    "tsa_ctrl/CHOOSE.md",
     "tsa_ctrl/DESIGN.md",
     "tsa_ctrl/ipc/README.md",
     "tsa_ctrl/CHANGES.md",

@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).parents[1]
 TOPICS = {
     "commands": ("cli/README.md", "every command, the files, first steps at a desk"),
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
+    "choose": ("CHOOSE.md", "tables: sensors and estimator, class of use, kind of model, load of a simulation"),
     "drives": (
         "bus/drive/README.md",
         "a new drive: probe, profiles and their open questions",

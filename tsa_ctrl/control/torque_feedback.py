@@ -1,19 +1,19 @@
 """Correct the friction term by the joint torque sensor: integral action for each direction of the tendons.
 
-While the tendons slide, the sensor shows by how much the command of this direction is wrong, whatever the cause:
-friction that is off, gear friction, ripple, an eccentric pulley. One integrator per direction follows it,
+While the tendons slide, the sensor shows the error of the present direction for any cause: wrong friction, gear
+friction, ripple, an eccentric pulley. One integrator per direction removes it,
 
     dC/dt = k (tau_J* - tau_J) r_M/r_J
 
-so that a reversal begins with the correction of its own direction. Tendons that stick make the integral useless: the
-joint torque does not follow the motor until the whole friction is turned. At a joint at rest therefore
+A reversal therefore begins with the correction of its own direction. While the tendons stick, the joint torque does not
+follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
 
-* it counts only while the command is the farthest since the last reversal, because before that nothing slides;
-* it takes back at most what the set-point adds, because a motor that turns back only releases friction;
-* what a reversal delivered too much is taken from the next one at once. What the integral added within a stroke is
-  kept in part (`KEPT`), because the motor's inertia carries a reversal further than the same torque at rest.
+* The error counts only while the command is the largest since the last reversal. Below it nothing slides.
+* The correction decreases at most as fast as the set-point grows. A motor that turns back only releases friction.
+* A reversal that delivered too much reduces the next one at once. The integral of a stroke is kept in part (`KEPT`),
+  because the inertia of the motor carries a reversal further than the same torque carries resting tendons.
 
-The sum of friction term and correction stays within the friction that is proven (`compensation_limit`).
+The sum of friction term and correction stays within the proven friction (`compensation_limit`).
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ from __future__ import annotations
 import math
 
 WAIT = 0.02  # s after a turn, in which motor and sensor settle
-MEAN = 0.01  # s, low-pass of the sensor before a reversal's result is read; half a period of a motor's ringing at 50 Hz
+# s, low-pass of the sensor. The motor swings on its tendons at 25 Hz and more. An integral of that swing lags it by a
+# quarter of a cycle, and so drives it; behind this filter a quarter of that remains at 27 Hz, and a tenth at 45.
+MEAN = 0.01
 JUMP = 0.7  # of a reversal's excess, taken from the next one: below 1, so that noise does not swing
-KEPT = 0.3  # of what the integral added within a stroke at rest; random rigs: 0 and 0.6 are worse for either use
+KEPT = 0.3  # of the integral of a stroke at rest. On random rigs 0 costs large signals, and 0.6 small ones
 LARGEST = 0.3  # of the friction torque: a larger error is a fault or a wrong direction, and does not count
 FARTHEST = 0.002  # of the friction torque: so near to the farthest command the tendons still slide
-MORE = 0.1  # of the friction torque, that the sensor may add to the term: what a calibration leaves open
+MORE = 0.1  # of the friction torque: most that the sensor may add, about the error of a calibration
 LESS = 0.25  # of it, by which the sensor may reduce the term: the usual error of a file
 FORGET = 0.3  # s in which the correction fades without a sensor
 
@@ -120,7 +122,7 @@ class TorqueFeedback:
         along = command * sigma
         if moving or along > self._farthest:
             self._farthest = along
-        error = -excess * self._ratio
+        error = -self._mean * self._ratio
         if not -LARGEST * half_loop < error < LARGEST * half_loop:
             return
         step = self._step * error

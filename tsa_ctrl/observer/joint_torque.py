@@ -165,7 +165,7 @@ class ModelTorque:
 MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
 SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
 SOFT = 0.1  # s for which the tendons must give as much more than the model's as they may
-LEAST_FRICTION = 0.5  # 1, of the file's: a motor that gives twice what it reports makes friction look half as large
+LEAST_FRICTION = 0.5  # 1, of the file's friction. A motor of twice the reported torque halves the apparent friction
 OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
 
 

@@ -36,7 +36,8 @@ from tsa_ctrl.tune.swing import Swing, swing
 
 # The keys of [axis.law] that a tuning may change in the controller's file; all of them follow from measurements.
 MOTOR = ("motor_inertia", "delay", "ringing", "turn", "lead", "damping")  # describe and damp the motor
-TUNED = (*MOTOR, "compensation", "feedback")
+FEEDBACK_KEY = "feedback"
+TUNED = (*MOTOR, "compensation", FEEDBACK_KEY)
 MARK = "tsa tune: "  # start of the comment that is written after each key
 
 
@@ -203,7 +204,7 @@ def law_tuning(
         for name, q in known.items()
     }
     if axis.has_torque_sensor and not axis.law.feedback > 0.0:
-        keys["feedback"] = Key(FEEDBACK, "Hz, the joint torque sensor corrects the friction term")
+        keys[FEEDBACK_KEY] = Key(FEEDBACK, "Hz, the joint torque sensor corrects the friction term")
     if swing is None:
         return LawTuning(keys, known, None, found.notes)
     anew = {**dict.fromkeys(MOTOR), **{name: key.value for name, key in keys.items()}}

@@ -34,7 +34,7 @@ from tsa_ctrl.tune.excitation import (
     probe,
     response,
 )
-from tsa_ctrl.tune.mechanics import MOTOR, LawTuning, Mechanics, bearable, measured, pulling, stiffened
+from tsa_ctrl.tune.mechanics import FEEDBACK_KEY, MOTOR, LawTuning, Mechanics, bearable, measured, pulling, stiffened
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 
 # Ratio of the pulley radii r_J/r_M, from the angles of motor and joint over the travel.
@@ -252,6 +252,17 @@ class _Trial:
     bearable: float  # permitted share of the given file's friction term, 1
 
     @property
+    def has_feedback(self) -> bool:
+        """Return True if the joint torque sensor corrects the friction term."""
+        return self.law is not None and FEEDBACK_KEY in self.law.keys
+
+    def without_feedback(self) -> _Trial:
+        """Return the same trial without that correction."""
+        assert self.law is not None
+        keys = {name: key for name, key in self.law.keys.items() if name != FEEDBACK_KEY}
+        return dataclasses.replace(self, kind=f"{self.kind}-open", law=dataclasses.replace(self.law, keys=keys))
+
+    @property
     def values(self) -> Mapping[str, float | None] | None:
         """Return the values for [axis.law], which include the compensation; None if nothing was derived."""
         return None if self.law is None else self.law.values
@@ -309,15 +320,23 @@ class Procedure:
         trials = [self._trial(learned, mechanics, logs)]
         if learned.plain is not None:
             trials.append(self._trial(learned.plain, mechanics, logs, "-plain"))
-            self._total += self._settings.verification_seconds
+        trials += [trial.without_feedback() for trial in trials[:1] if trial.has_feedback]
+        self._total += (len(trials) - 1) * self._settings.verification_seconds
         motion = designed.verification
         without = self._play("without", self._path, 0.0, motion, BARE)
         before = self._play("before", self._path, trials[-1].bearable, motion)
         runs = [self._play(f"after{trial.kind}", *trial.played, motion, trial.values) for trial in trials]
         best = min(range(len(runs)), key=lambda number: runs[number].rms)
         found = trials[best].found
-        if best > 0:
+        if found.effects != learned.effects:
             found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, runs[0], runs[best])))
+        if trials[0].has_feedback and not trials[best].has_feedback:
+            note = (
+                "law.feedback is not used: on a motion not used for the fit the error is "
+                f"{1e3 * runs[0].rms:.0f} mN·m with the correction by the joint torque sensor, and "
+                f"{1e3 * runs[best].rms:.0f} mN·m without"
+            )
+            found = dataclasses.replace(found, notes=(*found.notes, note))
         verification = Verification(without, before, runs[best])
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
 
