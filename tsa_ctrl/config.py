@@ -235,7 +235,7 @@ def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> t
     axes, notes = [], []
     for axis, model in zip(file.axes, models, strict=True):
         follows = axis.bending.source != "fixed"
-        estimator, note = chosen(axis.estimator, model, axis.encoder is not None, follows)
+        estimator, note = chosen(axis.estimator, model, axis.encoder is not None, axis.has_torque_sensor, follows)
         if routing_of(axis.bending, model.routing) is not None and axis.estimator.kind in (None, "fixed"):
             estimator, note = msgspec.structs.replace(estimator, kind="map"), ""  # the model file says how it bends
         axes.append(msgspec.structs.replace(axis, estimator=estimator))

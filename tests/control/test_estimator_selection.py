@@ -16,17 +16,26 @@ KNOWN = dataclasses.replace(actuator(), bending_centre=0.5)
 
 
 def test_two_encoders_and_a_known_shape_make_it_the_stretch() -> None:
-    settings, why = chosen(EstimatorSettings(), KNOWN, True, False)
+    settings, why = chosen(EstimatorSettings(), KNOWN, True, False, False)
     assert (settings.kind, settings.use, why) == ("stretch", True, "")
+
+
+def test_a_joint_torque_sensor_comes_first_where_the_model_allows_it() -> None:
+    settings, why = chosen(EstimatorSettings(), actuator(), True, True, False)
+    assert (settings.kind, settings.use, why) == ("sensor", True, "")
+    heated = KNOWN.with_effects({"thermal_friction_drift": {"temperature_coefficient": 0.01}})
+    settings, why = chosen(EstimatorSettings(), heated, True, True, False)
+    assert (settings.kind, settings.use) == ("fixed", False)
+    assert "effects.thermal_friction_drift" in why
 
 
 def test_what_the_file_says_counts() -> None:
     """A kind that is named is kept, and is not used unless that is said; use = false alone is heard, too."""
-    named, _ = chosen(EstimatorSettings(kind="stretch"), KNOWN, True, False)
+    named, _ = chosen(EstimatorSettings(kind="stretch"), KNOWN, True, False, False)
     assert named.use is False
-    unused, _ = chosen(EstimatorSettings(use=False), KNOWN, True, False)
+    unused, _ = chosen(EstimatorSettings(use=False), KNOWN, True, False, False)
     assert (unused.kind, unused.use) == ("stretch", False)
-    fixed, why = chosen(EstimatorSettings(kind="fixed"), KNOWN, True, False)
+    fixed, why = chosen(EstimatorSettings(kind="fixed"), KNOWN, True, False, False)
     assert (fixed.kind, why) == ("fixed", "")
 
 
@@ -44,7 +53,7 @@ def test_what_the_file_says_counts() -> None:
     ],
 )
 def test_what_stands_against_it_is_said_in_one_line(model: TendonSheath, has_encoder: bool, words: str) -> None:
-    settings, why = chosen(EstimatorSettings(), model, has_encoder, False)
+    settings, why = chosen(EstimatorSettings(), model, has_encoder, False, False)
     assert (settings.kind, settings.use) == ("fixed", False)
     assert "\n" not in why
     assert re.search(words, why)

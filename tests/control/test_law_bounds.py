@@ -48,6 +48,10 @@ class Way(Direction):
         self.forgot = 0
         self.next = 0.0
 
+    @property
+    def sticks(self) -> bool:
+        return False
+
     def update(self, ahead: float, rate: float) -> float:
         self.asked.append((ahead, rate))
         self.sigma = self.next

@@ -24,7 +24,7 @@ NEEDS = {"map": [('# source = "fixed"  ', 'source = "command"  ')], "tension": [
 
 def machine_of(folder: Path, kind: str) -> Machine:
     """With an estimator of a kind, and what that needs."""
-    return Machine(folder, ('# kind = "stretch"  ', f'kind = "{kind}"  '), *NEEDS.get(kind, []))
+    return Machine(folder, ('# kind = "sensor"  ', f'kind = "{kind}"  '), *NEEDS.get(kind, []))
 
 
 @pytest.fixture(params=KINDS)

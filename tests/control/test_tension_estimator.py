@@ -117,7 +117,7 @@ def test_nothing_is_known_of_a_joint_that_rests_and_a_disable_forgets() -> None:
     assert (chosen.state, chosen.why) == (EstimateState.UNESTIMATED, "")
 
 
-KIND = ('# kind = "stretch"  ', 'kind = "tension"  ')
+KIND = ('# kind = "sensor"  ', 'kind = "tension"  ')
 USED = ("# use = true  ", "use = true  ")
 
 

@@ -101,7 +101,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
             "motor_over_speed 20 rad/s is above drive.max_speed 15 rad/s",
         ),
         (r"^# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.001 ", "rpdo_timeout 0.001 s is less than two periods"),
-        (r'^# kind = "stretch" ', 'kind = "map" ', 'kind "map" needs the source'),
+        (r'^# kind = "sensor" ', 'kind = "map" ', 'kind "map" needs the source'),
         (r"^\[axis.bending\]", '[axis.bending]\nsource = "joints"', "gains .* belong to"),
         (r"^\[realtime\]", "[realtime]\npriority = 100", "realtime.priority"),
         (r"^rated_torque = 1.0", "rated_torque = 0.0", "drive.rated_torque"),
@@ -171,7 +171,7 @@ def test_four_axes_fit_a_bus_at_a_lower_rate(folder: Path) -> None:
 
 def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
     """The recursive estimator of kind "sensor" is refused on an axis without a torque sensor."""
-    edit(folder, r'^# kind = "stretch" ', 'kind = "sensor" ')
+    edit(folder, r'^# kind = "sensor" ', 'kind = "sensor" ')
     path = edit(folder, r"^\[axis.torque_sensor\][^\n]*\n(?: +#[^\n]*\n)*node_id = 64", "")
     with pytest.raises(UsageError, match=r"without \[axis.torque_sensor\]"):
         load_configuration(path)
@@ -179,7 +179,7 @@ def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
 
 def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     """The estimator of kind "stretch" is refused where nothing is stretched, and where the stretch tells nothing."""
-    edit(folder, r'^# kind = "stretch" ', 'kind = "stretch" ')
+    edit(folder, r'^# kind = "sensor" ', 'kind = "stretch" ')
     model = folder / "actuator.toml"
     text = model.read_text()
     model.write_text(text + '\n[effects.elongation_coupling]\ncurvature_profile = "joint_end"\n')
@@ -191,24 +191,33 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
         load_configuration(path)
 
 
+ENCODER = r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n"
+SENSOR = r"^\[axis.torque_sensor\][^\n]*\n[^\n]*\nnode_id = 64\n"
+
+
 @pytest.mark.parametrize(
-    ("model", "axis", "told"),
+    ("model", "axes", "told"),
     [
-        ("", "", "stretch, in use"),
-        (r"^bending_centre", "", r"fixed \(.*does not say where the sheath bends; give \[sheath\] bending_centre"),
-        ("", r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n", r"fixed \(.*no \[axis.encoder\]"),
+        ("", (), "sensor, in use"),
+        ("", (SENSOR,), "stretch, in use"),
+        (
+            r"^bending_centre",
+            (SENSOR,),
+            r"fixed \(.*does not say where the sheath bends; give \[sheath\] bending_centre",
+        ),
+        ("", (ENCODER, SENSOR), r"fixed \(.*no \[axis.encoder\]"),
     ],
-    ids=["default", "shape", "encoder"],
+    ids=["default", "stretch", "shape", "encoder"],
 )
 def test_the_default_estimator_and_what_stands_against_it_are_told(
-    folder: Path, model: str, axis: str, told: str
+    folder: Path, model: str, axes: tuple[str, ...], told: str
 ) -> None:
     """In the status, and by an event at the start."""
     path = folder / "controller.toml"
     if model:
         text = (folder / "actuator.toml").read_text()
         (folder / "actuator.toml").write_text(re.sub(model, "# bending_centre", text, flags=re.MULTILINE))
-    if axis:
+    for axis in axes:
         edit(folder, axis, "")
     configuration = load_configuration(path)
     (found,) = describe(configuration, []).estimators

@@ -34,9 +34,10 @@ class Joint:
         zero: float = 0.0,
         radius: float = 1.0,
         seed: int = 1,
+        inertia: float = 1e-4,
     ) -> None:
         observer = StretchObserver(model, PERIOD, (1e-4, 1e-6))
-        self.proven = ProvenFriction(model, PERIOD, 0.0, sensor, None if sensor else observer)
+        self.proven = ProvenFriction(model, PERIOD, inertia, sensor, None if sensor else observer)
         self.friction = self.modelled = FRICTION
         self.zero, self.radius, self.sensor = zero, radius, sensor
         self.random = np.random.default_rng(seed)
@@ -146,6 +147,23 @@ def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, l
     for way in (-0.6, 0.6, -0.6):
         low, high = joint.move(way)[-1]
         assert low < left * FRICTION < high < (left + 0.2) * FRICTION
+
+
+def test_the_swing_of_a_motor_of_unknown_inertia_moves_the_bounds_little() -> None:
+    """A limit that followed the swing would drive it: a seventh of it is left, and lost friction is seen in 0.3 s."""
+    moved = {}
+    for inertia in (1e-4, 0.0):
+        joint = Joint(sensor=True, inertia=inertia)
+        joint.move(0.6, speed=3.0)
+        highs = []
+        for n in range(600):
+            joint.friction = FRICTION + 0.1 * math.sin(2.0 * math.pi * 42.0 * n * PERIOD)
+            highs.append(joint.move(0.003, speed=3.0)[-1][1])
+        moved[inertia] = max(highs[300:]) - min(highs[300:])
+    assert moved[0.0] < 0.2 / 7.0 < moved[1e-4]
+    joint.friction = 0.1 * FRICTION
+    _, high = joint.move(0.9, speed=3.0)[-1]
+    assert high < 0.25 * FRICTION
 
 
 def test_a_reversal_and_a_turning_term_are_no_reading() -> None:

@@ -28,7 +28,7 @@ def controller(folder: Path, serial: str, can_sensor: bool = False, estimator: s
     if not can_sensor:
         begin, end = text.index("[axis.torque_sensor]"), text.index("[axis.setpoint]")
         text = text[:begin] + text[end:]
-    text = text.replace('# kind = "stretch" ', f'kind = "{estimator}" ', 1)
+    text = text.replace('# kind = "sensor" ', f'kind = "{estimator}" ', 1)
     path = folder / "controller.toml"
     path.write_text(text + serial)
     return path
@@ -89,7 +89,7 @@ def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> N
     assert set(seen) == {0.25}
 
 
-MAP = (('# kind = "stretch"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
+MAP = (('# kind = "sensor"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
 THETA = "Sensors on serial lines that send"  # where the example speaks of them
 
 

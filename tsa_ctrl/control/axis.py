@@ -305,7 +305,9 @@ class ControlAxis:
             return
         self.law.applied(terms.tau_m_cmd)
         if self._has_torque_sensor:
-            excess = instruments.tau_j - self.ramp * terms.tau_j_des if image.fresh else math.nan
+            # A stop only takes torque away, whatever the tendons still hold, and without compensation nothing reverses.
+            counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
+            excess = instruments.tau_j - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.turn.turning)
             law.learn(excess, self.set_point.rate)
         unheard = self._lost_commands.update(now)

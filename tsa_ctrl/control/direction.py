@@ -206,6 +206,11 @@ class Direction:
         """Return True if the joint motion, and not the elongation, determines the slip direction."""
         return self.rest == 0.0
 
+    @property
+    def sticks(self) -> bool:
+        """Return True if the torque sensor shows too little torque in this direction: the tendons still stick."""
+        return self._needed * self.sigma > 0.0
+
     def reset(self) -> None:
         """Return to the state before the first motion."""
         self.sigma = 0.0

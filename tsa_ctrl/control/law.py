@@ -238,7 +238,7 @@ class Law:
             self._peak = ahead if ahead == ahead else 0.0
         elif ahead * sigma > self._peak * sigma:
             self._peak = ahead
-        if direction.rest == 0.0:  # the joint moves
+        if direction.rest == 0.0 or direction.sticks:
             self._slip.move()
         turn.update(sigma, direction.age)
 
@@ -274,8 +274,8 @@ class Law:
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
         self._correction = 0.0
-        if self.feedback.used and back_off == 1.0 and share > 0.0:
-            room = self.room * (1.0 - self._settled) * self._wanted * self.half_loop
+        if self.feedback.used and share > 0.0:
+            room = (back_off == 1.0) * self.room * (1.0 - self._settled) * self._wanted * self.half_loop
             self._correction = fade * self.feedback.torque(turn.force, self.half_loop, room)
             change += self._correction
         if back_off == 1.0:  # the guard's action is never delayed
