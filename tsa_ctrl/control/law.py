@@ -19,8 +19,8 @@ where f is tanh, x or sinh depending on where the sheath bends. The condition of
 whether the term reverses early, in time or late. Beyond it a joint of damping d accelerates to (r_J/r_M) (c b h_model -
 h_true)/d. c is limited by the proven h (`compensation_limit`), b is set by the guard, which observes the integral of P
 (`safety.passivity`). With the true parameters and c = 1 only the joint's damping ends an oscillation. The share e
-(`settle`) is therefore removed while the set-point is constant and the joint hardly moves. C is the torque sensor's correction
-(`torque_feedback`), which counts as a part of the friction term.
+(`settle`) is therefore removed while the set-point is constant and the joint hardly moves. C is the torque sensor's
+correction (`torque_feedback`), which counts as a part of the friction term.
 
 theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the elongation between motor and joint as an angle
 of the motor. It gives the planned J_M theta'' of a reversal; J_M r_J/r_M alpha_J moves the motor with the joint. The

@@ -322,6 +322,8 @@ class JointTorque:
         q_m = image.q_m - routed
         stretch.update(tau_m, omega_m, q_m, image.q_j, fresh)
         soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch.friction_angle)
+        if soft and self.model.low <= tau_j <= self.model.high:  # the sensor confirms the reported torque
+            soft = False
         self._soft = self._soft + self._period if enabled and soft and self._shape_known else 0.0
         if self.elongation is not None and fresh:
             self.elongation.update(q_m, image.q_j, command)
