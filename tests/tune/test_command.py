@@ -201,6 +201,8 @@ def test_json_has_the_estimate_and_writes_only_with_yes(folder: Path, capsys: py
     assert data["schema"] == 1
     assert data["written"] is None
     assert data["verification"] is None
+    assert data["errors"]["unit"] == "N*m"
+    assert 0.0 < data["errors"]["sensor_noise"] <= 1.1 * data["errors"]["sliding"] < 0.1
     assert data["calibration"]["rms"]["after"] < data["calibration"]["rms"]["before"]
     assert (folder / "actuator.toml").read_text() == before
     assert tsa(*FROM_LOG, "--json", "--yes") == 0

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from tsa_ctrl.errors import TooStillError, UsageError
+from tsa_ctrl.identify.calibrate import errors_of
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity, rounded
+from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.model.sliding import sliding_stiffness, wound_by_friction
@@ -231,6 +233,11 @@ class Outcome:
     verification: Verification | None
     text: str
     law: LawTuning | None = None
+
+    @property
+    def errors(self) -> ThreeErrors:
+        """The errors of the new model on the excitation, whose motor torque is without the motor's acceleration."""
+        return errors_of(self.logs, self.estimate.model)
 
     @property
     def better(self) -> bool:

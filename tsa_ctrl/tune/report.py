@@ -13,6 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from rich.console import Console
 from rich.table import Table
 
+from tsa_ctrl.identify.diagnosis.report.words import of_the_written_model
 from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.tune.procedure import Outcome
@@ -33,7 +34,7 @@ def write_page(
         headline=headline(outcome),
         parameters=parameter_rows(outcome),
         runs=run_rows(outcome),
-        notes=[*(outcome.design.reasons if outcome.design else ()), *outcome.estimate.notes],
+        notes=notes(outcome),
         pictures=encoded,
         file=path.name if outcome.law is None else f"{path.name} and the controller's file",
         diff=difference or "nothing",
@@ -91,6 +92,14 @@ def run_rows(outcome: Outcome) -> list[tuple[str, str, str]]:
     return [(name, f"{1e3 * run.rms:.1f}", f"{verified.reduction(run):.1f} %") for name, run in named]
 
 
+def notes(outcome: Outcome) -> list[str]:
+    """Return the reasons of the design, the notes of the estimate, and the three errors of the new model."""
+    reasons = outcome.design.reasons if outcome.design else ()
+    errors = outcome.errors
+    stated = [] if errors.sensor_noise is None else [of_the_written_model(errors)]
+    return [*reasons, *outcome.estimate.notes, *stated]
+
+
 def show(outcome: Outcome, difference: str, page: Path | None) -> None:
     """Print the diff, and below it tables and notes: what a person reads before the question."""
     console = Console()
@@ -104,7 +113,7 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
         for cells in run_rows(outcome):
             runs.add_row(*cells)
         console.print(runs)
-    for note in (*(outcome.design.reasons if outcome.design else ()), *outcome.estimate.notes):
+    for note in notes(outcome):
         console.print(f"note: {note}", soft_wrap=True, markup=False, highlight=False)
     console.print(headline(outcome), soft_wrap=True, markup=False)
     if page is not None:
@@ -139,6 +148,7 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
             "parameters": found.parameters,
             "calibration": found.calibration.to_dict(),
             "law": law and {"keys": law.values, "quantities": law.quantities, "gain_margin": law.margin},
+            "errors": outcome.errors.to_dict(),
             "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
             "design": outcome.design and outcome.design.reasons,
             "notes": found.notes,

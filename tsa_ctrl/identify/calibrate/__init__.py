@@ -1,6 +1,6 @@
 """Estimation of friction angle and pretension from logs, with honest intervals."""
 
-from tsa_ctrl.identify.calibrate.estimate import calibrate
+from tsa_ctrl.identify.calibrate.estimate import calibrate, errors_of
 from tsa_ctrl.identify.calibrate.result import Calibration
 
-__all__ = ["Calibration", "calibrate"]
+__all__ = ["Calibration", "calibrate", "errors_of"]

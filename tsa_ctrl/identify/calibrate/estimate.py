@@ -290,12 +290,14 @@ def calibrate(
         rms_written=_rms(prepared, found),
         model=found,
         notes=(*notes_of(logs), *result.notes, *([tension] if tension else [])),
-        errors=_three_errors(logs, found),
+        errors=errors_of(logs, found),
     )
 
 
-def _three_errors(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
-    """Return the errors of `model` on all samples of the logs."""
+def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
+    """Return the errors of `model` on all samples of the logs; unknown ones without a joint torque in each log."""
+    if not all("tau_j" in log for log in logs):
+        return ThreeErrors()
     logs = [log.completed_for(model) for log in logs]
     residuals = [log["tau_j"] - predict(model, log.signals()) for log in logs]
     return three_errors(logs, residuals, "tau_j")
