@@ -234,8 +234,10 @@ def test_the_inverse_is_asked_for_the_joint_when_the_torque_acts() -> None:
     parts = Parts()
     parts.motion.velocity, parts.motion.acceleration, parts.motion.angle = 0.5, 20.0, 0.3
     parts.turn.force = 0.25
+    parts.ask(1.5, 0.7, 3.0)
+    angles = 0.3 + 0.004 * 0.5, 0.7 + 0.004 * 3.0
+    assert parts.inverse.asked[-1] == pytest.approx((1.5, 0.25, 0.5 + 0.004 * 20.0, *angles, 0.25))
     assert parts.ask(1.5, 0.7) == pytest.approx(1.5 * RATIO + 0.125)
-    assert parts.inverse.asked[-1] == pytest.approx((1.5, 0.25, 0.5 + 0.004 * 20.0, 0.3, 0.7, 0.25))
     assert parts.law.ideal == pytest.approx(1.2)
 
 

@@ -269,8 +269,10 @@ class Law:
             compensation = bound
         share = compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
         acceleration = motion.acceleration
-        omega = motion.velocity + self._delay * acceleration
-        full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, self.temperature, t=t)
+        velocity, delay = motion.velocity, self._delay
+        omega = velocity + delay * acceleration
+        angle, motor = motion.angle + delay * velocity, q_m + delay * omega_m  # as they are when the torque acts
+        full = inverse.update(tau_j, turn.force, omega, angle, motor, self.temperature, t=t)
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
