@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+
 import pytest
 
-from tools.campaign.passive.experiment import Experiment
+from tests.virtual.joints import GAIT, error, play, rms, sine
+
+JOINTS = {"held": sine(0.5, 0.5), "imposed": GAIT}
 
 
-def error(load: str, set_point: str, friction: float, feedback: float, seconds: float = 7.0) -> float:
-    """Return the RMS error of the delivered torque in the second half of a run, N*m."""
-    rig = Experiment(load, set_point, "sensor", friction=friction, compensation=0.95, feedback=feedback)
-    (axis,) = rig.play(seconds).axes
-    assert not axis.faults
-    return float(np.sqrt(np.mean(np.square(axis.error[axis.error.size // 2 :]))))
+def remaining(folder: Path, load: str, friction: float, feedback: float) -> float:
+    """Return the RMS error from 3.5 s on, mN*m; the plant has `friction` times the friction of the file."""
+    plant = {"perturbation": {"friction_coefficient": friction}}
+    axis = {"law": {"feedback": feedback}}
+    result = play(folder, load, JOINTS[load], 7.0, compensation=0.95, axis=axis, plant=plant)
+    assert not result.axes[0].faults
+    return rms(error(result, 3.5))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("load", "set_point"), [("held", "sine"), ("imposed", "gait")])
-def test_friction_that_the_file_does_not_have_is_corrected(load: str, set_point: str) -> None:
+@pytest.mark.parametrize("load", JOINTS)
+def test_friction_that_the_file_does_not_have_is_corrected(tmp_path: Path, load: str) -> None:
     """A plant with 6 % more friction than the file: at least a third of the error is removed."""
-    assert error(load, set_point, 1.06, 3.0) < 0.67 * error(load, set_point, 1.06, 0.0)
+    assert remaining(tmp_path, load, 1.06, 3.0) < 0.67 * remaining(tmp_path, load, 1.06, 0.0)
 
 
 @pytest.mark.slow
-def test_a_rig_that_the_file_describes_exactly_does_not_get_worse() -> None:
-    assert error("held", "sine", 1.0, 3.0) < 1.1 * error("held", "sine", 1.0, 0.0)
+def test_a_rig_that_the_file_describes_exactly_does_not_get_worse(tmp_path: Path) -> None:
+    assert remaining(tmp_path, "held", 1.0, 3.0) < 1.1 * remaining(tmp_path, "held", 1.0, 0.0)

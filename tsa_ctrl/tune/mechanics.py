@@ -111,8 +111,8 @@ LEAST_MARGIN = 2.0
 DIGITS = 3  # significant digits of derived values
 MOST_COMPENSATION = 0.98  # upper limit for any interval: friction may drop by 2 % before a guard detects it
 LEAST_COMPENSATION = 0.8  # below this, the friction interval is too wide to use
-# Hz of the torque sensor's correction: a tenth of the ringing of the heaviest motors, and above a gait's 1 Hz. Random
-# rigs, 1 Hz: 72 to 331 mN*m on four of six; 3 and 6 Hz differ by less than a tenth.
+# Hz of the torque sensor's correction: above a gait's 1 Hz, and a tenth of the ringing of heavy motors. On random rigs
+# 3 and 6 Hz give nearly the same error.
 FEEDBACK = 3.0
 STIFFEST = 10.0  # largest plausible ratio of measured to model stiffness, or its inverse
 
