@@ -270,3 +270,19 @@ def test_a_reset_forgets_velocity_and_standstill() -> None:
     rests.reset()
     assert not velocity.update(5.0, 0.0)
     assert not any(rests.update(1.0 + n * PERIOD, 5.0) for n in range(50))
+
+
+@pytest.mark.parametrize("skipped", [1, 3, 17])
+def test_periods_without_a_cycle_are_no_contradiction_of_the_velocity(skipped: int) -> None:
+    """A quarter of the periods has no cycle: the way over them is left out, and a wrong scale is still found."""
+    for scale, wrong in ((1.0, False), (0.5, True)):
+        check, n, found = Velocity(COUNT, PERIOD), 0, []
+        for cycle in range(1000):
+            angle = 0.4 * math.sin(2.0 * math.pi * n * PERIOD)
+            speed = 0.4 * 2.0 * math.pi * math.cos(2.0 * math.pi * n * PERIOD)
+            found.append(check.update(COUNT * math.floor(angle / COUNT), scale * speed))
+            n += 1
+            if cycle % (4 * skipped) == 0:
+                n += skipped
+                check.pass_over()
+        assert any(found) is wrong

@@ -331,6 +331,8 @@ class ControlAxis:
             if wrong is not None:
                 self.joint_torque.distrust()
                 self.supervisor.trip(wrong, now)
+        else:
+            self.plausibility.pass_over()
         sample = self._sample
         sample.sigma, sample.omega_j, sample.theta = terms.sigma, terms.omega_j, theta
         sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
@@ -364,6 +366,7 @@ class ControlAxis:
         self.image.skipped += periods
         self.law.pass_over(periods)
         self.joint_torque.pass_over(periods)
+        self.plausibility.pass_over()
         self.compensation_limit.proven.miss(periods * self._period)
         if self._enabled_at is not None:  # the guard begins with the torque
             self.guard.pass_over(periods)

@@ -107,6 +107,11 @@ class Plausibility:
         self._moved_at = math.inf  # s, since when the command is away from what it was
         self._low = self._high = 0.0
 
+    def pass_over(self) -> None:
+        """Count a period without measurements."""
+        if self._velocity is not None:
+            self._velocity.pass_over()
+
     def update(
         self,
         now: float,

@@ -206,16 +206,24 @@ class Velocity:
         self._period = period
         self.reset()
 
+    def pass_over(self) -> None:
+        """Leave out the way over a period without a sample: a velocity at its end says nothing of it."""
+        self._angle = math.nan
+
     def reset(self) -> None:
         """Forget everything."""
         self._angle = math.nan
+        self._started = False
         self._difference = self._path = self.by_position = self._bend = 0.0
 
     def update(self, angle: float, speed: float) -> bool:
         """Return True while position (rad) and velocity (rad/s) contradict each other."""
         period, keep = self._period, self._keep
         if self._angle != self._angle:
-            self._angle, self.by_position = angle, speed
+            self._angle = angle
+            if self._started:
+                return False
+            self._started, self.by_position = True, speed
         step = angle - self._angle
         self._angle = angle
         reported = speed * period
