@@ -37,6 +37,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+ENCODER = r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n"
+SENSOR = r"^\[axis.torque_sensor\][^\n]*\n[^\n]*\nnode_id = 64\n"
+
+
 def edit(folder: Path, pattern: str, text: str) -> Path:
     path = folder / "controller.toml"
     before = path.read_text(encoding="utf-8")
@@ -186,13 +190,9 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     with pytest.raises(UsageError, match="the bends sit at the joint"):
         load_configuration(folder / "controller.toml")
     model.write_text(text)
-    path = edit(folder, r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n", "")
+    path = edit(folder, ENCODER, "")
     with pytest.raises(UsageError, match=r"without \[axis.encoder\]"):
         load_configuration(path)
-
-
-ENCODER = r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n"
-SENSOR = r"^\[axis.torque_sensor\][^\n]*\n[^\n]*\nnode_id = 64\n"
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,14 @@
 
 Usage: tools/run manual/site [--out out/site]
 
-The extra `docs` is required. Links between pages and to pictures are followed. A link to another file of the
-repository becomes plain text, because the site has no copy of the code.
+The extra `docs` is required. The folder may be empty, new, or an earlier site, which is replaced. Links between pages
+and to pictures are followed. A link to another file of the repository becomes plain text, because the site has no copy
+of the code.
 """
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
@@ -21,19 +23,18 @@ from typing import Any
 import tsa_ctrl
 from tools import command
 from tsa_ctrl.cli.help import PACKAGE, TOPICS
+from tsa_ctrl.errors import UsageError
 
 ROOT = PACKAGE.parent
 INDEX = ROOT / "README.md"
-TOOLS = ROOT / "tools" / "README.md"
+MARK = "objects.inv"  # of a folder that holds a site
 LINK = re.compile(r"(?P<picture>!?)\[(?P<text>[^\]]*)\]\((?P<target>[^)#\s]+)(?P<place>#[^)]*)?\)")
 
 
 def sources() -> dict[Path, str]:
     """Return the name in the site of each page of the manual, by the page's path."""
-    pages = {INDEX.resolve(): "index.md", TOOLS.resolve(): "tools.md"}
-    return pages | {
-        (PACKAGE / name).resolve(): f"{topic}.md" for topic, (name, _) in TOPICS.items() if topic != "figures"
-    }
+    topics = {(PACKAGE / name).resolve(): f"{topic}.md" for topic, (name, _) in TOPICS.items()}
+    return {INDEX.resolve(): "index.md", **topics}
 
 
 def page(path: Path, names: dict[Path, str], pictures: Path) -> str:
@@ -63,7 +64,6 @@ def reference() -> str:
 
 def settings(out: Path) -> dict[str, Any]:
     """Return the settings of mkdocs."""
-    topics = [{topic: f"{topic}.md"} for topic in TOPICS if topic != "figures"]
     handler = {"paths": [str(ROOT)], "options": {"show_source": False, "show_root_heading": True, "heading_level": 2}}
     return {
         "site_name": "tsa_ctrl",
@@ -74,12 +74,23 @@ def settings(out: Path) -> dict[str, Any]:
         "theme": {"name": "material", "font": False, "features": ["search.highlight", "navigation.top"]},
         "plugins": ["search", {"mkdocstrings": {"handlers": {"python": handler}}}],
         "markdown_extensions": ["tables", "fenced_code", {"toc": {"permalink": True}}],
-        "nav": [{"tsa_ctrl": "index.md"}, *topics, {"tools and figures": "tools.md"}, {"Python": "python.md"}],
+        "nav": [
+            {"tsa_ctrl": "index.md"},
+            *({topic: f"{topic}.md"} for topic in TOPICS),
+            {"Python": "python.md"},
+        ],
     }
 
 
 def build(out: Path) -> subprocess.CompletedProcess[str]:
-    """Write the site to the folder `out`, and return the result of mkdocs."""
+    """Write the site to the folder `out`, and return the result of mkdocs.
+
+    Raises UsageError without the extra `docs`, or if `out` holds anything else, which mkdocs would delete.
+    """
+    if importlib.util.find_spec("mkdocs") is None:
+        raise UsageError("mkdocs is not installed; run pip install '.[docs]'")
+    if out.exists() and not (out / MARK).is_file() and not (out.is_dir() and not any(out.iterdir())):
+        raise UsageError(f"--out {out}: it is not a site, and would be replaced; give a new or an empty folder")
     names = sources()
     with tempfile.TemporaryDirectory(prefix="site-") as name:
         folder = Path(name)
@@ -88,7 +99,7 @@ def build(out: Path) -> subprocess.CompletedProcess[str]:
         for path, target in names.items():
             (pages / target).write_text(page(path, names, pages / "pictures"), encoding="utf-8")
         (pages / "python.md").write_text(reference(), encoding="utf-8")
-        # JSON is YAML.
+        # mkdocs reads YAML, and JSON is YAML.
         (folder / "mkdocs.yml").write_text(json.dumps(settings(out)), encoding="utf-8")
         line = [sys.executable, "-m", "mkdocs", "build", "--quiet"]
         environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1"}
@@ -100,8 +111,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/site"), help="folder of the site (default out/site)")
     chosen = parser.parse_args()
     done = build(chosen.out)
-    print((done.stderr or done.stdout).strip() or f"{chosen.out / 'index.html'}")
-    return done.returncode
+    if done.returncode != 0:
+        raise UsageError(f"mkdocs: {(done.stderr or done.stdout).strip().splitlines()[-1]}")
+    print(chosen.out / "index.html")
+    return 0
 
 
 if __name__ == "__main__":

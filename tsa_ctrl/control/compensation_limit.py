@@ -67,7 +67,7 @@ def bound_of(
     `sees`: something can measure the delivered torque; `compensation`: what [axis.law] asks for.
     """
     calibrated = interval_share(model)
-    uncertain = 1.0 / ((1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty))
+    uncertain = 1.0 / model.most_friction
     bent = 1.0 if bending_known else bending_share(model, bending_range)
     seen = bent * (1.0 if calibrated is None else calibrated)
     unseen = bent * (uncertain if calibrated is None else calibrated)

@@ -1,12 +1,13 @@
 """Select the estimator of an axis that names none: "sensor", else "stretch", both in use, else "fixed".
 
-A joint torque sensor measures the friction. The elongation of the tendons shows it only as well as the model knows
-everything else that moves the motor against the joint. On random rigs with play, ripple, gear friction and an eccentric
-pulley, the estimate by the elongation loses up to 85 % of a held joint's torque, where the sensor loses 10 %.
+A joint torque sensor measures the friction while the joint moves. The elongation of the tendons shows it only as well
+as the model knows everything else that moves the motor against the joint. On random rigs with play, ripple, gear
+friction and an eccentric pulley, the error of a held joint was up to ten times as large with the estimate by the
+elongation.
 
-By the stretch the half loop goes with 1/(1 - s_c), so where the sheath bends must be said, and well enough; stiffness,
-friction angle and pretension are learned. An effect that changes the motor's torque or the tendons' friction would be
-found in the stretch as friction, and then be compensated twice.
+The friction torque by the elongation is proportional to 1/(1 - s_c). The file must therefore contain the centre s_c of
+the bends with a small uncertainty. Stiffness, friction angle and pretension are learned. An effect that changes the
+motor's torque or the tendons' friction would be found in the stretch as friction, and then be compensated twice.
 """
 
 from __future__ import annotations

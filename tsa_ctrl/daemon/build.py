@@ -213,7 +213,7 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
     `inertia`: kg*m^2 of the motor, 0 where it is not known.
     """
     stiffness = motor_stiffness(model)
-    friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty) - 1.0
+    friction = model.most_friction - 1.0
     lost = float(model.effects.get("motor_side_friction", {}).get("coulomb", 0.0))
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     play = 2.0 * geared * float(model.effects.get("backlash", {}).get("gap", 0.0))

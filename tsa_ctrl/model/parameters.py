@@ -81,6 +81,11 @@ class TendonSheath:
         object.__setattr__(self, "effects", {**self.effects, "tension_dependent_friction": filled})
 
     @property
+    def most_friction(self) -> float:
+        """Most of the friction torque that [uncertainty] allows over the file's, 1: both factors of x T_p at most."""
+        return (1.0 + self.friction_angle_uncertainty) * (1.0 + self.pretension_uncertainty)
+
+    @property
     def friction_angle(self) -> float:
         """x = mu Theta, 1."""
         return self.friction_coefficient * self.bending_angle

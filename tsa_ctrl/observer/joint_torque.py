@@ -39,7 +39,7 @@ class ElongationTorque:
         friction = abs(sliding(model).half_loop)
         centre = compliance_centre(model)
         doubt = model.bending_centre_uncertainty
-        self._most_friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+        self._most_friction = model.most_friction
         self._per_stretch = 2.0 * model.tendon_stiffness * model.joint_pulley_radius
         self._at_joint = friction * min(1.0, centre + doubt)
         self._at_motor = friction * min(1.0, 1.0 - centre + doubt) / self._per_stretch

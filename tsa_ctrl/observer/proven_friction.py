@@ -41,8 +41,9 @@ from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 SLIDES = 0.05  # rad/s of the joint above which it slides: three times the noise of a 16 bit encoder's velocity
 GATE = 1.0  # of the joint's way in which a reversal runs through the sheath, before a sample counts
 SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
-# s, likewise, where the motor's inertia is unknown: its swing on the tendons, from 40 Hz on, looks like friction that
-# rings, and a limit that follows it drives the swing
+# s over which a reading is averaged as well where the motor's inertia is unknown. The motor's swing on its tendons, at
+# 40 Hz and more, then looks like friction that oscillates, and a limit that follows it drives the swing. 0.025 s is too
+# short: on a rig that rings at 42 Hz the motor still reached its speed limit.
 RINGS = 0.1
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
 NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
@@ -367,7 +368,7 @@ def _most_friction(model: TendonSheath) -> tuple[float, float]:
 
     The interval is taken as symmetric. Without one, the second value is the first.
     """
-    uncertain = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    uncertain = model.most_friction
     half_loop = abs(sliding(model).half_loop)
     if model.half_loop_low is None or not half_loop > 0.0:
         return uncertain, uncertain

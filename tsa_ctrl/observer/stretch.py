@@ -180,8 +180,7 @@ class StretchObserver:
         self._keep_misfit = math.exp(-period / MISLED_FOR)
         self.confirmation = Confirmation(model, self._settings[tendons.NOISE] / ALIKE, period)
         self.pretension = model.pretension  # N, that x is told at
-        uncertain = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
-        self.most_friction_angle = uncertain * model.friction_angle  # 1, by the file's uncertainty of the product x T_p
+        self.most_friction_angle = model.most_friction * model.friction_angle  # 1, at the file's pretension
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
 

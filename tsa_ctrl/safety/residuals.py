@@ -207,7 +207,7 @@ class Velocity:
         self.reset()
 
     def pass_over(self) -> None:
-        """Leave out the way over a period without a sample: a velocity at its end says nothing of it."""
+        """Leave out the way over a period without a sample. The velocity after it is not the mean over it."""
         self._angle = math.nan
 
     def reset(self) -> None:

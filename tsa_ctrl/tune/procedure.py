@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -234,7 +235,7 @@ class Outcome:
     text: str
     law: LawTuning | None = None
 
-    @property
+    @functools.cached_property
     def errors(self) -> ThreeErrors:
         """The errors of the new model on the excitation, whose motor torque is without the motor's acceleration."""
         return errors_of(self.logs, self.estimate.model)
@@ -327,7 +328,8 @@ class Procedure:
         trials = [self._trial(learned, mechanics, logs)]
         if learned.plain is not None:
             trials.append(self._trial(learned.plain, mechanics, logs, "-plain"))
-        trials += [trial.without_feedback() for trial in trials[:1] if trial.has_feedback]
+        if trials[0].has_feedback:
+            trials.append(trials[0].without_feedback())
         self._total += (len(trials) - 1) * self._settings.verification_seconds
         motion = designed.verification
         without = self._play("without", self._path, 0.0, motion, BARE)
