@@ -212,6 +212,11 @@ class Direction:
         """Return True if the torque sensor shows too little torque in this direction: the tendons still stick."""
         return self._needed * self.sigma > 0.0
 
+    @property
+    def missing(self) -> float:
+        """Return the torque that the sensor misses at rest, N*m at the joint, 0 or more."""
+        return abs(self._excess)
+
     def reset(self) -> None:
         """Return to the state before the first motion."""
         self.sigma = 0.0

@@ -45,6 +45,7 @@ from tsa_ctrl.control.torque_feedback import TorqueFeedback
 from tsa_ctrl.control.turn import Turn
 
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
+CLOSING = 5.0  # Hz
 SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
 STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
 SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
@@ -152,6 +153,7 @@ class Law:
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
         self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
         self._settle = settings.settle
+        self._closing = math.pi * CLOSING * period * r_m / r_j
         self._ratio = r_m / r_j
         self._period = period
         self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint held
@@ -239,8 +241,10 @@ class Law:
             self._peak = ahead if ahead == ahead else 0.0
         elif ahead * sigma > self._peak * sigma:
             self._peak = ahead
-        if direction.rest == 0.0 or direction.sticks:
+        if direction.rest == 0.0:
             self._slip.move()
+        elif direction.sticks:
+            self._slip.release(self._closing * direction.missing / self.half_loop)
         turn.update(sigma, direction.age)
 
     def pass_over(self, periods: int) -> None:

@@ -65,9 +65,13 @@ class Slip:
 
     def move(self) -> None:
         """The joint moves: all slides soon."""
+        self.release(self._fade)
+
+    def release(self, share: float) -> None:
+        """Approach sliding tendons by `share` (1) of the difference at the reversal."""
         self._level = False
         if self._left > 0.0:
-            self._left = max(0.0, self._left - self._fade)
+            self._left = max(0.0, self._left - share)
 
     def turn(self, turn: Turn) -> None:
         """Note where the turn of the friction term begins; call it before `slide` or `begin`."""
