@@ -144,6 +144,6 @@ class TorqueFeedback:
         if side >= 0 and self._rested:
             begun = self._begun[side]
             self._corrections[side] = self._begun[side] = begun + KEPT * (self._corrections[side] - begun)
-        before = self._mean
+        before = self._mean if self._mean == self._mean else self._before
         self._forget()
         self._before = before
