@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import LONGEST, QUIET, Motion
+from tsa_ctrl.control.motion_filter import LONGEST, QUIET, Motion
 
 PERIOD = 1e-3
 

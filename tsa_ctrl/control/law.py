@@ -38,14 +38,16 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.direction import Direction, Motion
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.motion_filter import JointAngle, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.slip import Slip
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 from tsa_ctrl.control.turn import Turn
 
+# Hz, at which the torque sensor releases the stuck tendons of a resting joint; all of the torque at once throws the joint
+CLOSING = 5.0
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
-CLOSING = 5.0  # Hz
 SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
 STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
 SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
@@ -127,8 +129,9 @@ class Law:
         direction: Direction,
         period: float,
         has_encoder: bool = True,
+        joint_angle: JointAngle | None = None,
     ) -> None:
-        """`radii`: r_M, r_J in m; `period` in s."""
+        """`radii`: r_M, r_J in m; `period` in s; `joint_angle`: refines a coarse joint encoder."""
         r_m, r_j = radii
         self.compensation = settings.compensation
         self.late = 0.0  # s, from the planned time of the cycle to its measurements
@@ -148,6 +151,7 @@ class Law:
         self._motion = motion
         self.direction = direction
         self._has_encoder = has_encoder
+        self._joint_angle = joint_angle
         self._nominal = inverse.pretension
         self._slip = Slip(plan.front, r_m, r_j, plan.stiffness, period)
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
@@ -220,6 +224,9 @@ class Law:
         direction, turn, motion = self.direction, self.turn, self._motion
         since = self.late * motion.velocity  # rad, moved since the planned time
         if self._has_encoder:
+            if fresh and self._joint_angle is not None:
+                of_motor = self._ratio * (q_m - self._stretch)
+                q_j = self._joint_angle.update(q_j, of_motor, motion.velocity, turn.turning)
             motion.update(q_j - since, fresh)
         else:
             motion.update(self._ratio * (q_m - self._stretch) - since, fresh)

@@ -16,11 +16,12 @@ from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending, routing_of
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
-from tsa_ctrl.control.direction import LONGEST, OVERSHOOT, UNSURE, Direction, Motion
+from tsa_ctrl.control.direction import OVERSHOOT, UNSURE, Direction
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.live import Tuner, parameters_of
+from tsa_ctrl.control.motion_filter import FINER, LONGEST, JointAngle, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
@@ -185,8 +186,12 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
     encoder, direction = settings.encoder, settings.direction
     of_motor, of_joint = counts_of(settings, 1.0)
+    joint_angle = None
     if encoder is not None:
-        motion = Motion(period, of_joint, plan.lead)
+        finest = max(r_m / r_j * of_motor, of_joint / FINER)
+        if 2.0 * finest < of_joint:
+            joint_angle = JointAngle(of_joint, period)
+        motion = Motion(period, of_joint if joint_angle is None else finest, plan.lead)
     else:
         motion = Motion(period, r_m / r_j * of_motor, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
@@ -199,7 +204,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     if not bent_at_joint(model):
         unsure += OVERSHOOT * abs(sliding(model).half_loop)
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure)
-    return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
+    return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None, joint_angle)
 
 
 def set_point_limit(settings: AxisSettings, model: TendonSheath) -> float:

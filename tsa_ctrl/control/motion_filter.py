@@ -1,0 +1,138 @@
+"""Estimate the motion of the joint from the encoders of joint and motor.
+
+`Motion` is the filter. `JointAngle` refines a coarse joint encoder by the motor's: the tendons connect both, so while
+they slide in one direction the motor shows how far the joint moves within one count of its encoder.
+"""
+
+from __future__ import annotations
+
+import math
+
+SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a gait reverses within two of the longest
+FEWEST = 10.0 / 3.0  # periods of memory, at least: below it the acceleration is noise
+STEP = 1.2  # ratio of successive memories in the search
+QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
+_SETTLED = 40  # memories after which a step is forgotten
+
+
+class Motion:
+    """Estimate velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; both are 0 until a second.
+
+    A fading-memory filter of second degree fits a parabola in which each angle weighs m times as much as the next. A
+    low-pass filter of differences would delay the reversal, which must be predicted. The memory dt/(1 - m) is the
+    shortest at which one encoder count changes the extrapolated velocity by at most `QUIET`; `noise` (rad/s) is this
+    change.
+
+    Source: N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969, chapter 13.
+    """
+
+    __slots__ = ("_g", "_h", "_k", "_period", "acceleration", "angle", "memory", "noise", "velocity")
+
+    def __init__(self, period: float, resolution: float, horizon: float, shortest: float = SHORTEST) -> None:
+        """Choose the memory.
+
+        Args:
+            period: s.
+            resolution: rad of one encoder count.
+            horizon: s by which the velocity will be extrapolated.
+            shortest: shortest memory, s.
+        """
+        self._period = period
+        memory = max(shortest, FEWEST * period)
+        longest = max(LONGEST, memory)
+        self._use(memory)
+        while (noise := resolution * self._step_response(horizon)) > QUIET and memory < longest:
+            memory = min(longest, STEP * memory)
+            self._use(memory)
+        self.memory = memory
+        self.noise = noise
+        self.reset()
+
+    def _use(self, memory: float) -> None:
+        m = 1.0 - self._period / memory
+        self._g = 1.0 - m**3
+        self._h = 1.5 * (1.0 - m) ** 2 * (1.0 + m) / self._period
+        self._k = (1.0 - m) ** 3 / self._period**2
+        self.memory = memory
+
+    def reset(self) -> None:
+        """Forget the past: the next angle is the first."""
+        self.angle = math.nan
+        self.velocity = self.acceleration = 0.0
+
+    def update(self, angle: float, fresh: bool = True) -> None:
+        """Take the angle (rad) of this cycle; an angle that is not `fresh` or is nan is replaced by the prediction."""
+        q = self.angle
+        if q != q:
+            self.angle = angle
+            return
+        dt = self._period
+        omega, alpha = self.velocity, self.acceleration
+        q += dt * (omega + 0.5 * dt * alpha)
+        omega += dt * alpha
+        if fresh and angle == angle:
+            r = angle - q
+            q += self._g * r
+            omega += self._h * r
+            alpha += self._k * r
+        self.angle, self.velocity, self.acceleration = q, omega, alpha
+
+    def _step_response(self, horizon: float) -> float:
+        """Return the largest velocity, extrapolated by `horizon` (s), after a step of the angle by 1 rad; rad/s."""
+        self.reset()
+        self.update(0.0)
+        largest = 0.0
+        for _ in range(round(_SETTLED * self.memory / self._period)):
+            self.update(1.0)
+            largest = max(largest, abs(self.velocity + horizon * self.acceleration))
+        return largest
+
+
+FINER = (
+    4.0  # of a joint encoder's count that the motor resolves: ripple and elongation hide more, on random rigs with 8
+)
+HALF = 0.6  # counts of the joint's encoder, by which the joint may be beside its reading: half a count and noise
+STILL = 1.2  # counts at `QUIET`; a joint whose encoder takes longer for the next count rests
+BLIND = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor's motion is no motion of the joint
+
+
+class JointAngle:
+    """Refine the angle of a joint encoder by that of the motor, within one count.
+
+    The angle follows the motor, and the last velocity while the friction term turns. It stays within `HALF` counts of
+    the encoder's reading, so neither an error of the elongation nor a slipped tendon adds up. A joint at rest does not
+    follow the motor, which stretches the tendons.
+    """
+
+    def __init__(self, count: float, period: float) -> None:
+        """`count`: rad of the joint's encoder; `period`: s."""
+        self._half = HALF * count
+        self._period = period
+        self._longest = STILL * count / QUIET  # s
+        self._angle = self._reading = self._motor = math.nan  # rad
+        self._since = math.inf  # s since the encoder's last new count
+        self._blind = 0.0  # s
+
+    def update(self, reading: float, motor: float, velocity: float, turning: bool) -> float:
+        """Return the refined angle, rad.
+
+        Args:
+            reading: of the joint's encoder, rad.
+            motor: the motor's angle less the elongation, as an angle of the joint, rad.
+            velocity: of the joint, rad/s.
+            turning: True while the friction term turns.
+        """
+        step = motor - self._motor
+        self._motor = motor
+        if reading != self._reading:
+            self._reading, self._since = reading, 0.0
+        self._since += self._period
+        self._blind = BLIND if turning else self._blind - self._period
+        if self._since > self._longest or step != step:
+            step = 0.0
+        elif self._blind > 0.0:
+            step = velocity * self._period
+        low, high = reading - self._half, reading + self._half
+        angle = self._angle + step
+        self._angle = angle = reading if angle != angle else min(high, max(low, angle))
+        return angle
