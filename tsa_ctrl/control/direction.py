@@ -153,6 +153,7 @@ class Direction:
     def forget(self) -> None:
         """Let the next desired torque start from 0; sigma stays."""
         self._edge = math.nan
+        self._always = 0.0  # N*m, mean of the excess, of turns as well
         self._doubt = 0.0  # N*m, of sensor and model
         self._tried = False  # the direction was changed for the sensor, and the effect is not measured yet
         self._needed = 0.0  # direction whose friction the sensor shows to be missing
@@ -167,6 +168,10 @@ class Direction:
         """
         if self._unsure == math.inf:
             return
+        if excess != excess:
+            self._always = 0.0
+        else:
+            self._always += self._mean / SETTLED * (excess - self._always)
         if turning or excess != excess:
             self._await()
             return
@@ -208,6 +213,8 @@ class Direction:
             if not abs(motion.angle - self._turned_at) < self._little:
                 self._edge = stretch
             slip = self._radius * omega + self._give * rate
+            if slip * omega < 0.0 and self._enough(1.0 if slip > 0.0 else -1.0):
+                slip = -slip
             if slip * self.sigma <= 0.0 and slip != 0.0:
                 turned = 1.0 if slip > 0.0 else -1.0
                 if self._in_play():
@@ -234,15 +241,19 @@ class Direction:
             self._tried = True
         elif stretch > edge + self._play:
             self._edge = stretch - self._play
-            if needed >= 0.0:
+            if needed >= 0.0 and not self._enough(1.0):
                 self._turn(1.0)
         elif stretch < edge - self._play:
             self._edge = stretch + self._play
-            if needed <= 0.0:
+            if needed <= 0.0 and not self._enough(-1.0):
                 self._turn(-1.0)
         else:
             self._edge = edge
         return self.sigma
+
+    def _enough(self, sigma: float) -> bool:
+        """Return True if the sensor shows that more than the desired torque is delivered in the direction `sigma`."""
+        return self._always * sigma > UNSURE
 
     def _in_play(self) -> bool:
         """Return True if the joint has moved within its play only since the last reversal by its motion.
