@@ -92,7 +92,7 @@ FINER = (
     4.0  # of a joint encoder's count that the motor resolves: ripple and elongation hide more, on random rigs with 8
 )
 HALF = 0.6  # counts of the joint's encoder, by which the joint may be beside its reading: half a count and noise
-STILL = 1.2  # counts at `QUIET`; a joint whose encoder takes longer for the next count rests
+STILL = 0.3  # counts at `QUIET`; a joint whose encoder takes longer for the next count rests
 BLIND = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor's motion is no motion of the joint
 
 
