@@ -465,3 +465,32 @@ def test_the_joints_motion_overrules_the_torque_sensor() -> None:
     by = at_rest_by(True)
     measured(by, 0.1)
     assert by(0.25) == 1.0
+
+
+def ramped(excess: float, speed: float = 0.0) -> float:
+    """The direction after the desired torque has grown for 0.2 s while the joint moves at `speed`, rad/s."""
+    by = By(give=1.0, unsure=UNSURE + 1.0)
+    for _ in range(1000):
+        by(-0.25)
+        by.direction.measure(0.0, False)
+    sigma = math.nan
+    for n in range(300):
+        by.direction.measure(excess, False)
+        sigma = by(speed, 0.01 * (n - 100), 10.0) if n >= 100 else by(speed)
+    return sigma
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.125])
+def test_a_growing_torque_reverses_nothing_while_the_sensor_shows_enough(speed: float) -> None:
+    """At rest, and while the joint creeps back more slowly than the tendon stretches."""
+    assert ramped(0.0, speed) == 1.0
+    assert ramped(-0.2, speed) == 1.0
+    assert ramped(0.2, speed) == -1.0
+
+
+def test_the_missing_torque_is_what_the_sensor_shows_while_the_tendons_stick() -> None:
+    by = at_rest_by(True)
+    measured(by, -0.2)
+    assert by.direction.missing == pytest.approx(0.2, rel=1e-3)
+    measured(by, 0.0)
+    assert by.direction.missing == 0.0

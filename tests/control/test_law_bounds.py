@@ -50,8 +50,8 @@ class Way(Direction):
         self.next = 0.0
 
     @property
-    def sticks(self) -> bool:
-        return False
+    def missing(self) -> float:
+        return 0.0
 
     def update(self, ahead: float, rate: float) -> float:
         self.asked.append((ahead, rate))

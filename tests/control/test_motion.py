@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.motion_filter import LONGEST, QUIET, Motion
+from tsa_ctrl.control.motion_filter import HALF, LONGEST, QUIET, JointAngle, Motion
 
 PERIOD = 1e-3
 
@@ -75,3 +75,48 @@ def test_before_two_angles_nothing_moves() -> None:
     motion.update(math.nan)
     motion.update(1.0)
     assert (motion.velocity, motion.acceleration) == (0.0, 0.0)
+
+
+def refined(angle: np.ndarray, motor: np.ndarray, bits: int = 12, turning: bool = False) -> np.ndarray:
+    """The refined angle of a joint with a coarse encoder, whose motor shows `motor`; rad."""
+    joint = JointAngle(count(bits), PERIOD)
+    readings = count(bits) * np.round(angle / count(bits))
+    speeds = np.gradient(angle, PERIOD)
+    values = zip(readings.tolist(), motor.tolist(), speeds.tolist(), strict=True)
+    return np.array([joint.update(reading, of_motor, speed, turning) for reading, of_motor, speed in values])
+
+
+SWING = 0.5 * np.sin(2.0 * math.pi * np.arange(0.0, 2.0, PERIOD))  # rad
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3])
+def test_the_motor_refines_a_coarse_encoder(offset: float) -> None:
+    """At most half of the rounding, after the first counts, with any zero of the motor's angle."""
+    found = refined(SWING, SWING + offset)[200:] - SWING[200:]
+    rounding = count(12) * np.round(SWING / count(12))[200:] - SWING[200:]
+    assert np.std(found) < 0.5 * np.std(rounding)
+
+
+def test_while_the_friction_term_turns_the_velocity_carries_on() -> None:
+    wild = np.cumsum(np.random.default_rng(5).normal(0.0, 1e-3, SWING.size))
+    np.testing.assert_array_equal(refined(SWING, wild, turning=True), refined(SWING, -wild, turning=True))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_motor_takes_the_angle_from_the_encoders_count(seed: int) -> None:
+    """A tendon that slips, or a motor that turns by itself: never more than `HALF` of a count beside the reading."""
+    wild = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-2, SWING.size))
+    readings = count(12) * np.round(SWING / count(12))
+    assert np.abs(refined(SWING, wild) - readings).max() <= HALF * count(12) + 1e-12
+
+
+def test_a_joint_at_rest_does_not_follow_the_motor() -> None:
+    """The motor stretches the tendons of a locked joint by several counts."""
+    angle = np.zeros(1000)
+    found = refined(angle, np.linspace(0.0, 5.0 * count(12), 1000))
+    assert np.ptp(found[50:]) == 0.0
+
+
+def test_a_motor_angle_that_is_missing_leaves_the_encoders() -> None:
+    found = refined(SWING, np.full(SWING.size, math.nan))
+    assert np.abs(found - SWING).max() <= (HALF + 0.5) * count(12)

@@ -136,6 +136,13 @@ def test_a_joint_that_moves_ends_it_within_its_time() -> None:
     assert np.all(np.diff(np.abs(left)) < 0.0)
 
 
+def test_a_release_by_parts_takes_away_its_share() -> None:
+    found = Reversed(SHAPES["uniform"], 0.5)
+    whole = found.torque(0.499)
+    found.slip.release(0.25)
+    assert found.torque(0.499) == pytest.approx(0.75 * whole)
+
+
 def test_a_closed_inner_stroke_leaves_no_trace() -> None:
     """Return-point memory: back at the reversal, the large stroke goes on as if the small one had not been."""
     found, alone = Reversed(SHAPES["uniform"], 0.8), Reversed(SHAPES["uniform"], 0.8)

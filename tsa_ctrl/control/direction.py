@@ -15,7 +15,9 @@ separate rule:
   `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
   every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
-* The joint torque sensor contradicts. Sliding tendons deliver at most the desired torque in their direction, because
+* The joint torque sensor contradicts. If it shows that the desired torque is exceeded in the new direction already, the
+  elongation does not reverse sigma: a joint that creeps back releases as much as the elongation takes up. At rest the
+  sensor also corrects the direction. Sliding tendons deliver at most the desired torque in their direction, because
   the friction term does not exceed the friction (`law`). More than that at rest shows that they stick, and that they
   slide next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond
   its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
@@ -130,14 +132,9 @@ class Direction:
         return self.rest == 0.0
 
     @property
-    def sticks(self) -> bool:
-        """Return True if the torque sensor shows too little torque in this direction: the tendons still stick."""
-        return self._needed * self.sigma > 0.0
-
-    @property
     def missing(self) -> float:
-        """Return the torque that the sensor misses at rest, N*m at the joint, 0 or more."""
-        return abs(self._excess)
+        """Return the joint torque that the sensor misses because the tendons stick, N*m, 0 or more."""
+        return abs(self._excess) if self._needed * self.sigma > 0.0 else 0.0
 
     def reset(self) -> None:
         """Return to the state before the first motion."""
@@ -153,7 +150,7 @@ class Direction:
     def forget(self) -> None:
         """Let the next desired torque start from 0; sigma stays."""
         self._edge = math.nan
-        self._always = 0.0  # N*m, mean of the excess, of turns as well
+        self._lasting = 0.0  # N*m, mean of the excess over `SETTLED`, reversals included
         self._doubt = 0.0  # N*m, of sensor and model
         self._tried = False  # the direction was changed for the sensor, and the effect is not measured yet
         self._needed = 0.0  # direction whose friction the sensor shows to be missing
@@ -169,9 +166,9 @@ class Direction:
         if self._unsure == math.inf:
             return
         if excess != excess:
-            self._always = 0.0
+            self._lasting = 0.0
         else:
-            self._always += self._mean / SETTLED * (excess - self._always)
+            self._lasting += self._mean / SETTLED * (excess - self._lasting)
         if turning or excess != excess:
             self._await()
             return
@@ -253,7 +250,7 @@ class Direction:
 
     def _enough(self, sigma: float) -> bool:
         """Return True if the sensor shows that more than the desired torque is delivered in the direction `sigma`."""
-        return self._always * sigma > UNSURE
+        return self._lasting * sigma > UNSURE
 
     def _in_play(self) -> bool:
         """Return True if the joint has moved within its play only since the last reversal by its motion.

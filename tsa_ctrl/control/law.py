@@ -45,8 +45,7 @@ from tsa_ctrl.control.slip import Slip
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 from tsa_ctrl.control.turn import Turn
 
-# Hz, at which the torque sensor releases the stuck tendons of a resting joint; all of the torque at once throws the joint
-CLOSING = 5.0
+CLOSING = 5.0  # Hz at which the sensor's missing torque is added at rest: all of it at once throws a hand-held joint
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
 SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
 STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
@@ -250,7 +249,7 @@ class Law:
             self._peak = ahead
         if direction.rest == 0.0:
             self._slip.move()
-        elif direction.sticks:
+        elif direction.missing > 0.0:
             self._slip.release(self._closing * direction.missing / self.half_loop)
         turn.update(sigma, direction.age)
 
