@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, EnergyCredit
+from tsa_ctrl.control.compensation_limit import AGING, OUTDATED, Bound, CompensationLimit, EnergyCredit
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 
 PERIOD = 1e-3
@@ -195,7 +195,11 @@ def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> Non
     chosen = limit(proof)
     rest(chosen, 5.0)
     assert chosen.share == pytest.approx(0.95 * 0.3)
-    rest(chosen, 0.5, rate=1.0)
+    rest(chosen, OUTDATED, rate=1.0)
+    assert chosen.share == pytest.approx(0.95 * 0.3)
+    rest(chosen, 1.0, rate=1.0)
+    assert chosen.share == pytest.approx(0.95 * (0.3 + 0.5 * AGING), rel=0.01)
+    rest(chosen, 1.4 / AGING, rate=1.0)
     assert chosen.share == 0.95
 
 

@@ -155,9 +155,12 @@ MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill 
 REQUEST = 0.2  # of the friction torque, by which a set-point that changed asks a resting joint for motion again
 LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
 MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who walks on needs them
-# s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
+# s without a reading, while the set-point requests motion, after which the last upper bound grows older. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
+# 1/s, of the model's friction torque, at which that bound then rises. At once, a joint whose friction is 0.75 of the
+# file's is driven after each rest, and the guard latches: random rigs then have up to four times the error.
+AGING = 0.2
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough
@@ -346,7 +349,7 @@ class CompensationLimit:
         elif asked or self._unread > OUTDATED:  # an outdated bound stays outdated until the next reading
             self._unread += self._period
         if self._unread > OUTDATED:
-            high = math.inf
+            high += AGING * (self._unread - OUTDATED) * half_loop
         suspended = asked and not proven.usable
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
