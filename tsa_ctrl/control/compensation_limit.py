@@ -161,6 +161,7 @@ OUTDATED = 0.3
 # 1/s, of the model's friction torque, at which that bound then rises. At once, a joint whose friction is 0.75 of the
 # file's is driven after each rest, and the guard latches: random rigs then have up to four times the error.
 AGING = 0.2
+MORE_THAN_FILE = 1.02  # of the file's friction torque: beyond rounding
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough
@@ -349,7 +350,8 @@ class CompensationLimit:
         elif asked or self._unread > OUTDATED:  # an outdated bound stays outdated until the next reading
             self._unread += self._period
         if self._unread > OUTDATED:
-            high += AGING * (self._unread - OUTDATED) * half_loop
+            more = half_loop > MORE_THAN_FILE * proven.modelled  # an estimator has found that the friction has grown
+            high = math.inf if more else high + AGING * (self._unread - OUTDATED) * half_loop
         suspended = asked and not proven.usable
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
