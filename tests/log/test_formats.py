@@ -55,6 +55,17 @@ def dspace(folder: Path) -> Path:
     return folder / "run.mat"
 
 
+def controldesk(folder: Path) -> Path:
+    """Two rasters of a recorder of ControlDesk, as programs of others read them."""
+    parts = []
+    for n, name in ((10, "slow"), (N, "motor_torque")):
+        rows = [f"{a!r},{b!r}" for a, b in zip(T[:n].tolist(), TORQUE[:n].tolist(), strict=True)]
+        head = ["recorder,1", "raster,HostService", f"trace_names,time,{name}", "path,,Model Root/Drive", "unit,s,N*m"]
+        parts.append("\n".join([*head, f"trace_values,{rows[0]}", *(f",{row}" for row in rows[1:])]))
+    (folder / "run.csv").write_text("\n\n".join(parts) + "\n")
+    return folder / "run.csv"
+
+
 def h5(folder: Path) -> Path:
     with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
         for name, values in NAMED.items():
@@ -149,7 +160,7 @@ RECORDED = "t=time [s]|s"
 CASES: list[tuple[str, Callable[[Path], Path], tuple[str, str]]] = [
     ("mat v5", mat5, GIVEN), ("mat v7.3", mat73, GIVEN),
     ("simulink", simulink, ("t=out.time|s", "tau_m=motor_torque|N*m")),
-    ("dspace", dspace, GIVEN),
+    ("dspace", dspace, GIVEN), ("controldesk", controldesk, ("t=time [s]|s", "tau_m=motor_torque [N*m]|N*m")),
     ("h5", h5, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")), ("npz", npz, GIVEN),
     ("npy", npy, ("t=column 1|s", "tau_m=column 2|N*m")), ("xlsx", xlsx, GIVEN),
     ("tdms", tdms, (RECORDED, GIVEN[1])), ("lvm", lvm, (RECORDED, GIVEN[1])), ("parquet", parquet, GIVEN),

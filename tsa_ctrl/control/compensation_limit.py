@@ -350,8 +350,8 @@ class CompensationLimit:
         elif asked or self._unread > OUTDATED:  # an outdated bound stays outdated until the next reading
             self._unread += self._period
         if self._unread > OUTDATED:
-            more = half_loop > MORE_THAN_FILE * proven.modelled  # an estimator has found that the friction has grown
-            high = math.inf if more else high + AGING * (self._unread - OUTDATED) * half_loop
+            grown = half_loop > MORE_THAN_FILE * proven.modelled  # an estimator has found that the friction has grown
+            high = math.inf if grown else high + AGING * (self._unread - OUTDATED) * half_loop
         suspended = asked and not proven.usable
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop

@@ -109,7 +109,7 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
         text, encoding = formats.read_with(formats.TEXTS[suffix], path), "utf-8"
     else:
         text, encoding = _text(path, None if shape is None else shape.encoding)
-    lines = text.splitlines()
+    lines = _recorded(text.splitlines())
     if not any(line.strip() for line in lines):
         raise UsageError(f"{path}: is empty; give a table with a line of names and rows of numbers")
     told = _told(path, lines, encoding) if shape is None else shape
@@ -136,6 +136,25 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
         raise UsageError(f"{path}: no row of {len(names)} fields below line {told.header}; is that the line of names?")
     cells = {name: [row[i] for row in body] for i, name in enumerate(names)}
     return ForeignTable(path, told, names, cells, first, ignored)
+
+
+def _recorded(lines: list[str]) -> list[str]:
+    """Return the table of a recorder of dSPACE ControlDesk as plain text: names, units, rows; other lines as they are.
+
+    Such a file has a section for each raster. The first field of a line says what the line contains: `trace_names`,
+    `unit`, and `trace_values` for the first row of numbers; it is empty in the rows below. The longest section counts.
+    """
+    sections: list[list[str]] = []
+    for line in lines:
+        key = re.match(r'"?(trace_names|units?|trace_values|)"?([;,\t])', line)
+        kind = "" if key is None else key.group(1)
+        if kind == "trace_names":
+            sections.append([])
+        if key is not None and sections and (kind or len(sections[-1]) > 1):
+            if kind.startswith("unit") and len(sections[-1]) != 1:
+                continue
+            sections[-1].append(line[key.end() :])
+    return max(sections, key=len) if sections else lines
 
 
 def _text(path: Path, encoding: str | None) -> tuple[str, str]:
