@@ -104,7 +104,7 @@ def test_while_the_friction_term_turns_the_velocity_carries_on() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_motor_takes_the_angle_from_the_encoders_count(seed: int) -> None:
-    """A tendon that slips, or a motor that turns by itself: never more than `HALF` of a count beside the reading."""
+    """With a slipping tendon, the difference from the reading stays within `HALF` counts."""
     wild = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-2, SWING.size))
     readings = count(12) * np.round(SWING / count(12))
     assert np.abs(refined(SWING, wild) - readings).max() <= HALF * count(12) + 1e-12

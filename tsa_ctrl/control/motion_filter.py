@@ -91,13 +91,13 @@ class Motion:
 FINER = (
     4.0  # of a joint encoder's count that the motor resolves: ripple and elongation hide more, on random rigs with 8
 )
-HALF = 0.6  # counts of the joint's encoder, by which the joint may be beside its reading: half a count and noise
+HALF = 0.6  # counts of the joint encoder: largest difference from its reading, half a count and the noise
 STILL = 0.3  # counts at `QUIET`; a joint whose encoder takes longer for the next count rests
-BLIND = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor's motion is no motion of the joint
+BLIND = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor moves without the joint
 
 
 class JointAngle:
-    """Refine the angle of a joint encoder by that of the motor, within one count.
+    """Refine the angle of a joint encoder by the motor angle, within one count.
 
     The angle follows the motor, and the last velocity while the friction term turns. It stays within `HALF` counts of
     the encoder's reading, so neither an error of the elongation nor a slipped tendon adds up. A joint at rest does not

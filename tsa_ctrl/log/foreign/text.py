@@ -141,8 +141,8 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
 def _recorded(lines: list[str]) -> list[str]:
     """Return the table of a recorder of dSPACE ControlDesk as plain text: names, units, rows; other lines as they are.
 
-    Such a file has a section for each raster. The first field of a line says what the line contains: `trace_names`,
-    `unit`, and `trace_values` for the first row of numbers; it is empty in the rows below. The longest section counts.
+    Such a file has a section for each raster. The first field of a line is a keyword: `trace_names`, `unit`, or
+    `trace_values` for the first row of numbers. It is empty in the rows below. The longest section counts.
     """
     sections: list[list[str]] = []
     for line in lines:
