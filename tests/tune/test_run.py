@@ -13,7 +13,7 @@ from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.model.provenance import NodeIdentity, Origin, with_origin
 from tsa_ctrl.tune.excitation import Bounds, Waveform
-from tsa_ctrl.tune.run import SHORTEST_PIECE, RigRunner, _pieces
+from tsa_ctrl.tune.run import SHORTEST_PIECE, RigRunner, Run, _pieces
 
 PERIOD = 1e-3  # s
 
@@ -65,3 +65,13 @@ def test_a_file_of_another_joint_is_played_as_one_of_the_joint_that_is_tuned(tmp
         with pytest.raises(BusError):
             runner.play("before", path, 0.0, Waveform(np.arange(3.0), np.zeros(3)), lambda share: None)
     assert played == [Origin(), this]
+
+
+@pytest.mark.parametrize(("off", "expected"), [(0.0, 0.0), (0.02, 0.02), (float("nan"), float("inf"))])
+def test_sensor_and_elongation_are_compared_after_the_tendons_have_slid(off: float, expected: float) -> None:
+    """The first half of a run does not count: nothing is known of the tendons there."""
+    t = PERIOD * np.arange(2000)
+    delivered = np.sin(t)
+    other = delivered + np.where(t < 1.0, 1.0, off)
+    assert Run("after", Path(), t, delivered, delivered, (), other).disagreement() == pytest.approx(expected)
+    assert Run("after", Path(), t, delivered, delivered, ()).disagreement() == float("inf")

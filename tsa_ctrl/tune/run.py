@@ -18,7 +18,7 @@ from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
-from tsa_ctrl.log.table import load_run, sha256_of
+from tsa_ctrl.log.table import STRETCH, load_run, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.signals import INPUTS, is_input
 from tsa_ctrl.system.process_supervisor import daemon
@@ -43,11 +43,20 @@ class Run:
     wanted: FloatArray
     delivered: FloatArray
     pieces: tuple[Dataset, ...]
+    by_elongation: FloatArray | None = None  # joint torque by the tendon elongation, N*m; None if it is not estimated
 
     @property
     def rms(self) -> float:
         """RMS error of the joint torque over the whole motion, N*m."""
         return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
+
+    def disagreement(self) -> float:
+        """RMS difference of sensor and elongation in the second half, N*m at the joint; infinite without either."""
+        if self.by_elongation is None:
+            return float("inf")
+        late = slice(self.t.size // 2, None)
+        found = float(np.sqrt(np.mean(np.square(self.by_elongation[late] - self.delivered[late]))))
+        return found if np.isfinite(found) else float("inf")
 
     def learnable(self) -> tuple[Dataset, ...]:
         """Return the pieces of the log without missing cycles; raises BusError if all are too short."""
@@ -187,8 +196,10 @@ class RigRunner:
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
     """Read a run of `seconds` s of torque; raises BusError when it holds too little. `by_stretch` as of a runner."""
-    part = load_run(f"{log}:{axis}", INPUTS, fade_in, seconds, by_stretch=by_stretch)
-    return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
+    part = load_run(f"{log}:{axis}", (*INPUTS, STRETCH), fade_in, seconds, by_stretch=by_stretch)
+    other = None if by_stretch else part.pop(STRETCH, None)
+    pieces = _pieces(part, name, sha256_of(log))
+    return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], pieces, other)
 
 
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
