@@ -48,7 +48,7 @@ ROOMS: dict[str, str] = {
     "safety": "errors bus.settings bus.canopen bus.drive.release_heartbeat bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
-    "readiness": "errors settings model bus.canopen.objects safety control.plan config",
+    "readiness": "errors settings model bus.canopen.objects safety control.law_design config",
     "ipc": "errors system signals",
     "daemon": (
         "errors settings outputs system signals log sensors model observer bus monitor safety control config readiness "

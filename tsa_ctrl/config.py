@@ -27,7 +27,7 @@ from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.estimator_selection import chosen
 from tsa_ctrl.control.kalman import why_not as beside
 from tsa_ctrl.control.law import LawSettings
-from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
+from tsa_ctrl.control.law_design import Limits, Plan, plan_of, reversal_speed
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings, largest
 from tsa_ctrl.control.temperature import TemperatureSettings
 from tsa_ctrl.control.tension_estimator import why_not as no_tension

@@ -19,7 +19,7 @@ import tomlkit
 from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.config import MARGIN, AxisSettings, Configuration
-from tsa_ctrl.control.plan import reversal_speed
+from tsa_ctrl.control.law_design import reversal_speed
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import NODES, NodeIdentity

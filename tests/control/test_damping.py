@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.plan import LAG, LEAST, SHARE, gain_margin, largest_gain
+from tsa_ctrl.control.law_design import LAG, LEAST, SHARE, gain_margin, largest_gain
 
 PERIOD = 1e-3
 K = 40.0  # N*m/rad

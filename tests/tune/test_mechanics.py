@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from tests.tune.shaken import LAG, PERIOD, play, true_delay
 from tests.virtual.rigs import Drawn, draw
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.plan import gain_margin
+from tsa_ctrl.control.law_design import gain_margin
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset

@@ -33,7 +33,7 @@ from rich.table import Table
 from tools import command
 from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
-from tsa_ctrl.control.plan import LAG
+from tsa_ctrl.control.law_design import LAG
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.rig import VIRTUAL, gait, play_for
 from tsa_ctrl.model.curvature import Points

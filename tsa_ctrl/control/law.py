@@ -4,8 +4,8 @@
 
 tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, at the set-point tau_J* of the moment when the
 command acts, and for the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can follow
-(`turn`). At a joint at rest the reversal stops where the slip fronts do (`slip`). c is the compensation factor, f the
-fade-in after every enable, b the back-off of the guards against excessive compensation.
+(`reversal.Turn`). At a joint at rest the reversal stops where the slip fronts do (`reversal.Slip`). c is the
+compensation factor, f the fade-in after every enable, b the back-off of the guards against excessive compensation.
 
 The term must not exceed the actual friction. Term and friction together give the joint the power
 
@@ -39,11 +39,10 @@ from msgspec import Meta
 
 from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.motion_filter import JointAngle, Motion
-from tsa_ctrl.control.plan import Plan
-from tsa_ctrl.control.slip import Slip
+from tsa_ctrl.control.reversal import Slip, Turn
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
-from tsa_ctrl.control.turn import Turn
 
 CLOSING = 5.0  # Hz at which the sensor's missing torque is added at rest: all of it at once throws a hand-held joint
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
@@ -59,7 +58,7 @@ Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
 
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.law]; what is left out follows from the model file, the bus and the motor's inertia, see `plan`."""
+    """[axis.law]; what is left out follows from the model file, the bus and the motor's inertia, see `law_design`."""
 
     compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
     fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable

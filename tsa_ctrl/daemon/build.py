@@ -20,9 +20,9 @@ from tsa_ctrl.control.direction import OVERSHOOT, UNSURE, Direction
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
-from tsa_ctrl.control.live import Tuner, parameters_of
+from tsa_ctrl.control.law_design import Plan
+from tsa_ctrl.control.live_parameters import Tuner, parameters_of
 from tsa_ctrl.control.motion_filter import FINER, LONGEST, JointAngle, Motion
-from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.control.tension_estimator import TensionEstimator

@@ -12,7 +12,7 @@ from tsa_ctrl.bus.settings import SupervisionSettings
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
-from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.monitoring import SecondChannel

@@ -14,7 +14,7 @@ import msgspec
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import control_axes, describe, log_header, tuners_of
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.joint_files import admitted

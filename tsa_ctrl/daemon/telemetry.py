@@ -10,7 +10,7 @@ from tsa_ctrl.bus.canopen.cia402 import decode
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import Role
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import STATE_CODE, LoopPhase
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.monitoring import SecondChannel

@@ -1,7 +1,7 @@
 """Measure the motor's oscillation on the tendons and derive the keys of [axis.law] from it.
 
     motor_inertia, delay, ringing    measured (`swing`, `delay`)
-    turn, lead, damping              derived by `control.plan`; damping holds at the upper end of the delay's interval
+    turn, lead, damping              derived by `control.law_design`; damping holds at the upper end of the delay's interval
     compensation                     lower end of the friction torque's interval, so friction is not overcompensated
     feedback                         `FEEDBACK`, on an axis with a joint torque sensor
 
@@ -23,7 +23,7 @@ import msgspec
 import tomlkit
 
 from tsa_ctrl.config import AxisSettings, Configuration, plan_for
-from tsa_ctrl.control.plan import Plan
+from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity, rounded

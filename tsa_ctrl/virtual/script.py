@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
 from tsa_ctrl.plant.fault_kind import FaultKind, nothing

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.control.damping import FORGET
-from tsa_ctrl.control.front import Front, front_of
-from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.control.reversal import Front, Turn, front_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction

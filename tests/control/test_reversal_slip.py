@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tsa_ctrl.control.front import Front
-from tsa_ctrl.control.slip import FADE, Slip
-from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.control.reversal import FADE, Front, Slip, Turn
 from tsa_ctrl.model.curvature import NAMED, Points
 
 R_M, R_J, X, T_P = 0.020, 0.025, 0.26, 45.0

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.machine import WITH_CELLS, Machine
-from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
+from tsa_ctrl.control.live_parameters import Parameter, Tuner, parameters_of
 from tsa_ctrl.daemon.build import describe, tuners_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Mailbox

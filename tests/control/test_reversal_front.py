@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.control.sliding import actuator
-from tsa_ctrl.control.front import Front, front_of
+from tsa_ctrl.control.reversal import Front, front_of
 from tsa_ctrl.model.curvature import NAMED, Points
 from tsa_ctrl.model.sliding import joint_side_compliance
 

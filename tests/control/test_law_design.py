@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from tests.control.laws import PERIOD, plan
 from tests.model.actuator import ACTUATOR
-from tsa_ctrl.control.plan import BLIND, LAG, LEAST, MOST_LEAD, Limits, gain_margin
-from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.control.law_design import BLIND, LAG, LEAST, MOST_LEAD, Limits, gain_margin
+from tsa_ctrl.control.reversal import Turn
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath

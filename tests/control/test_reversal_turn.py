@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.front import Front
-from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.control.reversal import Front, Turn
 from tsa_ctrl.model.curvature import NAMED
 
 PERIOD, DURATION = 1e-4, 8e-3
