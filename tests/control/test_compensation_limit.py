@@ -203,6 +203,20 @@ def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> Non
     assert chosen.share == 0.95
 
 
+def test_what_the_guard_has_found_holds_until_the_next_reading() -> None:
+    """It grows older like an upper bound, and a reading of the sensors takes its place."""
+    proof = Proof()
+    chosen = limit(proof)
+    rest(chosen, 0.2)
+    assert chosen.share == 0.95
+    chosen.observe(0.5 * FRICTION)
+    rest(chosen, 1.0)
+    assert chosen.share == pytest.approx(0.95 * (0.5 + AGING), rel=0.01)
+    proof.low, proof.high, proof.reads = 0.8 * FRICTION, 0.8 * FRICTION, True
+    rest(chosen, 0.2)
+    assert chosen.share == pytest.approx(0.95 * 0.8)
+
+
 def test_less_friction_than_the_file_has_is_reported_once() -> None:
     proof = Proof()
     proof.low, proof.high, proof.reads = 0.4 * FRICTION, 0.5 * FRICTION, True

@@ -467,6 +467,22 @@ def test_the_joints_motion_overrules_the_torque_sensor() -> None:
     assert by(0.25) == 1.0
 
 
+def test_the_sensor_reverses_a_joint_within_its_play() -> None:
+    """A slow motion back is taken for play, until the sensor shows that too much is delivered."""
+    joint = Joint()
+    joint.direction = Direction(DirectionSettings(), joint.motion, LEAD, REACH, R_J, PERIOD, unsure=UNSURE)
+    for n in range(1000):
+        joint.step(0.3 + 2e-3 * math.sin(2.0 * math.pi * 30.0 * n * PERIOD))
+    before = joint.direction.sigma
+    angle, found = joint.motion.angle, []
+    for n in range(100):
+        joint.direction.measure(0.2 * before if n >= 50 else 0.0, False)
+        angle -= before * 0.02 * PERIOD
+        found.append(joint.step(angle))
+    assert set(found[20:50]) == {before}
+    assert found[-1] == -before
+
+
 def ramped(excess: float, speed: float = 0.0) -> float:
     """The direction after the desired torque has grown for 0.2 s while the joint moves at `speed`, rad/s."""
     by = By(give=1.0, unsure=UNSURE + 1.0)

@@ -68,6 +68,13 @@ def test_the_second_time_is_latched_below_the_friction_that_is_left() -> None:
     assert (guard.back_off, guard.latched, guard.reason, guard.count) == (1.0, False, Reason.NONE, 2)
 
 
+def test_the_friction_that_is_left_is_given_for_one_cycle() -> None:
+    rig = Rig()
+    ratios = [rig.run(PERIOD).ratio for _ in range(60)]
+    (found,) = [ratio for ratio in ratios if ratio == ratio]
+    assert found == pytest.approx(0.3, abs=0.02)
+
+
 def test_what_drove_the_joint_is_turned_round_for_a_moment() -> None:
     """4 ms, so that the wound-up tendons unwind; then none of it while the motor swings, latched or not."""
     rig = Rig()

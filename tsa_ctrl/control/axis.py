@@ -414,6 +414,8 @@ class ControlAxis:
         seen.swing, seen.turns = swing, self.direction.follows
         guard.update(seen)
         law.damping.share = guard.damping
+        if guard.ratio == guard.ratio:
+            self.compensation_limit.observe(guard.ratio * law.half_loop)
         limit, moving = self.compensation_limit, velocity if abs(velocity) > self.direction.zone else 0.0
         law.bound = limit.update(
             law.half_loop,

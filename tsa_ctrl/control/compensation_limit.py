@@ -303,6 +303,7 @@ class CompensationLimit:
         self.credit.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
+        self._driven, self._driven_for = math.inf, 0.0  # N*m at the motor, by the energy guard, and its age in s
         self.room = 0.0
         self.share = self._desired = self.ceiling
 
@@ -317,6 +318,10 @@ class CompensationLimit:
         self._trusted, self._confirmed = value, False
         self.proven.trusted = value
         self.credit.capacity = self._capacity if value else self._untrusted_capacity
+
+    def observe(self, friction: float) -> None:
+        """Take the friction torque (N*m at the motor) that the energy guard has found; valid until the next reading."""
+        self._driven, self._driven_for = friction, 0.0
 
     def update(
         self,
@@ -346,7 +351,7 @@ class CompensationLimit:
         along = term if omega_j >= 0.0 else -term
         asked = not -STANDS < rate < STANDS
         if proven.reads:
-            self._unread = 0.0
+            self._unread, self._driven = 0.0, math.inf
         elif asked or self._unread > OUTDATED:  # an outdated bound stays outdated until the next reading
             self._unread += self._period
         if self._unread > OUTDATED:
@@ -363,6 +368,9 @@ class CompensationLimit:
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
         middle = 0.5 * (low + high)
         friction = half_loop if half_loop < middle else middle
+        if self._driven < math.inf:
+            self._driven_for += self._period
+            friction = min(friction, self._driven + AGING * self._driven_for * half_loop)
         most = desired * friction
         allowed = low if low < most else most
         if allowed < most:

@@ -214,7 +214,7 @@ class Direction:
                 slip = -slip
             if slip * self.sigma <= 0.0 and slip != 0.0:
                 turned = 1.0 if slip > 0.0 else -1.0
-                if self._in_play():
+                if self._in_play() and not self._enough(self.sigma):
                     return self.sigma
                 if not self._little_since_turn():
                     self._before, self._turned_at = self.sigma, motion.angle

@@ -137,6 +137,7 @@ class Guard:
 
     `back_off` multiplies the compensation, `damping` the damping of the motor; both are 1 until a detection. `count` is
     the number of detections, `words` describes the last one, and `reason` is set while the compensation is reduced.
+    `ratio` is the friction torque over the model's (1) if this cycle has found less of it, else nan.
 
     A client can only lower `back_off`, and the guard latches it there. Only `release` restores it.
     """
@@ -161,6 +162,7 @@ class Guard:
 
     def reset(self) -> None:
         """Forget everything but `count`; called while torque is not permitted."""
+        self.ratio = math.nan
         self._passivity.reset()
         self._passivity.wary = False
         self._buzz.reset()
@@ -218,6 +220,8 @@ class Guard:
             seen.tau_j, seen.wanted, seen.rate, seen.omega_j, seen.term, seen.half_loop, seen.swing
         ):
             self._energy()
+        else:
+            self.ratio = math.nan
         if self._buzz.update(seen.added, seen.ideal, seen.turns):
             self._buzzes()
         if self._back_off < 1.0:
@@ -240,6 +244,7 @@ class Guard:
         ratio, energy, since = passivity.ratio, passivity.energy, passivity.cycles * self._period
         passivity.reset()
         if ratio < CLEAR:
+            self.ratio = max(0.0, ratio)
             share = max(0.0, ratio)
             cause = (
                 f"friction and pretension together are about {100.0 * share:.0f} % of what the model file says (a "

@@ -1,7 +1,7 @@
 """Measure the motor's oscillation on the tendons and derive the keys of [axis.law] from it.
 
     motor_inertia, delay, ringing    measured (`swing`, `delay`)
-    turn, lead, damping              derived by `control.law_design`; damping holds at the upper end of the delay's interval
+    turn, lead, damping              by `control.law_design`; damping holds at the upper end of the delay's interval
     compensation                     lower end of the friction torque's interval, so friction is not overcompensated
     feedback                         `FEEDBACK`, on an axis with a joint torque sensor
 
