@@ -25,9 +25,20 @@ if TYPE_CHECKING:
 @click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this time of torque.")
 @click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
 @click.option("--allow-simulated", is_flag=True, help="Run a model file with simulated numbers on real drives.")
+@click.option(
+    "--record-bus",
+    type=click.Path(path_type=Path),
+    help="Record every frame of the bus: .log (candump), .asc, .blf, .csv or .trc.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def command(
-    controller: Path, check: bool, seconds: float | None, reset_faults: bool, allow_simulated: bool, as_json: bool
+    controller: Path,
+    check: bool,
+    seconds: float | None,
+    reset_faults: bool,
+    allow_simulated: bool,
+    record_bus: Path | None,
+    as_json: bool,
 ) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     from tsa_ctrl.config import check_drives, load_configuration
@@ -48,15 +59,20 @@ def command(
             for line in profile.unknown:
                 click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
         return 0
+    from tsa_ctrl.daemon.bus_recorder import recorded
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
 
-    summary = run(
-        configuration,
-        math.inf if seconds is None else seconds,
-        lambda line: click.echo(line, err=True),
-        reset_faults=reset_faults,
-        allow_simulated=allow_simulated,
-    )
+    def say(line: str) -> None:
+        click.echo(line, err=True)
+
+    with recorded(configuration.file.bus, record_bus, say):
+        summary = run(
+            configuration,
+            math.inf if seconds is None else seconds,
+            say,
+            reset_faults=reset_faults,
+            allow_simulated=allow_simulated,
+        )
     if as_json:
         click.echo(json.dumps(summary.as_dict()))
     else:

@@ -1,0 +1,105 @@
+"""Record every frame of the bus to a file while `tsa run --record-bus FILE` runs, in a process of its own.
+
+The recorder opens the bus a second time and only listens, so the loop does no additional work. The suffix of the file
+selects the format. A record by candump (`.log`) or in ASC format (`.asc`) shows what a drive has really answered, and
+can be replayed. The frames are written to a file next to the target, which is renamed at the end.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import can
+
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
+
+FORMATS = (".asc", ".blf", ".csv", ".log", ".trc")
+SHARED = ("socketcan", "udp_multicast")  # interfaces that several programs can open at once
+LOOK = 0.1  # s between two looks at whether the run has ended
+LONGEST_END = 0.5  # s of frames after the run
+PATIENCE = 5.0  # s for the last frames to be written
+
+
+@contextmanager
+def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None]) -> Iterator[None]:
+    """Record the bus to `path` while the block runs; None records nothing.
+
+    Raises UsageError if the suffix, the folder or the interface does not permit a record, BusError if the bus cannot be
+    opened.
+    """
+    if path is None:
+        yield
+        return
+    if path.suffix.lower() not in FORMATS:
+        raise UsageError(f"--record-bus {path}: the suffix is not one of {', '.join(FORMATS)}; choose one of them")
+    if path.exists():
+        raise UsageError(f"--record-bus {path}: exists already; choose another name")
+    if not path.resolve().parent.is_dir():
+        raise UsageError(f"--record-bus {path}: no such folder; create it")
+    if settings.interface not in SHARED:
+        raise UsageError(
+            f"--record-bus: interface '{settings.interface}' can be opened by one program only; it works with "
+            f"{' and '.join(SHARED)}"
+        )
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    child = Child(
+        "tsa_ctrl.daemon.bus_recorder", settings.interface, settings.channel, json.dumps(settings.options), part
+    )
+    try:
+        if failure := child.failure():
+            raise BusError(f"--record-bus {path}: {failure}")
+        yield
+        if not child.alive:
+            say(f"--record-bus {path}: the recorder has ended early; the file contains the frames until then")
+    finally:
+        child.end(PATIENCE)
+        with suppress(FileNotFoundError):
+            part.rename(path)
+
+
+def record(interface: str, channel: str, options: str, path: str) -> int:
+    """Write frames until stdin is closed; return the exit code."""
+    arguments = {"fd": False, "hop_limit": 0} if interface == "udp_multicast" else {}
+    ended = threading.Event()
+
+    def wait() -> None:
+        sys.stdin.read()
+        ended.set()
+
+    threading.Thread(target=wait, daemon=True).start()
+    try:
+        with (
+            can.Bus(interface=interface, channel=channel, **arguments, **json.loads(options)) as bus,
+            can.Logger(path) as log,
+        ):
+            os.write(1, READY)
+            last = math.inf  # s, when the recorder ends although others still send
+            while time.monotonic() < last:
+                message = bus.recv(LOOK)
+                if message is not None:
+                    log.on_message_received(message)
+                elif ended.is_set():
+                    break
+                if ended.is_set() and last == math.inf:
+                    last = time.monotonic() + LONGEST_END
+    except (can.CanError, OSError, ValueError) as error:
+        print(" ".join(str(error).split()) or type(error).__name__, flush=True)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    follow()
+    ignore(signal.SIGINT, signal.SIGTERM)
+    sys.exit(record(*sys.argv[1:]))
