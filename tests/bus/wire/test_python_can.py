@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import pty
 import select
+import socket
 import threading
 import time
 import tty
@@ -198,3 +200,83 @@ def test_slcan_speaks_the_adapters_language(slcan: tuple[int, str]) -> None:
         assert bus.recv(5.0) == (0x181, b"\x01\x02\x03\x04\x05\x06\x07\x08")
     finally:
         bus.close()
+
+
+class SlcanAdapter:
+    """A serial adapter on a pseudo-terminal: it repeats each standard frame with the next identifier."""
+
+    def __init__(self) -> None:
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        self._slave = slave
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        line = b""
+        while True:
+            try:
+                line += os.read(self._master, 64)
+            except OSError:
+                return
+            while b"\r" in line:
+                command, _, line = line.partition(b"\r")
+                if command.startswith(b"t"):
+                    os.write(self._master, b"t%03X" % (int(command[1:4], 16) + 1) + command[4:] + b"\r")
+
+    def close(self) -> None:
+        os.close(self._slave)
+        os.close(self._master)
+
+
+def test_frames_pass_a_serial_adapter() -> None:
+    adapter = SlcanAdapter()
+    bus = PythonCan("slcan", adapter.path, 1_000_000, {"sleep_after_open": 0.0})
+    try:
+        assert bus.recv(0.0) is None
+        assert bus.send(0x180, b"\x01\x02")
+        assert bus.recv(5.0) == (0x181, b"\x01\x02")
+    finally:
+        bus.close()
+        adapter.close()
+
+
+def served(connection: socket.socket) -> None:
+    """A server of socketcand for one client, that repeats each frame with the next identifier."""
+    connection.sendall(b"< hi >")
+    for _ in ("open", "rawmode"):
+        connection.recv(64)
+        connection.sendall(b"< ok >")
+    words = connection.recv(256).decode().split()
+    data = "".join(f"{int(word, 16):02X}" for word in words[4:-1])
+    connection.sendall(f"< frame {int(words[2], 16) + 1:X} 1.000000 {data} >".encode())
+
+
+def test_frames_pass_socketcand() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        thread = threading.Thread(target=lambda: served(server.accept()[0]), daemon=True)
+        thread.start()
+        bus = PythonCan("socketcand", "can0", 1_000_000, {"host": "127.0.0.1", "port": port})
+        assert bus.send(0x180, b"\x01\x02")
+        assert bus.recv(5.0) == (0x181, b"\x01\x02")
+        bus.close()
+
+
+@pytest.mark.parametrize(
+    ("interface", "options", "expected"),
+    [
+        ("slcan", {}, {"timeout": 1e-4, "bitrate": 500_000}),
+        ("slcan", {"timeout": 0.01}, {"timeout": 0.01, "bitrate": 500_000}),
+        ("socketcand", {"host": "rig"}, {"host": "rig", "tcp_tune": True, "bitrate": 500_000}),
+        ("kvaser", {}, {"bitrate": 500_000}),
+    ],
+)
+def test_adapters_are_opened_for_a_fixed_rate(
+    interface: str, options: dict[str, object], expected: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The options of the file replace the defaults."""
+    opened: list[dict[str, object]] = []
+    monkeypatch.setattr(can, "Bus", lambda **arguments: opened.append(arguments))
+    PythonCan(interface, "x", 500_000, options)  # type: ignore[arg-type]
+    assert opened == [{"interface": interface, "channel": "x", **expected}]

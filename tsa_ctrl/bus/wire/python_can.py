@@ -19,6 +19,14 @@ Option = str | int | float | bool
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
 _FLUSH_LIMIT = 100_000  # frames
 _ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
+# Options for a loop at a fixed rate, unless [bus] options contain them. A read of slcan without frames blocks for its
+# `timeout`, 1 ms by default, which is a whole period. Without `tcp_tune` the kernel delays small frames of socketcand
+# until the last one is acknowledged. The frames of udp_multicast never leave this machine.
+_DEFAULTS: dict[str, dict[str, Option]] = {
+    "slcan": {"timeout": 1e-4},
+    "socketcand": {"tcp_tune": True},
+    "udp_multicast": {"fd": False, "hop_limit": 0},
+}
 _MAX_ECHOES = 64  # frames sent whose echo may be on its way
 
 
@@ -30,10 +38,8 @@ class PythonCan:
         self.counters = Counters()
         self.fault: BusFault | None = None
         self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
-        arguments: dict[str, Option] = {"bitrate": bitrate}
-        if interface == "udp_multicast":
-            arguments = {"fd": False, "hop_limit": 0}  # never beyond this machine, unless the options say so
-        arguments.update(options or {})
+        arguments: dict[str, Option] = {} if interface == "udp_multicast" else {"bitrate": bitrate}
+        arguments |= {**_DEFAULTS.get(interface, {}), **(options or {})}
         try:
             self._bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)
         except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
