@@ -25,8 +25,9 @@ def plan(model: TendonSheath, **changes: Any) -> Plan:
 
 
 def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) -> Law:
-    """`settings`: those of [axis.law], and `encoder` (default True)."""
+    """`settings`: those of [axis.law], `encoder` (default True), and `unsure` of a joint torque sensor in N*m."""
     has_encoder = settings.pop("encoder", True)
+    unsure = settings.pop("unsure", math.inf)
     chosen = LawSettings(**settings)
     made = plan(
         model,
@@ -40,7 +41,7 @@ def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) ->
     )
     motion = Motion(PERIOD, COUNT, made.lead)
     direction = Direction(
-        DirectionSettings(), motion, made.lead, made.reach, model.joint_pulley_radius, PERIOD, made.give
+        DirectionSettings(), motion, made.lead, made.reach, model.joint_pulley_radius, PERIOD, made.give, unsure=unsure
     )
     radii = (model.motor_pulley_radius, model.joint_pulley_radius)
     return Law(inverse or Feedforward(model, PERIOD), radii, chosen, made, motion, direction, PERIOD, has_encoder)

@@ -362,3 +362,23 @@ def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
     true = 0.3 * 2.0 * math.pi * math.cos(2.0 * math.pi * 600 * PERIOD)
     assert moving.velocity == pytest.approx(true, rel=0.03)
     assert abs(counting.velocity) > 1.5 * abs(true)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_a_sensor_that_misses_torque_at_rest_raises_the_term_in_steps(friction: float) -> None:
+    """Tendons at rest stick after a reversal. A model without friction has no term, and divides by none."""
+    model = actuator()
+    model = model.recalibrated(friction * model.friction_angle, model.pretension)
+    made = make(model, fade_in=0.0, compensation=1.0, settle=0.0, unsure=0.04)
+    terms = []
+    for n in range(700):
+        wanted = 0.5 - 0.05 * min(1.0, max(0.0, (n - 300) * PERIOD / 0.02))
+        made.observe(0.0, 0.0, True, wanted, 0.0)
+        if n > 400:
+            made.direction.measure(0.3, False)
+        made.update(wanted, 0.0, 0.0, n * PERIOD, 1.0)
+        terms.append(made.friction_term)
+    change = terms[410] - terms[-1]
+    assert change >= 0.0
+    assert (change > 0.2 * made.half_loop) is (friction > 0.0)
+    assert np.abs(np.diff(terms[410:])).max() < 0.05 * made.half_loop + 1e-12

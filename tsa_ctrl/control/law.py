@@ -248,7 +248,7 @@ class Law:
             self._peak = ahead
         if direction.rest == 0.0:
             self._slip.move()
-        elif direction.missing > 0.0:
+        elif direction.missing > 0.0 and self.half_loop > 0.0:
             self._slip.release(self._closing * direction.missing / self.half_loop)
         turn.update(sigma, direction.age)
 

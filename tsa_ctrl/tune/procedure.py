@@ -446,11 +446,12 @@ AGREES = 0.03
 
 def _agreeing(run: Run, found: Estimate) -> str:
     """Return a note if the tendon elongation shows the joint torque as well as the sensor does, else ""."""
-    share = run.disagreement() / abs(sliding(found.model).half_loop)
-    if not share < AGREES:
+    difference, half_loop = run.disagreement(), abs(sliding(found.model).half_loop)
+    if not difference < AGREES * half_loop:
         return ""
     return (
-        f"the joint torque by the tendon elongation agrees with the sensor within {100.0 * share:.1f} % of the "
+        "the joint torque by the tendon elongation agrees with the sensor within "
+        f"{100.0 * difference / half_loop:.1f} % of the "
         'friction torque. On this rig [axis.estimator] kind = "stretch" also follows a change of the friction while '
         'the joint is held; the default "sensor" needs a moving joint'
     )
