@@ -21,6 +21,7 @@ from pathlib import Path
 import can
 
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.python_can import hear_own_group_only
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
 
@@ -70,7 +71,8 @@ def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None
 
 def record(interface: str, channel: str, options: str, path: str) -> int:
     """Write frames until stdin is closed; return the exit code."""
-    arguments = {"fd": False, "hop_limit": 0} if interface == "udp_multicast" else {}
+    multicast = interface == "udp_multicast"
+    arguments = {"fd": False, "hop_limit": 0} if multicast else {}
     ended = threading.Event()
 
     def wait() -> None:
@@ -83,6 +85,8 @@ def record(interface: str, channel: str, options: str, path: str) -> int:
             can.Bus(interface=interface, channel=channel, **arguments, **json.loads(options)) as bus,
             can.Logger(path) as log,
         ):
+            if multicast:
+                hear_own_group_only(bus.fileno())
             os.write(1, READY)
             last = math.inf  # s, when the recorder ends although others still send
             while time.monotonic() < last:

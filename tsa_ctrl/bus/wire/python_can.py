@@ -49,7 +49,7 @@ class PythonCan:
                 "check interface, channel and options against python-can's documentation of this interface"
             ) from None
         if interface == "udp_multicast":
-            _hear_own_group_only(self._bus.fileno())
+            hear_own_group_only(self._bus.fileno())
 
     def clock(self) -> float:
         return time.monotonic()
@@ -138,7 +138,7 @@ class PythonCan:
         self._bus.shutdown()
 
 
-def _hear_own_group_only(descriptor: int) -> None:
+def hear_own_group_only(descriptor: int) -> None:
     """Linux gives a socket the groups that anybody on the machine has joined, unless told not to.
 
     What has come before it was told, since it was opened, may be of any group: it is thrown away.
