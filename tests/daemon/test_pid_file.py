@@ -21,7 +21,7 @@ from tsa_ctrl.ipc import pid_file
 DAEMON = """
 import os, signal, socket, sys
 def end(number, frame):
-    os.write(1, b"told to stop\\n")  # print may be interrupted by itself
+    os.write(1, b"told to stop\\n")  # print fails if the signal interrupts a print
     os._exit(0)
 signal.signal(signal.SIGTERM, end)
 listener = socket.socket(socket.AF_UNIX)

@@ -1,4 +1,4 @@
-"""A joint encoder of 12 bit beside a motor encoder of 20 bit, in the whole loop."""
+"""The whole loop with a joint encoder of 12 bit and a motor encoder of 20 bit."""
 
 from __future__ import annotations
 

@@ -158,8 +158,9 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # s without a reading, while the set-point requests motion, after which the last upper bound grows older. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
-# 1/s, of the model's friction torque, at which that bound then rises. At once, a joint whose friction is 0.75 of the
-# file's is driven after each rest, and the guard latches: random rigs then have up to four times the error.
+# 1/s, of the model's friction torque, at which that bound then rises, and the term by half of it. If the bound is
+# dropped at once, a joint with 0.75 of the file's friction is driven after each rest, and the guard latches: on random
+# rigs the error is up to four times as large.
 AGING = 0.2
 MORE_THAN_FILE = 1.02  # of the file's friction torque: beyond rounding
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal

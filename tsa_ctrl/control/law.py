@@ -58,7 +58,7 @@ Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
 
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.law]; what is left out follows from the model file, the bus and the motor's inertia, see `law_design`."""
+    """[axis.law]; missing keys follow from the model file, the bus and the motor's inertia, see `law_design`."""
 
     compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
     fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable
@@ -155,6 +155,7 @@ class Law:
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
         self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
         self._settle = settings.settle
+        # The whole release changes the torque by up to 2 h: 2 pi f dt |excess| (r_M/r_J) / (2 h) of it in each cycle.
         self._closing = math.pi * CLOSING * period * r_m / r_j
         self._ratio = r_m / r_j
         self._period = period

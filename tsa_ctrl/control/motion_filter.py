@@ -88,12 +88,15 @@ class Motion:
         return largest
 
 
-FINER = (
-    4.0  # of a joint encoder's count that the motor resolves: ripple and elongation hide more, on random rigs with 8
-)
+# Parts of a joint encoder's count that the motor resolves. With 8, ripple and elongation of random rigs are taken for
+# motion of the joint.
+FINER = 4.0
+WORTH = 2.0  # parts, at least: a motor encoder that is hardly finer than the joint's refines nothing
 HALF = 0.6  # counts of the joint encoder: largest difference from its reading, half a count and the noise
-STILL = 0.3  # counts at `QUIET`; a joint whose encoder takes longer for the next count rests
-BLIND = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor moves without the joint
+# Counts at `QUIET`. If the encoder takes longer for the next count, the joint hardly moves, and the motor mainly
+# stretches the tendons. With 1.2, a slow joint of a random rig is taken to reverse; 0.1 to 0.6 give similar errors.
+STILL = 0.3
+AFTER_TURN = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor moves without the joint
 
 
 class JointAngle:
@@ -127,7 +130,7 @@ class JointAngle:
         if reading != self._reading:
             self._reading, self._since = reading, 0.0
         self._since += self._period
-        self._blind = BLIND if turning else self._blind - self._period
+        self._blind = AFTER_TURN if turning else self._blind - self._period
         if self._since > self._longest or step != step:
             step = 0.0
         elif self._blind > 0.0:

@@ -19,8 +19,8 @@ corresponding elongation. The motor's inertia forbids a step. The elongation the
     s/s_end = y - sin(2 pi y) / 2 pi,     y = time / duration in [0, 1],     s'' = 0 at both ends
 
 and ends without an oscillation. The torque follows from the elongation by the front, p = S^-1(s). The law adds the
-torque of the inertia, J_M s'' / r_M. A turn that begins before another has ended is added to it. There is no feedback,
-so a delay of the command only shifts the turn, and the lead compensates for it. Input shaping by one period of the
+torque of the inertia, J_M s'' / r_M. A turn that begins before another has ended is added to it. It has no feedback:
+a delay of the command shifts the turn, and the lead compensates for the shift. Input shaping by one period of the
 oscillation would take 10 ms at 100 Hz, and more for a heavier motor.
 
 **Slip.** While the joint rests, the tension along a tendon changes from its motor side only. A contact at which the
@@ -91,7 +91,7 @@ class Front:
 
 
 def front_of(model: TendonSheath) -> Front:
-    """That of a model; evenly bent where it does not say how the sheath bends."""
+    """Return the front of a model; without a curvature profile the sheath is bent evenly."""
     points = profile_of(model).points
     spring = model.series_length / model.unstrained_length
     return Front(points, 0.0, spring) if model.series_at_joint else Front(points, spring, 0.0)

@@ -22,7 +22,7 @@ from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.live_parameters import Tuner, parameters_of
-from tsa_ctrl.control.motion_filter import FINER, LONGEST, JointAngle, Motion
+from tsa_ctrl.control.motion_filter import FINER, LONGEST, WORTH, JointAngle, Motion
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.control.tension_estimator import TensionEstimator
@@ -189,7 +189,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     joint_angle = None
     if encoder is not None:
         finest = max(r_m / r_j * of_motor, of_joint / FINER)
-        if 2.0 * finest < of_joint:
+        if WORTH * finest < of_joint:
             joint_angle = JointAngle(of_joint, period)
         motion = Motion(period, of_joint if joint_angle is None else finest, plan.lead)
     else:

@@ -1,13 +1,14 @@
-"""Record every frame of the bus to a file while `tsa run --record-bus FILE` runs, in a process of its own.
+"""Record every frame of the bus to a file during `tsa run --record-bus FILE`, in a separate process.
 
 The recorder opens the bus a second time and only listens, so the loop does no additional work. The suffix of the file
-selects the format. A record by candump (`.log`) or in ASC format (`.asc`) shows what a drive has really answered, and
-can be replayed. The frames are written to a file next to the target, which is renamed at the end.
+selects the format. A record in the format of candump (`.log`) or in ASC format (`.asc`) contains the answers of each
+drive, and tests can replay it. The frames are written to a file next to the target, which is renamed at the end.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import os
 import signal
@@ -21,7 +22,7 @@ from pathlib import Path
 import can
 
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.python_can import hear_own_group_only
+from tsa_ctrl.bus.wire.python_can import opened
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
 
@@ -54,9 +55,9 @@ def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None
             f"{' and '.join(SHARED)}"
         )
     part = path.with_name(f".{path.stem}.part{path.suffix}")
-    child = Child(
-        "tsa_ctrl.daemon.bus_recorder", settings.interface, settings.channel, json.dumps(settings.options), part
-    )
+    options = json.dumps(settings.options)
+    arguments = (settings.interface, settings.channel, settings.bitrate, options, part)
+    child = Child("tsa_ctrl.daemon.bus_recorder", *arguments)
     try:
         if failure := child.failure():
             raise BusError(f"--record-bus {path}: {failure}")
@@ -69,10 +70,8 @@ def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None
             part.rename(path)
 
 
-def record(interface: str, channel: str, options: str, path: str) -> int:
+def record(interface: str, channel: str, bitrate: str, options: str, path: str) -> int:
     """Write frames until stdin is closed; return the exit code."""
-    multicast = interface == "udp_multicast"
-    arguments = {"fd": False, "hop_limit": 0} if multicast else {}
     ended = threading.Event()
 
     def wait() -> None:
@@ -81,12 +80,7 @@ def record(interface: str, channel: str, options: str, path: str) -> int:
 
     threading.Thread(target=wait, daemon=True).start()
     try:
-        with (
-            can.Bus(interface=interface, channel=channel, **arguments, **json.loads(options)) as bus,
-            can.Logger(path) as log,
-        ):
-            if multicast:
-                hear_own_group_only(bus.fileno())
+        with opened(interface, channel, int(bitrate), json.loads(options)) as bus, can.Logger(path) as log:
             os.write(1, READY)
             last = math.inf  # s, when the recorder ends although others still send
             while time.monotonic() < last:
@@ -97,7 +91,7 @@ def record(interface: str, channel: str, options: str, path: str) -> int:
                     break
                 if ended.is_set() and last == math.inf:
                     last = time.monotonic() + LONGEST_END
-    except (can.CanError, OSError, ValueError) as error:
+    except (BusError, can.CanError, OSError, ValueError) as error:
         print(" ".join(str(error).split()) or type(error).__name__, flush=True)
         return 1
     return 0
@@ -106,4 +100,5 @@ def record(interface: str, channel: str, options: str, path: str) -> int:
 if __name__ == "__main__":
     follow()
     ignore(signal.SIGINT, signal.SIGTERM)
+    logging.getLogger("can").addHandler(logging.NullHandler())  # the error is one line, ours
     sys.exit(record(*sys.argv[1:]))

@@ -70,7 +70,7 @@ def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
 
 def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between the opening of its socket and the word that it is to hear its own group only."""
-    told = python_can.hear_own_group_only
+    told = python_can._hear_own_group_only
     heard_before = []
 
     def late(descriptor: int) -> None:
@@ -79,7 +79,7 @@ def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch
         told(descriptor)
 
     other = PythonCan("udp_multicast", group(3), 1_000_000)
-    monkeypatch.setattr(python_can, "hear_own_group_only", late)
+    monkeypatch.setattr(python_can, "_hear_own_group_only", late)
     bus = PythonCan("udp_multicast", group(4), 1_000_000)
     try:
         assert heard_before == [[bus.fileno()]]

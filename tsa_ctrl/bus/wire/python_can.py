@@ -38,18 +38,7 @@ class PythonCan:
         self.counters = Counters()
         self.fault: BusFault | None = None
         self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
-        arguments: dict[str, Option] = {} if interface == "udp_multicast" else {"bitrate": bitrate}
-        arguments |= {**_DEFAULTS.get(interface, {}), **(options or {})}
-        try:
-            self._bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)
-        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
-            raise BusError(
-                f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
-                "check interface, channel and options against python-can's documentation of this interface"
-            ) from None
-        if interface == "udp_multicast":
-            hear_own_group_only(self._bus.fileno())
+        self._bus = opened(interface, channel, bitrate, options)
 
     def clock(self) -> float:
         return time.monotonic()
@@ -138,7 +127,24 @@ class PythonCan:
         self._bus.shutdown()
 
 
-def hear_own_group_only(descriptor: int) -> None:
+def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> can.BusABC:
+    """Return an open bus with the options that suit a fixed rate; raises BusError in one line."""
+    arguments: dict[str, Option] = {} if interface == "udp_multicast" else {"bitrate": bitrate}
+    arguments |= {**_DEFAULTS.get(interface, {}), **(options or {})}
+    try:
+        bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise BusError(
+            f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
+            "check interface, channel and options against python-can's documentation of this interface"
+        ) from None
+    if interface == "udp_multicast":
+        _hear_own_group_only(bus.fileno())
+    return bus
+
+
+def _hear_own_group_only(descriptor: int) -> None:
     """Linux gives a socket the groups that anybody on the machine has joined, unless told not to.
 
     What has come before it was told, since it was opened, may be of any group: it is thrown away.
