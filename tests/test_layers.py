@@ -67,7 +67,7 @@ ROOMS: dict[str, str] = {
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system log.table model bus safety control config readiness daemon",
-    "dashboard": "errors ipc",
+    "dashboard": "errors signals ipc",
     "live": "errors outputs signals ipc",
     "tune": (
         "errors version settings outputs system signals log model control config ipc daemon.joint_files doctor "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,9 @@ CLIENT = """
 name tau_j_des tau_m_cmd tau_m tau_j tau_j_stretch tau_j_model q_j omega_j q_m omega_m permitted limit_reason
 set_point_limit clamped
 """
-ROW = '    Signal("follow_rate", "N*m/s", "rate of the set-point", _LOG | _STATUS | _CLIENT, "set_point.rate"),\n'
+ROW = """
+    Signal("follow_rate", "N*m/s", "rate of the set-point", _LOG | _STATUS | _CLIENT, "set_point.rate", chart="rate"),
+"""
 RUN = """
 import json, sys
 from pathlib import Path
@@ -40,9 +43,15 @@ exec(compile(Path(sys.argv[1]).read_text(), sys.argv[1], "exec"), signals.__dict
 
 from tests.virtual.files import controller, plant, write
 from tests.virtual.serving import ServedRun
+from tools.manual.parts import signals as manual_table
+from tsa_ctrl.dashboard.server import signals_shown
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.page import SHOWN
 from tsa_ctrl.ipc.protocol import Status
+from tsa_ctrl.live.layouts import foxglove_layout, plotjuggler_layout
+from tsa_ctrl.live.server import schema_of
 from tsa_ctrl.log.convert import convert
+from tsa_ctrl.signals import Place
 
 folder, found = Path(sys.argv[2]), {}
 files = write(folder, controller(file={"socket": {"path": str(folder / "s")}}), plant())
@@ -62,6 +71,11 @@ run.simulate()
 run.close()
 (table,) = convert(folder / "out" / "tsa.mcap", folder / "out.csv")
 found["log"] = table.path.read_text().splitlines()
+found["screen"] = [signal.name for signal in SHOWN]
+found["dashboard"] = [(signal["chart"], signal["name"]) for signal in signals_shown()]
+found["live"] = list(schema_of("signals", Place.CLIENT)["properties"])
+found["layouts"] = [foxglove_layout(["knee"]), plotjuggler_layout(["knee"])]
+found["manual"] = manual_table()
 print(json.dumps(found))
 """
 
@@ -76,6 +90,7 @@ def run(table: Path, folder: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(find_spec("foxglove") is None or find_spec("uvicorn") is None, reason="needs live and dashboard")
 def test_a_row_of_the_table_is_all_that_a_signal_needs(tmp_path: Path) -> None:
     """A signal that the loop has computes: its rate of the set-point, pi 0.5 cos(pi t) N*m/s after the fade-in."""
     source = ROOT / "tsa_ctrl" / "signals.py"
@@ -96,6 +111,12 @@ def test_a_row_of_the_table_is_all_that_a_signal_needs(tmp_path: Path) -> None:
     assert after["client"]["follow_rate"] in values
     assert after["status"]["follow_rate"] in values
     assert max(values) == pytest.approx(1.5707963, rel=0.1)
+    shown = set(map(tuple, after["dashboard"])) - set(map(tuple, before["dashboard"]))
+    assert shown == {("rate", "follow_rate")}
+    assert set(after["screen"]) - set(before["screen"]) == {"follow_rate"}
+    assert set(after["live"]) - set(before["live"]) == {"follow_rate"}
+    for text in (*after["layouts"], after["manual"]):
+        assert "follow_rate" in text
 
 
 def test_the_log_has_its_columns_in_order() -> None:

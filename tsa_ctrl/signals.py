@@ -1,7 +1,7 @@
 """Define every signal of an axis once: name, unit, meaning, source, and where it appears.
 
-The record of the log, the status, the measurements of a client, their JSON and the manual's table are derived from
-this table. To add a signal, add one row.
+The record of the log, the status, the measurements of a client, their JSON, the charts of the dashboard and of the
+live layouts, and the manual's table are derived from this table. To add a signal, add one row.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ class Signal:
         source: attribute of `control.axis.ControlAxis`; empty for a signal that the daemon does not have.
         kind: of the number.
         ages: signals that hold the age of this value, the largest counts; none for a value of the loop itself.
+        chart: title of the chart in which the dashboard and the live layouts draw the signal; empty for none.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Signal:
     source: str = ""
     kind: Kind = Kind.VALUE
     ages: tuple[str, ...] = ()
+    chart: str = ""
 
     @property
     def stepped(self) -> bool:
@@ -64,13 +66,24 @@ _INPUT, _LOG, _STATUS, _CLIENT = Place.INPUT, Place.LOG, Place.STATUS, Place.CLI
 _RECORDED = _INPUT | _LOG
 _EVERYWHERE = _RECORDED | _STATUS | _CLIENT
 _DRIVE, _JOINT, _SENSOR = ("drive_age",), ("joint_age",), ("sensor_age",)
+_JOINT_TORQUE, _MOTOR_TORQUE = "joint torque", "motor torque"  # charts
 
 _TABLE = (
     Signal("t", "s", "time", _RECORDED | _STATUS, "terms.t"),
-    Signal("tau_m", "N*m", "motor torque that the drive reports", _EVERYWHERE, "image.tau_m", ages=_DRIVE),
-    Signal("tau_j", "N*m", "measured joint torque", _EVERYWHERE, "instruments.tau_j", ages=_SENSOR),
-    Signal("omega_j", "rad/s", "joint velocity", _EVERYWHERE, "terms.omega_j", ages=_JOINT),
-    Signal("q_j", "rad", "joint angle", _EVERYWHERE, "terms.q_j", ages=_JOINT),
+    Signal(
+        "tau_m",
+        "N*m",
+        "motor torque that the drive reports",
+        _EVERYWHERE,
+        "image.tau_m",
+        ages=_DRIVE,
+        chart=_MOTOR_TORQUE,
+    ),
+    Signal(
+        "tau_j", "N*m", "measured joint torque", _EVERYWHERE, "instruments.tau_j", ages=_SENSOR, chart=_JOINT_TORQUE
+    ),
+    Signal("omega_j", "rad/s", "joint velocity", _EVERYWHERE, "terms.omega_j", ages=_JOINT, chart="joint velocity"),
+    Signal("q_j", "rad", "joint angle", _EVERYWHERE, "terms.q_j", ages=_JOINT, chart="joint angle"),
     Signal("q_m", "rad", "motor angle", _EVERYWHERE, "image.q_m", ages=_DRIVE),
     Signal("omega_m", "rad/s", "motor velocity", _EVERYWHERE, "image.omega_m", ages=_DRIVE),
     Signal("acceleration_j", "rad/s^2", "joint acceleration", _INPUT),
@@ -79,8 +92,17 @@ _TABLE = (
     Signal("t1", "N", "motor-side tension of tendon a", _RECORDED, "instruments.t1"),
     Signal("t3", "N", "motor-side tension of tendon b", _RECORDED, "instruments.t3"),
     Signal("temperature", "degC", "temperature of the sheath", _RECORDED, "instruments.temperature"),
-    Signal("tau_j_des", "N*m", "desired joint torque, the set-point", _EVERYWHERE, "terms.tau_j_des"),
-    Signal("tau_m_cmd", "N*m", "commanded motor torque, after the limiter", _EVERYWHERE, "terms.tau_m_cmd"),
+    Signal(
+        "tau_j_des", "N*m", "desired joint torque, the set-point", _EVERYWHERE, "terms.tau_j_des", chart=_JOINT_TORQUE
+    ),
+    Signal(
+        "tau_m_cmd",
+        "N*m",
+        "commanded motor torque, after the limiter",
+        _EVERYWHERE,
+        "terms.tau_m_cmd",
+        chart=_MOTOR_TORQUE,
+    ),
     Signal("cycle", "1", "number of the cycle, skipped ones counted", _LOG, "terms.cycle", Kind.COUNT),
     Signal("lateness", "s", "wake-up after the cycle's deadline", _LOG, "terms.lateness"),
     Signal("work", "s", "time from wake-up to the last frame sent", _LOG, "terms.work"),
@@ -88,7 +110,14 @@ _TABLE = (
     Signal("missed", "1", "PDOs missed so far", _LOG | _STATUS, "image.missed", Kind.COUNT),
     Signal("state", "1", "power state of the drive, a code", _LOG | _STATUS, "terms.state", Kind.CODE, _DRIVE),
     Signal("sigma", "1", "direction of motion that the law used, -1 to 1", _LOG | _STATUS, "terms.sigma"),
-    Signal("friction_term", "N*m", "motor torque added for friction", _LOG | _STATUS, "law.friction_term"),
+    Signal(
+        "friction_term",
+        "N*m",
+        "motor torque added for friction",
+        _LOG | _STATUS,
+        "law.friction_term",
+        chart=_MOTOR_TORQUE,
+    ),
     Signal("friction_angle", "1", "mu Theta of the law's model", _LOG | _STATUS, "estimator.friction_angle"),
     Signal("pretension", "N", "T_p of the law's model", _LOG | _STATUS, "estimator.pretension"),
     Signal("estimate_state", "1", "state of the estimator, a code", _LOG | _STATUS, "estimator.state", Kind.CODE),
@@ -107,6 +136,7 @@ _TABLE = (
         _LOG | _STATUS | _CLIENT,
         "joint_torque.torque",
         ages=_DRIVE + _JOINT,
+        chart=_JOINT_TORQUE,
     ),
     Signal("tau_j_stretch_low", "N*m", "its 95 % band, lower end", _LOG | _STATUS, "joint_torque.low"),
     Signal("tau_j_stretch_high", "N*m", "its 95 % band, upper end", _LOG | _STATUS, "joint_torque.high"),
@@ -117,6 +147,7 @@ _TABLE = (
         _LOG | _STATUS | _CLIENT,
         "joint_torque.model.torque",
         ages=_DRIVE,
+        chart=_JOINT_TORQUE,
     ),
     Signal(
         "tau_j_model_low",
@@ -177,3 +208,8 @@ FIELDS: tuple[Signal, ...] = signals_of(Place.LOG)
 FIELD_NAMES: tuple[str, ...] = names_of(Place.LOG)
 BANDED: tuple[str, ...] = tuple(name for name in names_of(Place.STATUS) if f"{name}_low" in names_of(Place.STATUS))
 """Signals of the status that lie in a band NAME_low to NAME_high."""
+CHARTS: dict[str, tuple[Signal, ...]] = {
+    title: tuple(signal for signal in _TABLE if signal.chart == title)
+    for title in dict.fromkeys(signal.chart for signal in _TABLE if signal.chart)
+}
+"""Charts of an axis by title, with the signals of each."""

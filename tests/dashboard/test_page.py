@@ -13,6 +13,7 @@ from tests.daemon.serving import until
 from tests.dashboard.chromium import Page, chromium
 from tests.dashboard.playing import Played, played
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.signals import SIGNALS
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -67,11 +68,15 @@ def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
     assert page.evaluate("document.getElementById('name').textContent") == "rig"
     titles = "[...document.querySelectorAll('article .title')].map((title) => title.textContent).join()"
     assert page.evaluate(titles) == "knee,hip"
-    assert page.evaluate("document.querySelectorAll('article canvas').length") == 8
+    assert page.evaluate("document.querySelectorAll('article canvas').length") == 10
     assert "µs" in page.evaluate("document.getElementById('times').textContent")
-    before = page.evaluate("axes.get('knee').data.torque[0].length")
-    page.until(f"axes.get('knee').data.torque[0].length > {before + 5}")
-    assert page.evaluate("axes.get('knee').data.torque[1].some((value) => value !== 0)")
+    torque = "axes.get('knee').data['joint torque']"
+    before = page.evaluate(f"{torque}[0].length")
+    page.until(f"{torque}[0].length > {before + 5}")
+    assert page.evaluate(f"{torque}[1].some((value) => value !== 0)")
+    figures = page.evaluate("document.querySelector('article .figures').textContent")
+    assert "state operation enabled; " in figures
+    assert "pretension 0.25 N; " in figures
     assert not page.evaluate("!!document.querySelector('[data-parameter=\"knee.pretension\"]')")  # cannot be set
     page.picture(tmp_path / "page.png")
     assert (tmp_path / "page.png").stat().st_size > 10_000
@@ -149,7 +154,7 @@ def test_nothing_is_wider_than_the_screen(page: Page) -> None:
 def test_every_plot_has_one_unit(page: Page) -> None:
     """Power is that of the joint: torque times speed."""
     page.until("axes.get('knee').data.power[0].length > 3")
-    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,rad,rad/s,W"
+    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,rad/s,rad,W"
     last = "axes.get('knee').data.{kind}[1].at(-1)"
     page.until(f"{last.format(kind='power')} !== 0")
     marked = "Object.values(axes.get('knee').charts).every((chart) => chart.axes[1]._splits.length > 1)"
@@ -157,16 +162,15 @@ def test_every_plot_has_one_unit(page: Page) -> None:
 
 
 def test_the_torque_by_stretch_has_its_band(page: Page) -> None:
-    """Filled between its two ends, which hold it."""
-    page.until("axes.get('knee').data.torque[0].length > 3")
-    assert page.evaluate("axes.get('knee').charts.torque.bands.length") == 1
-    upper, lower = page.evaluate("axes.get('knee').charts.torque.bands[0].series")
-    last = "axes.get('knee').data.torque[{}].at(-1)"
-    assert page.evaluate(f"{last.format(lower)} < {last.format(upper)}")
-    labels = page.evaluate("axes.get('knee').charts.torque.series.map((line) => line.label)")
-    by_stretch = labels.index("delivered, by stretch")
-    assert page.evaluate(f"{last.format(lower)} <= {last.format(by_stretch)}")
-    assert page.evaluate(f"{last.format(by_stretch)} <= {last.format(upper)}")
+    """The chart fills the area between both ends, which contains the value."""
+    data, chart = "axes.get('knee').data['joint torque']", "axes.get('knee').charts['joint torque']"
+    page.until(f"{data}[0].length > 3")
+    labels = page.evaluate(f"{chart}.series.map((line) => line.label)")
+    upper, lower = labels.index("tau_j_stretch, upper"), labels.index("tau_j_stretch, lower")
+    assert [upper, lower] in page.evaluate(f"{chart}.bands.map((band) => band.series)")
+    by_stretch = labels.index(SIGNALS["tau_j_stretch"].doc)
+    low, value, high = (f"{data}[{place}].at(-1)" for place in (lower, by_stretch, upper))
+    assert page.evaluate(f"{low} < {high} && {low} <= {value} && {value} <= {high}")
 
 
 def test_daemon_that_is_gone_is_seen(page: Page, daemon: Played) -> None:

@@ -37,6 +37,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client, stop_daemon
 from tsa_ctrl.ipc.protocol import Recover, Set, Status
+from tsa_ctrl.signals import BANDED, Kind, Place, signals_of
 
 TIMEOUT = 2.0  # s for an answer
 STOP_TIMEOUT = 0.5  # s: a working server answers within milliseconds; after that the daemon gets SIGTERM
@@ -215,14 +216,32 @@ class Guard:
         return secrets.compare_digest((given or "").encode(), self._token.encode())
 
 
+def signals_shown() -> list[dict[str, Any]]:
+    """Return the signals of an axis that the page shows: in which chart, and whether they have a band."""
+    ends = {f"{name}_{end}" for name in BANDED for end in ("low", "high")}
+    return [
+        {
+            "name": signal.name,
+            "unit": signal.unit,
+            "doc": signal.doc,
+            "chart": signal.chart,
+            "band": signal.name in BANDED,
+        }
+        for signal in signals_of(Place.STATUS)
+        if signal.kind is not Kind.AGE and signal.name not in ends
+    ]
+
+
 def application(feed: Feed, token: str, port: int) -> Starlette:
     """Return the application that serves the page and its requests."""
 
     files = {path.name: path.read_bytes() for path in STATIC.iterdir()}
+    shown = json.dumps(signals_shown()).replace("<", "\\u003c").encode()
+    home = files["index.html"].replace(b"SIGNALS", shown)
     poll = Poll(feed)
 
     async def page(request: Request) -> Response:
-        return HTMLResponse(files["index.html"], headers=HEADERS)
+        return HTMLResponse(home, headers=HEADERS)
 
     async def static(request: Request) -> Response:
         name = request.path_params["name"]

@@ -8,13 +8,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from tsa_ctrl.outputs import beside
+from tsa_ctrl.signals import CHARTS, Place, Signal
 
-GROUPS = {  # of one axis: title, and the signals of its plot
-    "joint torque": ("tau_j_des", "tau_j", "tau_j_stretch", "tau_j_model"),
-    "motor torque": ("tau_m_cmd", "tau_m"),
-    "joint velocity": ("omega_j",),
-    "joint angle": ("q_j",),
-}
+
+def topic_of(axis: str, signal: Signal) -> str:
+    """Return the topic that has a signal of an axis: of each cycle, else of the status."""
+    return f"/{axis}/{'signals' if Place.CLIENT in signal.where else 'status'}"
 
 
 def foxglove_layout(axes: Sequence[str]) -> str:
@@ -23,13 +22,17 @@ def foxglove_layout(axes: Sequence[str]) -> str:
     columns: list[object] = []
     for axis in axes:
         names = []
-        for title, signals in GROUPS.items():
+        for title, signals in CHARTS.items():
             name = f"Plot!{axis}-{title.replace(' ', '-')}"
             names.append(name)
             panels[name] = {
                 "title": f"{axis}: {title}",
                 "paths": [
-                    {"value": f"/{axis}/signals.{signal}", "enabled": True, "timestampMethod": "receiveTime"}
+                    {
+                        "value": f"{topic_of(axis, signal)}.{signal.name}",
+                        "enabled": True,
+                        "timestampMethod": "receiveTime",
+                    }
                     for signal in signals
                 ],
                 "showLegend": True,
@@ -74,14 +77,14 @@ def plotjuggler_layout(axes: Sequence[str]) -> str:
     tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     for axis in axes:
         tab = ElementTree.SubElement(tabs, "Tab", containers="1", tab_name=axis)
-        share = ";".join(f"{1.0 / len(GROUPS):.4f}" for _ in GROUPS)
-        sizes = {"sizes": share, "count": str(len(GROUPS)), "orientation": "-"}
+        share = ";".join(f"{1.0 / len(CHARTS):.4f}" for _ in CHARTS)
+        sizes = {"sizes": share, "count": str(len(CHARTS)), "orientation": "-"}
         splitter = ElementTree.SubElement(ElementTree.SubElement(tab, "Container"), "DockSplitter", sizes)
-        for title, signals in GROUPS.items():
+        for title, signals in CHARTS.items():
             area = ElementTree.SubElement(splitter, "DockArea", name=f"{axis}: {title}")
             plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
             for signal in signals:
-                ElementTree.SubElement(plot, "curve", name=f"/{axis}/signals/{signal}")
+                ElementTree.SubElement(plot, "curve", name=f"{topic_of(axis, signal)}/{signal.name}")
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

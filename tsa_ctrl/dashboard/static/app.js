@@ -6,25 +6,31 @@ const SECONDS = 20; // of the charts
 const STALE = 0.5; // s without news from the loop
 const REFRESH = 1000 / 30; // ms between two looks of the charts
 const TENFOLD = 10; // of the smallest step that a number field knows per press of an arrow
-const EDGE = "#12a59455"; // of the band around the torque by stretch
-// kind: unit, height in px, lines (field or function of the axis, words, colour); a line whose field is not there is left out;
-// band: words of the lines, upper and lower, between which it is filled
-const CHARTS = {
-  torque: { unit: "N·m", height: 260, lines: [
-    ["tau_j_des", "wanted", "#888"], ["tau_j", "delivered, by sensor", "#1f77d4"],
-    ["tau_j_stretch", "delivered, by stretch", "#12a594"], ["tau_m_cmd", "command (motor)", "#d35400"],
-    ["friction_term", "friction term", "#8e44ad"],
-    [(axis) => axis.tau_j_stretch?.high ?? null, "by stretch, upper", EDGE],
-    [(axis) => axis.tau_j_stretch?.low ?? null, "by stretch, lower", EDGE]], band: ["by stretch, upper", "by stretch, lower"] },
-  angle: { unit: "rad", height: 150, lines: [["q_j", "joint angle", "#2e9d38"]] },
-  speed: { unit: "rad/s", height: 150, lines: [["omega_j", "joint speed", "#2e9d38"]] },
-  power: { unit: "W", height: 150, lines: [[(axis) => product(delivered(axis), axis.omega_j), "power to the joint", "#c2185b"]] },
-};
+const COLOURS = ["#1f77d4", "#888", "#12a594", "#d35400", "#8e44ad", "#2e9d38", "#c2185b"]; // of the lines of a chart
+const EDGE = "55"; // opacity of the ends of a band
+const FILL = "33"; // and of the area between them
 const $ = (id) => document.getElementById(id);
+const SIGNALS = JSON.parse($("signals").textContent); // of an axis: name, unit, doc, chart, band
+const CHARTS = charts(); // by title
 const axes = new Map(); // name -> what is shown of it
 const changes = []; // {name, before, value, unit}, the last one is undone first
 let latest = null; // the newest status
 
+
+function charts() { // unit, lines (field or function of the axis, label, colour), bands (labels of the upper and the lower line)
+  const found = {};
+  for (const { name, unit, doc, chart, band } of SIGNALS.filter((signal) => signal.chart)) {
+    const { lines, bands } = (found[chart] ??= { unit: spelled(unit), lines: [], bands: [] });
+    const colour = COLOURS[lines.filter(([field]) => typeof field === "string").length % COLOURS.length];
+    lines.push([name, doc, colour]);
+    if (!band) continue;
+    const ends = [`${name}, upper`, `${name}, lower`];
+    lines.push([(axis) => axis[name]?.high ?? null, ends[0], colour + EDGE], [(axis) => axis[name]?.low ?? null, ends[1], colour + EDGE]);
+    bands.push({ ends, fill: colour + FILL });
+  }
+  found.power = { unit: "W", lines: [[(axis) => product(delivered(axis), axis.omega_j), "power to the joint", COLOURS[0]]], bands: [] };
+  return Object.fromEntries(Object.entries(found).sort(([, a], [, b]) => b.bands.length - a.bands.length));
+}
 
 function element(tag, properties = {}, ...children) {
   const made = Object.assign(document.createElement(tag), properties);
@@ -66,6 +72,11 @@ function band(found) { // a value between its ends
   return found ? `${number(found.value, 3)} (${number(found.low, 3)} to ${number(found.high, 3)}) ${spelled(found.unit)}` : "–";
 }
 
+function figure(value, signal) { // as text: of a code its name, of a value with a band its ends
+  if (signal.band) return band(value);
+  return typeof value === "number" ? `${number(value)} ${spelled(signal.unit)}`.trim() : spelledOut(value === null ? null : String(value));
+}
+
 async function ask(path, body) {
   const response = await fetch(path, {
     method: "POST",
@@ -83,20 +94,21 @@ function addAxis(axis) {
   const shown = { article, charts: {}, data: {}, lines: {}, sliders: new Map() };
   const colour = getComputedStyle(document.documentElement).getPropertyValue("--plain");
   const style = { stroke: colour, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884", width: 1 } };
-  for (const [kind, { unit, height, lines, band: ends }] of Object.entries(CHARTS)) {
-    const target = article.querySelector(".charts").appendChild(element("div", { className: `chart ${kind}` }));
+  for (const [kind, { unit, lines, bands }] of Object.entries(CHARTS)) {
+    const target = article.querySelector(".charts").appendChild(element("div", { className: `chart${bands.length ? " wide" : ""}` }));
     const known = lines.filter(([field]) => typeof field === "function" || field in axis);
     shown.lines[kind] = known;
     shown.data[kind] = [[], ...known.map(() => [])];
-    const series = (ends || []).map((words) => 1 + known.findIndex(([, label]) => label === words));
+    const filled = bands.map(({ ends, fill }) => ({ series: ends.map((end) => 1 + known.findIndex(([, label]) => label === end)), fill }));
     shown.charts[kind] = new uPlot(
       {
+        title: kind,
         width: target.clientWidth || 900,
-        height,
+        height: heightOf(kind),
         scales: { x: { time: false } },
-        axes: [{ ...style, label: kind === "torque" ? "s" : undefined }, { ...style, label: unit, size: 64, space: 18 }],
+        axes: [{ ...style, label: bands.length ? "s" : undefined }, { ...style, label: unit, size: 64, space: 18 }],
         series: [{ label: "s" }, ...known.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
-        bands: ends ? [{ series, fill: "#12a59433" }] : [],
+        bands: filled,
       },
       shown.data[kind],
       target,
@@ -106,11 +118,15 @@ function addAxis(axis) {
   addParameters(axis, shown);
 }
 
+function heightOf(kind) { // px; a chart with bands is taller
+  return CHARTS[kind].bands.length ? 290 : 180;
+}
+
 function fit() { // the charts to the width that there is
   for (const { charts } of axes.values()) {
     for (const [kind, chart] of Object.entries(charts)) {
       const width = chart.root.parentElement.clientWidth;
-      if (width && width !== chart.width) chart.setSize({ width, height: CHARTS[kind].height });
+      if (width && width !== chart.width) chart.setSize({ width, height: heightOf(kind) });
     }
   }
 }
@@ -237,10 +253,7 @@ function showAxis(axis) {
   const shown = axes.get(axis.name);
   shown.article.querySelector(".title").textContent = axis.name;
   shown.article.querySelector(".figures").textContent =
-    `${spelledOut(axis.state)}; limiter: ${spelledOut(axis.limit_reason)}; ` +
-    `estimate: ${axis.estimate_state ?? "–"}; x ${number(axis.friction_angle)}, T_p ${number(axis.pretension)} N; ` +
-    `joint torque by stretch ${band(axis.tau_j_stretch)}, by model ${band(axis.tau_j_model)}; ` +
-    `${axis.missed} cycles without answer`;
+    SIGNALS.filter(({ chart, band: has }) => !chart || has).map((signal) => `${signal.name} ${figure(axis[signal.name], signal)}`).join("; ");
   for (const [kind, lines] of Object.entries(shown.lines)) {
     const data = shown.data[kind];
     if (data[0].length && axis.t < data[0][data[0].length - 1]) data.forEach((column) => (column.length = 0)); // a new run
