@@ -2,106 +2,18 @@
 
 from __future__ import annotations
 
-import itertools
-import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.plant.bench import Bench, plant_file
-from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.drive.checks import Report
+from tests.plant.bench import Bench
 from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
-from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.errors import TsaError
-from tsa_ctrl.plant.machine import Machine
-from tsa_ctrl.plant.settings import load_plant
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
-PERIOD = 0.001  # s
-REFUSALS = {  # plant, profile: what the refusal must say
-    ("generic", "epos4"): "vendor is 0x00000F0F, wanted is 0x000000FB",
-    ("generic", "elmo_gold"): "vendor is 0x00000F0F, wanted is 0x0000009A",
-    ("epos4", "generic"): "a factor of 1000",
-    ("epos4", "elmo_gold"): "vendor is 0x000000FB, wanted is 0x0000009A",
-    ("elmo_gold", "generic"): "refuses 0x60A9:0 SI unit velocity",
-    ("elmo_gold", "epos4"): "vendor is 0x0000009A, wanted is 0x000000FB",
-}
-_channels = itertools.count()
-
-
-class Plant:
-    """A machine that answers on a bus in this process."""
-
-    def __init__(self, folder: Path, kind: str) -> None:
-        self.channel = f"persona-{next(_channels)}"
-        text = f"[[axis]]\nname = 'joint'\ndrive.kind = '{kind}'\nmotion.kind = 'still'\n"
-        self._bus = PythonCan("virtual", self.channel, 1_000_000, {})
-        self.machine = Machine(load_plant(plant_file(folder, text)), self._bus)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        self.machine.start()
-        self.machine.run(self._stop.is_set)
-
-    def bring_up(self, profile: str) -> Report:
-        bus = PythonCan("virtual", self.channel, 1_000_000, {})
-        settings = BusSettings(interface="virtual", channel=self.channel)
-        # half a second: plant and master are two threads of one interpreter, and the machine has other work
-        drive = DriveSettings(node_id=1, profile=profile, max_torque=2.0, max_speed=50.0, host_timeout=0.5)
-        try:
-            chosen = [load_profile(profile, CONFIG)]
-            return bring_up(bus, settings, [AxisNodes(name="knee", drive=drive)], chosen, PERIOD)
-        finally:
-            bus.close()
-
-    def end(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._bus.close()
-
-
-@pytest.fixture
-def plants() -> Iterator[list[Plant]]:
-    made: list[Plant] = []
-    yield made
-    for plant in made:
-        plant.end()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_right_profile_comes_up(tmp_path: Path, plants: list[Plant], kind: str) -> None:
-    """All objects written and read back; what the drive lacks by its documentation is not missed."""
-    plants.append(Plant(tmp_path, kind))
-    (node,) = plants[0].bring_up(kind).nodes
-    lacking = {row.entry.name for row in node.rows if row.after is None}
-    assert not lacking & {"max torque", "reaction to a lost connection", "heartbeat consumer"}
-    values = plants[0].machine.axes[0].drive.values
-    assert values[0x6060, 0] == 10
-    if kind == "epos4":
-        clamp = values[0x3001, 2] / values[0x3001, 1]
-    elif kind == "technosoft_ipos":
-        clamp = (32767 - values[0x207F, 0]) / 16380  # rated current is half of the peak
-    else:
-        clamp = values[0x6072, 0] / 1000
-    assert clamp == pytest.approx(2.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(("kind", "profile"), sorted(REFUSALS))
-def test_a_wrong_profile_is_refused(tmp_path: Path, plants: list[Plant], kind: str, profile: str) -> None:
-    """In one line that says what was found, before the drive can be enabled."""
-    plants.append(Plant(tmp_path, kind))
-    with pytest.raises(TsaError, match=REFUSALS[kind, profile]):
-        plants[0].bring_up(profile)
-    assert plants[0].machine.axes[0].axis.command.enabled is False
 
 
 def bench(folder: Path, kind: str) -> Bench:
