@@ -229,53 +229,9 @@ def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
     assert other.ask("lease", seconds=0.2)["ok"]
 
 
-@pytest.mark.parametrize("how", ["release", "disconnect"])
-def test_a_lease_that_is_given_back_is_free_at_once(desk: Desk, how: str) -> None:
-    owner, other = desk.client(), desk.client()
-    owner.ask("lease", seconds=10.0)
-    owner.ask(**SET_POINT, value=0.5)
-    if how == "release":
-        assert owner.ask("release") == {"ok": True}
-    else:
-        owner.socket.close()
-        desk.steps()
-    assert desk.wanted() == (0.0, -math.inf)
-    assert other.ask("lease", seconds=0.2) == {"ok": True}
-
-
-def test_only_its_holder_gives_it_back(desk: Desk) -> None:
-    owner, other = desk.client(), desk.client()
-    owner.ask("lease", seconds=0.2)
-    other.ask("release")
-    assert "held by" in other.ask("lease", seconds=0.2)["error"]
-
-
 @pytest.mark.parametrize("seconds", [0.0, -1.0, 0.019, 10.1, 1e300])
 def test_a_time_out_of_bounds_is_refused(desk: Desk, seconds: float) -> None:
     assert "allowed is 0.02 to 10 s" in desk.client().ask("lease", seconds=seconds)["error"]
-
-
-def test_a_value_without_a_lease_owns_the_set_point_while_it_acts(desk: Desk) -> None:
-    """And its client, who never asked for a lease, is told nothing."""
-    owner, other = desk.client(), desk.client()
-    owner.ask(**SET_POINT, value=0.5)
-    assert "held by" in other.ask(**SET_POINT, value=-0.5)["error"]
-    desk.now += 0.201
-    assert other.ask(**SET_POINT, value=-0.5)["ok"]
-    assert desk.wanted() == (-0.5, desk.now)
-    assert owner.told() == []
-    assert desk.said() is None
-
-
-def test_who_holds_the_lease_may_recover(desk: Desk) -> None:
-    """A member of the group that commands, while it does."""
-    desk.fault()
-    member = desk.client(COMMAND)
-    assert "only who holds the set-point's lease" in member.ask("recover")["error"]
-    member.ask("lease", seconds=0.2)
-    member.say(verb="recover")
-    desk.steps()
-    assert desk.mailbox.take() is not None
 
 
 def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:

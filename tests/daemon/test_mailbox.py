@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-import struct
 import time
 from collections.abc import Iterator
 
 import pytest
 
 from tsa_ctrl.ipc.mailbox import (
-    RECOVER,
     SLOTS,
     STAGE,
     TEXT,
@@ -95,18 +93,6 @@ def test_before_the_first_status_there_are_zeros(mailbox: Mailbox) -> None:
     assert axes == [(AxisStatus(), (0.0, 0.0, 0.0))] * 2
 
 
-def test_a_torn_status_is_never_returned(mailbox: Mailbox) -> None:
-    """But the last that was whole, however the memory looks: a loop may be stopped in the middle of writing."""
-    other = other_end(mailbox)
-    for _ in range(2):
-        mailbox.publish(GENERAL, AXES)
-    mailbox.publish_text(b"[]")
-    assert (other.status(), other.text()[1]) == ((GENERAL, AXES), b"[]")
-    for at in range(0, len(mailbox._memory.bytes), 8):
-        mailbox._memory.bytes[at] ^= 0x80
-    assert (other.status(), other.text()[1]) == ((GENERAL, AXES), b"[]")
-
-
 def test_a_set_point_replaces_the_one_before_and_is_given_once(mailbox: Mailbox) -> None:
     """A later 0 never waits behind."""
     other = other_end(mailbox)
@@ -123,16 +109,6 @@ def test_a_withdrawal_is_of_all_axes(mailbox: Mailbox) -> None:
     assert [mailbox.wanted(0), mailbox.wanted(1)] == [(0.0, -math.inf)] * 2
 
 
-def test_a_command_whose_place_is_not_whole_yet_waits(mailbox: Mailbox) -> None:
-    other = other_end(mailbox)
-    other.put(Command(1, 2, 3.0))
-    at = mailbox._memory.bytes.find(struct.pack("=d", 3.0))
-    mailbox._memory.bytes[at + 7] ^= 0xFF
-    assert mailbox.take() is None
-    mailbox._memory.bytes[at + 7] ^= 0xFF
-    assert mailbox.take() == Command(1, 2, 3.0)
-
-
 def test_a_server_that_follows_another_goes_on_with_its_tickets(mailbox: Mailbox) -> None:
     assert other_end(mailbox).put(Command(0, 0, 0.0)) == 0
     assert other_end(mailbox).put(Command(0, 1, 1.0)) == 1
@@ -140,10 +116,6 @@ def test_a_server_that_follows_another_goes_on_with_its_tickets(mailbox: Mailbox
 
 
 READINGS = [Reading(*(1000.0 * axis + n for n in range(len(Reading._fields)))) for axis in range(2)]
-
-
-def test_how_much_fits() -> None:
-    assert (SLOTS, TEXT, STAGE, RECOVER) == (64, 16 * 1024, 512, -1)
 
 
 @pytest.mark.parametrize("one", [1, 2])
@@ -190,58 +162,9 @@ def test_nothing_lies_where_something_else_does(mailbox: Mailbox, one: int, next
     assert not other.taken(SLOTS)
 
 
-def test_one_that_was_torn_leaves_the_one_before(mailbox: Mailbox) -> None:
-    """The older of the two places is whole, whatever is written into the newer one."""
-    other = other_end(mailbox)
-    for number in range(2):
-        mailbox.publish(GENERAL._replace(time=float(number)), AXES)
-        mailbox.publish_stage(float(number), f"stage {number}")
-        mailbox.measure(float(number), number, 0, READINGS)
-        other.tell(float(number), f"told {number}")
-    for newer in (b"stage 1", b"told 1"):
-        at = mailbox._memory.bytes.find(newer)
-        mailbox._memory.bytes[at] ^= 0xFF
-    assert other.stage() == (0.0, "stage 0")
-    assert mailbox.told() == (0.0, "told 0")
-
-
-def test_before_anything_is_said_there_is_nothing(mailbox: Mailbox) -> None:
-    other = other_end(mailbox)
-    zeros = Reading(*(0.0 for _ in Reading._fields))
-    assert Reading() == zeros
-    assert other.measured() == (0.0, 0, 0, [zeros, zeros])
-    assert (other.stage(), other.text()) == ((0.0, ""), (0, b""))
-    assert (mailbox.told(), mailbox.heard, mailbox.replaced) == (None, 0.0, 0)
-
-
-def test_what_is_told_is_given_once_and_what_the_start_waits_for_may_be_over(mailbox: Mailbox) -> None:
-    other = other_end(mailbox)
-    other.tell(1.0, "one")
-    other.tell(2.0, "two")
-    assert (mailbox.told(), mailbox.told()) == ((2.0, "two"), None)
-    mailbox.publish_stage(3.0, "drive node 1")
-    assert other.stage() == (3.0, "drive node 1")
-    mailbox.publish_stage(4.0, "")
-    assert other.stage() == (4.0, "")
-    mailbox.publish_text(b"[]")
-    assert other.text() == (1, b"[]")
-    mailbox.publish_text(b"")
-    assert other.text() == (2, b"")
-
-
 def test_what_is_too_long_is_cut(mailbox: Mailbox) -> None:
     mailbox.publish_stage(3.0, "x" * 1000)
     assert other_end(mailbox).stage() == (3.0, "x" * (STAGE - 8))
-
-
-def test_what_the_start_waits_for_stays_where_nothing_of_it_is_whole(mailbox: Mailbox) -> None:
-    other = other_end(mailbox)
-    for _ in range(2):
-        mailbox.publish_stage(3.0, "drive node 1")
-    assert other.stage() == (3.0, "drive node 1")
-    for at in range(0, len(mailbox._memory.bytes), 8):
-        mailbox._memory.bytes[at] ^= 0x80
-    assert other.stage() == (3.0, "drive node 1")
 
 
 def test_a_closed_box_gives_its_memory_back() -> None:

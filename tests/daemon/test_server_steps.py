@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gc
-import json
-import os
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,16 +10,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.daemon.serving import QUARTERS, description
-from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, measured
+from tests.daemon.serving import QUARTERS
+from tests.daemon.test_lease import COMMAND, SET_POINT, Desk, measured
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server
-from tsa_ctrl.ipc.listener import CLIENTS, listen
-from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, AxisStatus, Command, General, Mailbox
+from tsa_ctrl.ipc.listener import CLIENTS
+from tsa_ctrl.ipc.mailbox import RELEASE, AxisStatus, Command, General
 from tsa_ctrl.ipc.protocol import Range
-from tsa_ctrl.ipc.report import status_report
-from tsa_ctrl.ipc.server import Server
 
 SET = {"verb": "set", "name": "knee.compensation", "value": 0.5}
 
@@ -40,27 +33,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
     yield made
     with contextlib.suppress(OSError, ValueError, KeyError, AttributeError, TypeError):  # one that a test has closed
         made.close()
-
-
-@pytest.mark.parametrize("key", ["group", "watch_group"])
-def test_a_group_that_is_not_there_is_named_by_its_key(tmp_path: Path, key: str) -> None:
-    said = msgspec.structs.replace(description(tmp_path / "x", ["knee"]), **{key: "no-such"})
-    mailbox = Mailbox(1, 2)
-    with listen(str(tmp_path / "x"), None) as listener, pytest.raises(UsageError, match=rf"\[socket\] {key} 'no-such'"):
-        Server(listener, mailbox, said)
-    mailbox.close()
-
-
-def test_a_descriptor_that_is_watched_is_told(desk: Desk) -> None:
-    read, write = os.pipe()
-    desk.server.watch(read)
-    client = desk.client()
-    client.say(verb="status")
-    assert desk.server.step(0.0) == []
-    os.write(write, b"x")
-    assert desk.server.step(0.0) == [read]
-    os.close(read)
-    os.close(write)
 
 
 def test_who_asks_nothing_for_long_is_let_go_but_not_while_he_waits(
@@ -119,54 +91,6 @@ def test_stop_comes_before_the_requests_of_others(desk: Desk) -> None:
     assert desk.mailbox.stop_requested
 
 
-def test_who_is_refused_is_closed(desk: Desk) -> None:
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        desk.client(99)
-        gc.collect()
-    assert told == []
-
-
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        (b"{}", "not a request: "),
-        (b"\xff", "not a request: "),
-        (b'{"x":' + b"[" * 4000, "not a request: nested too deeply; one flat object per line"),
-        (b'{"verb":"setpoint","axis":"toe","value":1.0}', "no axis 'toe'"),
-    ],
-)
-def test_what_is_no_request_is_refused_once(desk: Desk, line: bytes, words: str) -> None:
-    client = desk.client()
-    client.socket.sendall(line + b"\n")
-    (told,) = client.told()
-    assert (told["ok"], told["error"].startswith(words)) == (False, True)
-    assert client.ask("measure")["ok"]
-
-
-def test_a_command_is_answered_when_the_loop_has_taken_it(desk: Desk) -> None:
-    client = desk.client()
-    client.say(**SET)
-    assert client.told() == []
-    desk.now += 1.0
-    assert client.told() == []
-    assert desk.mailbox.take() == Command(0, 0, 0.5)
-    answer = client.told()
-    assert answer == [{"ok": True, "axis": "knee", "name": "compensation", "unit": "1", "before": 0.95, "value": 0.5}]
-    assert client.told() == []
-
-
-def test_a_command_that_the_loop_does_not_take_is_refused_after_a_second(desk: Desk) -> None:
-    client = desk.client()
-    client.say(**SET)
-    desk.steps()
-    desk.now += 1.0
-    assert client.told() == []
-    desk.now += 2.0**-10
-    assert client.told() == [{"ok": False, "error": "the loop did not take the command within 1 s"}]
-    assert client.told() == []
-
-
 def test_a_value_that_is_set_while_the_axis_starts_is_accepted_and_waits(desk: Desk) -> None:
     """The answer names what is waited for, comes at once, and the loop finds the command with its first cycle."""
     client = desk.client()
@@ -186,31 +110,6 @@ def test_a_full_queue_is_told(desk: Desk) -> None:
     client = desk.client()
     client.say(**SET)
     assert client.told() == [{"ok": False, "error": "too many commands are waiting; try again"}]
-
-
-def test_who_stops_is_told_what_is_waited_for(desk: Desk) -> None:
-    client = desk.client()
-    assert client.ask("stop") == {"ok": True, "waiting_for": None}
-    assert desk.mailbox.stop_requested
-    desk.mailbox.publish_stage(desk.now, "node 1")
-    assert client.ask("stop") == {"ok": True, "waiting_for": "node 1"}
-
-
-def test_a_recovery_is_its_own_command_and_of_whom_the_set_point_listens_to(desk: Desk) -> None:
-    owner, member, other = desk.client(), desk.client(COMMAND), desk.client(COMMAND)
-    desk.fault()
-    owner.say(verb="recover")
-    desk.steps()
-    assert desk.mailbox.take() == Command(0, RECOVER, 0.0)
-    assert member.ask(**SET_POINT, value=0.5)["ok"]  # which is no lease
-    for one in (member, other):
-        assert one.ask("recover")["error"].startswith("recover: only who holds the set-point's lease or started")
-    member.ask("lease", seconds=1.0)
-    assert not other.ask("recover")["ok"]
-    member.say(verb="recover")
-    assert member.told() == []
-    assert desk.mailbox.take() == Command(0, RECOVER, 0.0)
-    assert member.told() == [{"ok": True}]
 
 
 def status(desk: Desk, general: General, axis: AxisStatus) -> dict[str, Any]:
@@ -233,16 +132,6 @@ def test_a_loop_that_hangs_has_no_values_but_its_parameters(desk: Desk) -> None:
     axis = status(desk, General(time=desk.now - 5.0, phase=2.0), QUARTERS)["axes"][0]
     assert {axis[name] for name in ("state", "tau_m", "q_j", "tau_j_des", "limit_reason")} == {None}
     assert axis["parameters"]["compensation"]["value"] == 0.95
-
-
-def test_before_the_first_cycle_nothing_is_known(tmp_path: Path) -> None:
-    mailbox = Mailbox(1, 2)
-    found = status_report(mailbox, description(tmp_path / "x", ["knee"]), 100.0)
-    (axis,) = found["axes"]
-    assert found["uptime"] is None
-    assert {axis[name] for name in ("state", "tau_j", "tau_m", "omega_j", "missed", "estimate_state")} == {None}
-    assert {figures["value"] for figures in axis["parameters"].values()} == {None}
-    mailbox.close()
 
 
 def test_a_fault_before_the_last_recovery_is_an_event_without_a_remedy_to_follow(desk: Desk) -> None:
@@ -324,15 +213,6 @@ def test_its_holder_hears_from_the_next_event_on(desk: Desk, before: tuple[int, 
     assert owner.told() == [{"event": "told", "number": new + 1, "text": "x"}]
 
 
-def test_the_very_first_event_is_heard(desk: Desk) -> None:
-    """There was none before it, and it is looked at as soon as there is one."""
-    owner = desk.client()
-    owner.ask("lease", seconds=10.0)
-    desk.mailbox.publish_text(b'[{"number": 0, "text": "x"}]')
-    desk.now += 1.0
-    assert owner.told() == [{"event": "told", "number": 0, "text": "x"}]
-
-
 def test_who_never_asked_for_a_lease_hears_nothing(desk: Desk) -> None:
     owner = desk.client()
     owner.ask(**SET_POINT, value=0.5)
@@ -341,68 +221,4 @@ def test_who_never_asked_for_a_lease_hears_nothing(desk: Desk) -> None:
     assert owner.told() == []
 
 
-@pytest.mark.parametrize(("late", "taken"), [(0.25, True), (0.2501, False), (-0.125, True), (-0.1251, False)])
-def test_a_value_counts_from_its_time_to_its_time_out(desk: Desk, late: float, taken: bool) -> None:
-    owner = desk.client()
-    assert owner.ask(**SET_POINT, value=0.5, time=desk.now - late)["ok"] is taken
-    assert desk.wanted() == ((0.5, desk.now - late) if taken else None)
-
-
-def test_values_of_each_axis_are_its_own(desk: Desk) -> None:
-    owner = desk.client()
-    owner.ask(**SET_POINT, value=2.0, time=128.0)
-    assert owner.ask("setpoint", axis="hip", value=-1.0, time=127.9375)["ok"]
-    assert (desk.mailbox.wanted(0), desk.mailbox.wanted(1)) == ((2.0, 128.0), (-1.0, 127.9375))
-    assert owner.ask("setpoint", axis="hip", value=1.5) == {"ok": True, "axis": "hip", "clamped": 1.0}
-    assert owner.ask(**SET_POINT, value=-2.5) == {"ok": True, "axis": "knee", "clamped": -2.0}
-    assert owner.ask(**SET_POINT, value=1.0, time=128.0)["ok"]  # of the same time
-    assert "before the one that is there" in owner.ask(**SET_POINT, value=0.5, time=127.9375)["error"]
-    owner.ask("release")
-    assert owner.ask(**SET_POINT, value=0.5, time=127.9375)["ok"]  # nothing is there any more
-
-
-def test_a_value_without_a_lease_holds_for_its_time_out(desk: Desk) -> None:
-    owner, other = desk.client(), desk.client()
-    owner.ask(**SET_POINT, value=0.5)
-    assert other.ask("status")["lease"]["seconds"] == 0.25
-    desk.now += 0.25
-    assert not other.ask(**SET_POINT, value=0.5)["ok"]
-    desk.now += 0.125
-    assert other.ask(**SET_POINT, value=0.5)["ok"]
-
-
-def test_values_are_confirmed_by_their_time(desk: Desk) -> None:
-    owner = desk.client()
-    owner.ask("lease", seconds=1.0)
-    desk.now += 0.5
-    owner.say(**SET_POINT, value=0.1, time=desk.now - 0.125, quiet=True)
-    assert owner.told() == [{"event": "lease", "held": True, "time": desk.now - 0.125}]
-
-
-@pytest.mark.parametrize(("phase", "why"), [("stopping", "the daemon has ended"), ("ended", "the daemon has ended"),
-                                            ("running", "the loop hangs, there was no cycle for 0.5 s")])  # fmt: skip
-def test_a_loop_without_cycles_is_followed_no_longer(desk: Desk, phase: str, why: str) -> None:
-    owner = desk.client()
-    owner.ask("lease", seconds=10.0)
-    measured(desk, desk.now, phase=LoopPhase[phase.upper()].value)
-    desk.now += 0.5
-    assert owner.told() == []
-    desk.now += 0.0625
-    assert owner.told() == [{"event": "lease", "held": False, "why": why}]
-    assert desk.said() is not None
-
-
-def test_who_watches_may_only_watch(desk: Desk) -> None:
-    watcher = desk.client(WATCH)
-    for verb, more in (("stop", {}), ("lease", {"seconds": 1.0}), ("setpoint", {"axis": "knee", "value": 0.1})):
-        assert watcher.ask(verb, **more)["error"].startswith(f"{verb}: user 12345 may only watch here")
-
-
 # The process
-
-
-def test_every_line_that_is_told_is_json(desk: Desk) -> None:
-    client = desk.client()
-    client.say(verb="status")
-    desk.steps()
-    assert all(json.loads(line) for line in client.socket.recv(1 << 16).splitlines())

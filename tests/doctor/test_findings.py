@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -151,7 +150,3 @@ def test_a_single_late_cycle_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> No
     late[7] = 2e-3
     monkeypatch.setattr(machine, "multiprocessing", Measured((True, 80, 1 << 20, (), late)))
     assert list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-1].result is Result.WARN
-
-
-def test_what_cannot_be_read_is_empty() -> None:
-    assert machine._text(Path("/nowhere/at/all")) == ""

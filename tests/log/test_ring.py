@@ -12,10 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.log.ring import _HEADER as HEADER
 from tsa_ctrl.log.ring import RingReader, RingWriter
 from tsa_ctrl.signals import FIELD_NAMES, FIELDS
-from tsa_ctrl.system.shared_memory import space
 
 BLANK = [math.nan] * (len(FIELDS) - 1)
 
@@ -98,31 +96,6 @@ def test_the_memory_outlives_the_writer_for_who_still_reads() -> None:
     own.push(0, record(7.0))
     own.close()
     assert reader.read(0)[0, 0] == 7.0
-
-
-def test_a_record_that_is_on_its_way_is_taken_the_next_time(ring: RingWriter) -> None:
-    """The count may be seen before the record that it counts."""
-    reader = RingReader(ring.fd)
-    for number in range(3):
-        ring.push(0, record(number))
-    at = HEADER + 3 * space(1, 8 * len(FIELDS)) + 100  # in the third record: numbers from 1
-    kept = ring._memory.bytes[at]
-    ring._memory.bytes[at] ^= 0xFF
-    assert reader.read(0)[:, 0].tolist() == [0.0, 1.0]
-    ring._memory.bytes[at] = kept
-    assert reader.read(0)[:, 0].tolist() == [2.0]
-    assert reader.lost == 0
-
-
-def test_a_record_that_never_came_is_lost_when_its_place_is_taken(ring: RingWriter) -> None:
-    reader = RingReader(ring.fd)
-    ring.push(0, record(0))
-    ring._memory.bytes[HEADER + space(1, 8 * len(FIELDS)) + 100] ^= 0xFF
-    assert len(reader.read(0)) == 0
-    for number in range(1, 18):
-        ring.push(0, record(number))
-    assert len(reader.read(0)) + reader.lost == 18
-    assert reader.lost == 2
 
 
 def test_a_descriptor_of_something_else_is_no_ring() -> None:
