@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import pytest
@@ -31,24 +30,10 @@ def test_an_offset_of_another_tool_is_set_to_zero(tmp_path: Path, name: str) -> 
     assert (row.before, row.after) == (left, 0)
 
 
-def test_a_motor_rests_at_command_zero_although_an_offset_was_left(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}")
-    foreign.start()
-    foreign.enable(0.0)
-    assert foreign.drive.command.torque == 0.0
-
-
 def test_the_offset_of_a_second_axis_is_its_own(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "slot = 2", "objects = {'0x60B2:0' = 120}")
     foreign.start(slot=2)
     assert foreign.node.values[0x68B2, 0] == 0
-
-
-def test_an_offset_that_cannot_be_written_is_refused_with_its_value(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}", "read_only = ['0x60B2']")
-    with refused("axis 'knee' drive node 1", "0x60B2:0 torque offset", "it holds 0x78", "allowed is 0", "maker's tool"):
-        foreign.start()
-    assert not foreign.drive.command.enabled
 
 
 def test_an_offset_that_the_drive_keeps_is_refused(tmp_path: Path) -> None:
@@ -63,15 +48,6 @@ def test_an_offset_that_the_drive_keeps_is_refused(tmp_path: Path) -> None:
     foreign.node.dictionary.write = keep  # type: ignore[method-assign]
     with refused("0x60B2:0 torque offset: wrote 0x0, read back 0x78", "allowed is 0"):
         foreign.start()
-
-
-def test_an_offset_that_is_zero_and_read_only_is_accepted(tmp_path: Path) -> None:
-    Foreign(tmp_path, "read_only = ['0x60B0', '0x60B1', '0x60B2']").start()
-
-
-@pytest.mark.parametrize("absent", [[0x60B0, 0x60B1, 0x60B2, 0x60E0, 0x60E1], [0x6073, 0x6075, 0x6087, 0x6088]])
-def test_a_drive_without_these_objects_starts(tmp_path: Path, absent: list[int]) -> None:
-    assert notes(Foreign(tmp_path, f"absent = {absent}")) == []
 
 
 @pytest.mark.parametrize(
@@ -113,12 +89,3 @@ def test_an_rpdo_of_another_tool_beyond_the_fourth_is_switched_off(tmp_path: Pat
     report = foreign.start()
     assert node.values[0x1404, 1] == 0x80000301
     assert (0x1404 in {row.entry.index for found in report.nodes for row in found.rows}) is on
-
-
-def test_an_rpdo_of_another_tool_that_stays_on_is_refused(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path)
-    node = foreign.node
-    node.rpdos.append(Rpdo(node.dictionary, 4, PdoDefault(0x300, 255, ((0x60B2, 0),)), node._changed))
-    node.dictionary.add(dataclasses.replace(node.dictionary.entries[0x1404, 1], access=Access.RO))
-    with refused("0x1404:1 RPDO5 COB-ID", "it holds 0x301", "switch this RPDO off"):
-        foreign.start()

@@ -8,38 +8,11 @@ from tsa_ctrl.plant.cia402 import PowerState, PowerStateMachine
 
 NOT_READY, DISABLED, READY, ON, ENABLED, STOP, REACTION, FAULT = PowerState
 
-# state, controlword, state after it, number of the transition
-TABLE = (
-    (DISABLED, 0x06, READY, 2),
-    (READY, 0x07, ON, 3),
-    (READY, 0x0F, ENABLED, 4),  # 3 and 4 by one controlword
-    (ON, 0x0F, ENABLED, 4),
-    (ENABLED, 0x07, ON, 5),
-    (ON, 0x06, READY, 6),
-    (READY, 0x02, DISABLED, 7),
-    (READY, 0x00, DISABLED, 7),
-    (ENABLED, 0x06, READY, 8),
-    (ENABLED, 0x00, DISABLED, 9),
-    (ON, 0x02, DISABLED, 10),
-    (ON, 0x00, DISABLED, 10),
-    (ENABLED, 0x02, STOP, 11),
-    (STOP, 0x00, DISABLED, 12),
-    (STOP, 0x0F, ENABLED, 16),
-    (FAULT, 0x80, DISABLED, 15),
-)
-
 
 def machine_in(state: PowerState) -> PowerStateMachine:
     machine = PowerStateMachine()
     machine.state = state
     return machine
-
-
-@pytest.mark.parametrize(("state", "controlword", "after", "number"), TABLE)
-def test_a_transition_of_the_standard(state: PowerState, controlword: int, after: PowerState, number: int) -> None:
-    machine = machine_in(state)
-    machine.control(controlword, quick_stop_stays=True, fault_gone=True)
-    assert (machine.state, machine.transition) == (after, number)
 
 
 def expected(state: PowerState, controlword: int) -> PowerState:
