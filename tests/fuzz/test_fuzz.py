@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from tests.fuzz import configuring, files, guided, guided_example, master, nodes, requests
+from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz.corpus import Target
 from tests.fuzz.part import Part
 from tests.fuzz.targets import targets
 from tsa_ctrl.errors import UsageError
@@ -65,50 +67,21 @@ def test_names_that_are_no_paths(name: str) -> None:
         load_model(name)
 
 
-def test_same_seed_same_nonsense() -> None:
-    """A problem can be repeated by its seed."""
-    assert files._spoil("a = 1\nb = 2", random.Random(3)) == files._spoil("a = 1\nb = 2", random.Random(3))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)
-def test_what_comes_from_outside_is_taken_or_refused_in_words(target: guided.Target) -> None:
-    """The corpus, which must still reach its goal, and a hundred inputs made of it."""
-    known = len(target.seeds) + len(guided.kept(target.name))
-    part = guided.run(target, 60.0, 1, most=known + 100)
-    assert part.problems == []
-    assert part.inputs == known + 100
+@given(data=st.data())
+@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+def test_what_comes_from_outside_is_taken_or_refused_in_words(target: Target, data: st.DataObject) -> None:
+    target.call(data.draw(target.changed()))
 
 
-@pytest.mark.slow
-def test_coverage_leads_to_what_no_chance_finds() -> None:
-    """Three words of a language in a row, each a branch of its own: one is built upon the other."""
-    found: list[bytes] = []
-
-    def call(data: bytes) -> None:
-        if guided_example.depth(data) == 3:
-            found.append(data)
-
-    target = guided.Target(
-        "example", call, ("tests.fuzz.guided_example",), (b"....",), (b"\x5b", b"\xa9", b"\x07"), 1.0
-    )
-    part = guided.run(target, 60.0, 1, most=20_000)
-    assert found
-    assert part.problems == []
+@pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)
+def test_what_once_reached_a_new_line_is_taken_or_refused_in_words(target: Target) -> None:
+    for data in target.inputs:
+        target.call(data)
 
 
-def test_a_goal_that_is_not_reached_and_a_crash_are_problems() -> None:
-    def call(data: bytes) -> None:
-        if not data:
-            raise ValueError("empty")
-
-    target = guided.Target("example", call, ("tests.fuzz.guided_example",), (b"x", b""), (), 0.5)
-    said = guided.run(target, 60.0, 1, most=2).problems
-    assert "ValueError: empty" in said[0]
-    assert said[1] == "0 of 7 lines, the goal is 50%"
-
-
-FOUND = {  # by it, in its first minutes; each was a traceback, or several lines
+FOUND = {  # by fuzzing led by coverage; each was a traceback, or several lines
     "set-point": b"time,x\n0,0\n",  # none of the wanted columns
     "csv": b"t,tau_j\n0,1\n\xe4\n",  # a row of a wrong length that is no text
     "mcap": None,

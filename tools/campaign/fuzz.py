@@ -1,7 +1,6 @@
 """Send invalid input to loop, plant, bring-up, socket and files, and look for crashes, torque and leaks.
 
 Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
-       tools/run campaign/fuzz --coverage [TARGET...] [--minutes 24] [--save] [--seed 1] [--json]
 
   loop      spoiled, random and lying frames to the daemon's loop on a bus in memory; a judge that reads only the frames
             says when there may be torque
@@ -9,11 +8,6 @@ Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
   bring-up  the start over a bus that spoils SDO answers: it succeeds, or says in one line why not
   socket    spoiled requests to the local socket's process
   files     spoiled configuration files to every reader
-
---coverage: led by what an input reaches, each target with a corpus that is kept (tests/fuzz/corpus) and a goal;
---minutes of processor time are shared by the targets, --save adds to the corpus what reached something anew:
-
-  frames, sdo (answers), requests (socket), http (dashboard), toml, csv, set-point, mcap, eds, serial
 
 --frames is shared by loop and plant; the other parts take their share of it. Memory and descriptors are those after the
 first quarter and at the end. Exit code 1: a problem was found; its seed repeats it.
@@ -24,9 +18,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from tests.fuzz import configuring, files, guided, master, nodes, requests
+from tests.fuzz import configuring, files, master, nodes, requests
 from tests.fuzz.part import Part
-from tests.fuzz.targets import targets
 from tools import command
 from tools.command import Row
 
@@ -44,23 +37,13 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--coverage", action="store_true", help="led by coverage")
-    parser.add_argument("--minutes", type=float, default=24.0, help="of processor time, with --coverage")
-    parser.add_argument("--save", action="store_true", help="keep what reached something anew, with --coverage")
     command.share(parser, "seed json", seed=1)
     options = parser.parse_args()
-    parts = PARTS
-    if options.coverage:
-        seconds = 60.0 * options.minutes / len(options.parts or targets())
-        parts = {
-            target.name: lambda frames, seed, target=target: guided.run(target, seconds, seed, save=options.save)  # type: ignore[misc]
-            for target in targets()
-        }
-    if unknown := sorted({*options.parts} - {*parts}):
-        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(parts)}")
+    if unknown := sorted({*options.parts} - {*PARTS}):
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
     rows: list[Row] = []
-    for name in options.parts or parts:
-        rows.append(row_of(parts[name](options.frames, options.seed)))
+    for name in options.parts or PARTS:
+        rows.append(row_of(PARTS[name](options.frames, options.seed)))
         print(f"{name}: {rows[-1]['inputs']} inputs, {rows[-1]['counts']}", file=sys.stderr, flush=True)
     command.show(rows, ("part", "inputs", "growth_mib", "left_open", "problems"), options.json)
     problems = [f"{row['part']}: {text}" for row in rows for text in row["problems"]]
