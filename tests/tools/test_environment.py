@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -48,10 +47,3 @@ def test_a_lack_is_one_line(tmp_path: Path, python: str, message: str) -> None:
     assert line.startswith("tools/demo: ")
     assert message in line
     assert all("installing into .venv" in line for line in progress)
-
-
-def test_byte_code_is_kept_where_a_container_says_otherwise() -> None:
-    script = f"tool=test; source {ROOT}/tools/environment.sh; python -c 'import sys; print(sys.dont_write_bytecode)'"
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, env=environment, check=True)
-    assert done.stdout == "False\n"

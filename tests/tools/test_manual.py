@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.conftest import ROOT
-from tools.manual import measure, parts
+from tools.manual import measure
 from tools.manual.write import PAGES, differing
 
 PRESENT = [name for name in PAGES if (ROOT / name).is_file()]
@@ -22,21 +22,6 @@ def test_every_link_and_picture_of_a_page_is_there(name: str) -> None:
     page = ROOT / name
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
         assert target.startswith("https:") or (page.parent / target).exists(), target
-
-
-def test_the_reference_values_of_figure_3_19_stand_in_the_model_page() -> None:
-    """2.00617 and 0.15724 l_us, at mu = 0.05 and a quarter turn, all bending at the motor."""
-    slope, half = parts.slope_and_half_loop(parts.SHAPES["all at the motor end"], 0.05 * 1.5707963267948966)
-    assert slope == pytest.approx(2.0 / 2.00617, rel=1e-5)
-    assert half == pytest.approx(0.15724 / 2.00617, rel=1e-4)
-
-
-@pytest.mark.parametrize(("x", "slope"), [(0.5, 12.8), (0.8, 33.7)])
-def test_the_error_of_the_simplified_slope_evenly_bent(x: float, slope: float) -> None:
-    """cosh x against 1."""
-    found, _ = parts.slope_and_half_loop(parts.SHAPES["evenly"], x)
-    assert found == pytest.approx(1.0, abs=1e-12)
-    assert f"{slope:+.1f}" in parts.errors()
 
 
 def test_every_table_of_hours_stands_in_a_page_and_has_its_command() -> None:
