@@ -92,7 +92,8 @@ def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
     assert status["axes"][0]["tau_j"] is None
     assert status["axes"][0]["tau_j_stretch"] == {"value": 0.25, "low": 0.25, "high": 0.25, "unit": "N*m"}
     assert status["axes"][0]["tau_j_model"] is None
-    assert status["axes"][0]["parameters"]["compensation"] == {"value": 0.95, "low": 0.0, "high": 1.2, "unit": "1"}
+    figures = {"value": 0.95, "low": 0.0, "high": 1.2, "unit": "1", "doc": "share", "switch": False}
+    assert status["axes"][0]["parameters"]["compensation"] == figures
     assert status["faults"] == []
     assert status["phase"] == "running"
 

@@ -13,7 +13,7 @@ import msgspec
 
 from tests.daemon.serving import QUARTERS, Serving
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters
+from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters, Reading
 from tsa_ctrl.safety.causes import Cause
 
 PERIOD = 0.01  # s
@@ -46,7 +46,10 @@ class Played:
             now = time.monotonic()
             general = General(time=now, start=self._start, phase=float(self.phase.value), cycles=cycles)
             self.serving.mailbox.lateness[2] = cycles
-            self.serving.mailbox.publish(general, [self._axis(index, now - self._start) for index in range(2)])
+            axes = [self._axis(index, now - self._start) for index in range(2)]
+            self.serving.mailbox.publish(general, axes)
+            readings = [Reading(*(getattr(axis, name, 0.0) for name in Reading._fields)) for axis, _ in axes]
+            self.serving.mailbox.measure(now, cycles, self.phase.value, readings)
 
     def _axis(self, index: int, t: float) -> tuple[AxisStatus, Parameters]:
         wanted = math.sin(2.0 * t)

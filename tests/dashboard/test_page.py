@@ -21,7 +21,7 @@ ROW = "document.querySelector('[data-parameter=\"knee.compensation\"]')"
 DRAG = f"""(() => {{
     const slider = {ROW}.querySelector('input');
     slider.value = 0.5;
-    slider.dispatchEvent(new Event('input'));
+    slider.dispatchEvent(new Event('input', {{bubbles: true}}));
 }})()"""
 CLICK = "{row}.querySelectorAll('button')[{place}].click()"
 APPLY, CANCEL = CLICK.format(row=ROW, place=0), CLICK.format(row=ROW, place=1)
@@ -68,15 +68,15 @@ def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
     assert page.evaluate("document.getElementById('name').textContent") == "rig"
     titles = "[...document.querySelectorAll('article .title')].map((title) => title.textContent).join()"
     assert page.evaluate(titles) == "knee,hip"
-    assert page.evaluate("document.querySelectorAll('article canvas').length") == 10
+    assert page.evaluate("document.querySelectorAll('article canvas').length") == 12
     assert "µs" in page.evaluate("document.getElementById('times').textContent")
     torque = "axes.get('knee').data['joint torque']"
     before = page.evaluate(f"{torque}[0].length")
     page.until(f"{torque}[0].length > {before + 5}")
     assert page.evaluate(f"{torque}[1].some((value) => value !== 0)")
     figures = page.evaluate("document.querySelector('article .figures').textContent")
-    assert "state operation enabled; " in figures
-    assert "pretension 0.25 N; " in figures
+    assert "state operation enabled" in figures
+    assert "pretension 0.25 N" in figures
     assert not page.evaluate("!!document.querySelector('[data-parameter=\"knee.pretension\"]')")  # cannot be set
     page.picture(tmp_path / "page.png")
     assert (tmp_path / "page.png").stat().st_size > 10_000
@@ -129,7 +129,7 @@ def test_a_fault_is_shown_with_its_cure_and_recovered_by_two_presses(page: Page,
     page.until("!document.getElementById('faulted').hidden && !document.getElementById('recover').disabled")
     said = page.evaluate("document.getElementById('faults').textContent")
     assert "1.250 s  knee: stale PDO: drive node 1" in said
-    assert "do: look at the bus" in said
+    assert "remedy: look at the bus" in said
     page.evaluate("document.getElementById('recover').click()")
     assert daemon.taken == []
     page.evaluate("document.getElementById('recover').click()")
@@ -139,9 +139,53 @@ def test_a_fault_is_shown_with_its_cure_and_recovered_by_two_presses(page: Page,
 def test_a_number_is_typed_with_round_steps(page: Page, daemon: Played) -> None:
     typed = f"{ROW}.querySelector('input[type=number]')"
     assert float(page.evaluate(f"{typed}.step")) == 0.01
-    page.evaluate(f"{typed}.value = '0.7'; {typed}.dispatchEvent(new Event('input'))")
+    page.evaluate(f"{typed}.value = '0.7'; {typed}.dispatchEvent(new Event('input', {{bubbles: true}}))")
     page.evaluate(APPLY)
     assert until(lambda: daemon.taken == [Command(0, 0, 0.7)])
+
+
+def test_the_newest_values_are_shown_without_a_pointer_over_a_chart(page: Page) -> None:
+    """With the unit of each; the tracking error is desired against delivered torque."""
+    page.until("axes.get('knee').data['joint torque'][0].length > 3")
+    cells = "document.querySelectorAll('[data-chart=\"{kind}\"] .u-legend .u-value')"
+    legend = f"[...{cells}].map((cell) => cell.textContent)"
+    torque, angle = (legend.format(kind=kind) for kind in ("joint torque", "joint angle"))
+    shown = page.until(f"(() => {{ const all = {torque}; return all[1] !== '--' && all; }})()")
+    assert all(value.endswith((" s", " N·m")) for value in shown)
+    assert page.evaluate(angle)[1].endswith(" rad")
+    torques, errors = page.evaluate("[axes.get('knee').data['joint torque'], axes.get('knee').data['tracking error']]")
+    (_, delivered, desired, *_), (_, error) = torques, errors
+    assert all(
+        abs(e - (got - want)) < 1e-9 for want, got, e in zip(desired, delivered, error, strict=False) if got is not None
+    )
+    page.until("document.querySelector('.errors').textContent.includes('while sliding')")
+
+
+def test_at_least_half_of_a_hundred_cycles_a_second_are_points(page: Page) -> None:
+    """That is fifty points a second, whatever the speed of this machine."""
+    count = "[axes.get('knee').data['joint torque'][0].length, latest.cycles.cycles]"
+    page.until("axes.get('knee').data['joint torque'][0].length > 3")
+    points, cycles = page.evaluate(count)
+    page.until(f"latest.cycles.cycles > {cycles + 200}")
+    more, later = page.evaluate(count)
+    assert more - points > 0.5 * (later - cycles)
+
+
+def test_a_switch_is_a_switch(page: Page, daemon: Played) -> None:
+    """It asks for a confirmation, as a slider does."""
+    switch = "{value: 1, low: 0, high: 1, unit: '1', switch: true, doc: ''}"
+    page.evaluate(f"addAxis({{name: 'ankle', omega_j: null, parameters: {{use_estimate: {switch}}}}})")
+    row = "document.querySelector('[data-parameter=\"ankle.use_estimate\"]')"
+    assert page.evaluate(f"{row}.querySelector('[role=switch]').checked")
+    assert not page.evaluate(f"!!{row}.querySelector('input[type=range]')")
+    page.errors.clear()
+    page.evaluate(f"{row}.querySelector('[role=switch]').click()")
+    assert page.evaluate(f"{row}.classList.contains('pending')")
+    page.evaluate(CLICK.format(row=row, place=0))
+    page.until("document.getElementById('message').textContent.includes(\"no axis 'ankle'\")")
+    assert daemon.taken == []
+    assert all("400" in text for text in page.errors)  # the browser logs the rejected request
+    page.errors.clear()
 
 
 def test_nothing_is_wider_than_the_screen(page: Page) -> None:
@@ -154,7 +198,7 @@ def test_nothing_is_wider_than_the_screen(page: Page) -> None:
 def test_every_plot_has_one_unit(page: Page) -> None:
     """Power is that of the joint: torque times speed."""
     page.until("axes.get('knee').data.power[0].length > 3")
-    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,rad/s,rad,W"
+    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,N·m,rad/s,rad,W"
     last = "axes.get('knee').data.{kind}[1].at(-1)"
     page.until(f"{last.format(kind='power')} !== 0")
     marked = "Object.values(axes.get('knee').charts).every((chart) => chart.axes[1]._splits.length > 1)"

@@ -90,7 +90,7 @@ def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
         (b'{"name":"knee.compensation","value":' + b"9" * 400 + b"}", "finite number"),
         (b'{"name":7,"value":1}', "name"),
         (b'{"name":"' + b"a" * 100 + b'","value":1}', "name"),
-        (b"[1]", "is wanted"),
+        (b"[1]", "not an object"),
         (b"x" * 2000, "longer"),
         (b"{", "not JSON"),
         (b"\xff", "not JSON"),
@@ -144,21 +144,49 @@ def test_a_stop_that_the_daemon_rejects_is_an_answer_and_not_a_failure(
     assert (answer.status_code, "may only watch" in answer.json()["error"]) == (403, True)
 
 
+class Counting:
+    """A daemon that counts its requests and answers each with another cycle."""
+
+    def __init__(self) -> None:
+        self.asked = [0, 0]  # status, measurements
+
+    def status(self) -> dict[str, object]:
+        self.asked[0] += 1
+        return {"schema": 1}
+
+    def measure(self) -> dict[str, object]:
+        self.asked[1] += 1
+        return {"cycle": self.asked[1]}
+
+
 def test_pages_share_one_request_to_the_daemon() -> None:
-    """Forty pages that ask at the same time cost the daemon one answer."""
-    asked = []
+    """Forty pages that ask at the same time cost the daemon one answer each of status and measurements."""
+    daemon = Counting()
 
-    class Counting:
-        def status(self) -> dict[str, object]:
-            asked.append(1)
-            return {"schema": 1}
+    async def ask() -> list[tuple[str, int]]:
+        poll = server.Poll(cast(Feed, daemon))
+        return await asyncio.gather(*(poll.newest(0) for _ in range(40)))
 
-    async def ask() -> list[str]:
-        poll = server.Poll(cast(Feed, Counting()))
-        return await asyncio.gather(*(poll.newest() for _ in range(40)))
+    text = 'data: {"schema": 1}\n\nevent: sample\ndata: {"cycle": 1}\n\n'
+    assert set(asyncio.run(ask())) == {(text, 1)}
+    assert daemon.asked == [1, 1]
 
-    assert set(asyncio.run(ask())) == {'data: {"schema": 1}\n\n'}
-    assert len(asked) == 1
+
+def test_each_event_of_a_page_has_a_new_measurement_and_each_status_comes_once() -> None:
+    daemon = Counting()
+
+    async def follow() -> list[str]:
+        poll, seen, texts = server.Poll(cast(Feed, daemon)), 0, []
+        for _ in range(60):
+            text, seen = await poll.newest(seen)
+            texts.append(text)
+            await asyncio.sleep(1.0 / server.RATE)
+        return texts
+
+    texts = asyncio.run(follow())
+    assert server.RATE >= 50.0
+    assert len({text.rpartition("data: ")[2] for text in texts}) > 50
+    assert sum('"schema"' in text for text in texts) == daemon.asked[0] > 20
 
 
 @pytest.mark.slow

@@ -1,6 +1,6 @@
 """Take a picture of `tsa dashboard` next to a running demo, with a headless Chromium.
 
-Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8]
+Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8] [--width 390 --width 900]
 
 Starts the demo (plant and daemon on the best bus of this machine), the dashboard on the daemon's socket, and Chromium.
 """
@@ -34,7 +34,7 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def socket_in(folder: Path) -> Path:
-    """The socket of the daemon that runs with torque."""
+    """Return the socket of the daemon that runs with torque."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         for path in folder.rglob("*.sock"):
@@ -42,13 +42,14 @@ def socket_in(folder: Path) -> Path:
             if asked.returncode == 0 and '"running"' in asked.stdout:
                 return path
         time.sleep(0.2)
-    raise BusError(f"no daemon came up in {folder}; run tsa demo and see what it says")
+    raise BusError(f"no daemon came up in {folder}; run tsa demo and read its messages")
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--out", type=Path, default=command.ROOT / ".readme" / "dashboard.png")
     parser.add_argument("--seconds", type=float, default=8.0, help="of motion before the picture")
+    parser.add_argument("--width", type=int, action="append", help="px; with several, one picture each (default 1100)")
     options = parser.parse_args()
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
@@ -65,6 +66,11 @@ def main() -> int:
                     page.open(address)
                     page.until("document.getElementById('phase')?.textContent === 'running'")
                     time.sleep(options.seconds)
-                    page.picture(options.out, 1100, 1150)
-    print(options.out)
+                    widths = options.width or [1100]
+                    for width in widths:
+                        out = options.out if len(widths) == 1 else options.out.with_stem(f"{options.out.stem}-{width}")
+                        page.resize(width)
+                        time.sleep(1.0)  # the charts follow the width with the next drawing
+                        page.picture(out, width, page.evaluate("document.body.scrollHeight"))
+                        print(out)
     return 0

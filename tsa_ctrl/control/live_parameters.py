@@ -32,6 +32,7 @@ class Parameter:
     part: Any
     attribute: str
     restores: bool = False  # its highest value releases a latch; no other value may raise it
+    switch: bool = False  # 0 or 1; values in between mean the same as 1
 
     @property
     def value(self) -> float:
@@ -67,7 +68,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("damping", "N*m*s/rad", *damps, inf, f"of the motor's swing on its tendons{damped}", law.damping, "gain"),
         p("friction_angle", "1", *angles, 0.5 * angle, f"x = mu Theta{why}", estimator, "friction_angle"),
         p("pretension", "N", *tensions, 0.5 * pretension, f"T_p0{why}", estimator, "pretension"),
-        p("use_estimate", "1", *use, inf, f"whether the law uses the estimates{used}", estimator, "use"),
+        p("use_estimate", "1", *use, inf, f"whether the law uses the estimates{used}", estimator, "use", switch=True),
         p("bending_angle", "rad", *bends, 2.0, f"commanded Theta, without joints{bent}", axis.bending, "commanded"),
         p("direction_zone", "rad/s", zone, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),

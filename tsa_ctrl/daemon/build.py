@@ -357,7 +357,8 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         period=configuration.period,
         axes=[axis.name for axis in file.axes],
         parameters=[
-            [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores) for p in tuner.parameters] for tuner in tuners
+            [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores, p.switch) for p in tuner.parameters]
+            for tuner in tuners
         ],
         codes=CODES,
         phases=[phase.name.lower() for phase in LoopPhase],

@@ -1,8 +1,8 @@
 """Serve the dashboard page on the loopback interface, with a token for every request.
 
-GET / returns the page, and GET /events the status as server-sent events. POST /set {"name", "value"}, /stop and
-/recover are commands. The token is part of the page's address and of each request. Requests whose Host or Origin is
-not this server are rejected.
+GET / returns the page. GET /events streams the status (message) and the measurements of the newest cycle ("sample")
+as server-sent events. POST /set {"name", "value"}, /stop and /recover are commands. The token is part of the page's
+address and of each request. Requests whose Host or Origin is not this server are rejected.
 
 Stop requests have separate threads. All pages share one poll of the daemon, static files are sent from memory, and a
 new connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
@@ -36,7 +36,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client, stop_daemon
-from tsa_ctrl.ipc.protocol import Recover, Set, Status
+from tsa_ctrl.ipc.protocol import Measure, Recover, Set, Status
 from tsa_ctrl.signals import BANDED, Kind, Place, signals_of
 
 TIMEOUT = 2.0  # s for an answer
@@ -62,6 +62,14 @@ class Feed:
         except BusError as error:
             return {"error": str(error)}
 
+    def measure(self) -> dict[str, Any] | None:
+        """Return the measurements of the newest cycle, or None without a cycle or without an answer."""
+        try:
+            sample = self._ask(Measure())
+        except (BusError, UsageError):
+            return None
+        return sample if sample["cycle"] else None
+
     def set(self, name: object, value: object) -> dict[str, Any]:
         """Change a parameter; the daemon checks the name's existence and the bounds.
 
@@ -71,13 +79,13 @@ class Feed:
             ValueError: `name` is not a non-empty text of at most `LONGEST_NAME` characters, or `value` is not finite.
         """
         if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
-            raise ValueError("name: a parameter as the status lists them is wanted")
+            raise ValueError("name: give a parameter as the status lists it, such as knee.compensation")
         try:
             number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float)) else float(value)
         except OverflowError:  # an integer beyond the range of a float
             number = math.inf
         if not math.isfinite(number):
-            raise ValueError("value: a finite number is wanted")
+            raise ValueError("value: give a finite number")
         return self._ask(Set(name, number))
 
     def stop(self) -> dict[str, Any]:
@@ -97,7 +105,7 @@ class Feed:
         with self._lock:
             self._drop()
 
-    def _ask(self, request: Status | Set | Recover) -> dict[str, Any]:
+    def _ask(self, request: Status | Measure | Set | Recover) -> dict[str, Any]:
         with self._lock:
             try:
                 if self._client is None:
@@ -115,7 +123,8 @@ class Feed:
 
 
 STATIC = Path(__file__).parent / "static"
-RATE = 40.0  # Hz of the events; the page draws at 30 Hz and skips events in between
+RATE = 100.0  # Hz of the measurements, twice the least that a curve of a person's motion needs
+STATUS_RATE = 50.0  # Hz of the status, the rate at which the daemon publishes it
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
 MOST = 64  # connections at once; a browser keeps six to one server
@@ -303,37 +312,50 @@ async def _body(request: Request) -> dict[str, Any]:
     try:
         body = json.loads(data)
     except (ValueError, RecursionError):
-        raise ValueError('not JSON; {"name": ..., "value": ...} is wanted') from None
+        raise ValueError('not JSON; send {"name": ..., "value": ...}') from None
     if not isinstance(body, dict):
-        raise ValueError('{"name": ..., "value": ...} is wanted')
+        raise ValueError('not an object; send {"name": ..., "value": ...}')
     return body
 
 
 class Poll:
-    """The newest status as a server-sent event; all pages share one request to the daemon."""
+    """The newest measurements and status as server-sent events; all pages share the requests to the daemon."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
-        self._asking: asyncio.Task[str] | None = None
-        self._asked = -math.inf  # s, when
+        self._asking: asyncio.Task[None] | None = None
+        self._asked = self._status_asked = -math.inf  # s, when
+        self._sample = self._status = ""
+        self._number = 0  # of the status
 
-    async def newest(self) -> str:
-        """Return the status, at most 1 / RATE old unless the daemon is slower than that."""
+    async def newest(self, seen: int) -> tuple[str, int]:
+        """Return the events and the number of their status; a status up to number `seen` is left out.
+
+        The measurements are at most 1 / RATE old, unless the daemon is slower than that.
+        """
         now = time.monotonic()
         if self._asking is None or (self._asking.done() and now - self._asked >= 1.0 / RATE):
             self._asked = now
-            self._asking = asyncio.ensure_future(self._ask())
-        return await asyncio.shield(self._asking)
+            self._asking = asyncio.ensure_future(run_in_threadpool(self._ask, now))
+        await asyncio.shield(self._asking)
+        return (self._status if self._number > seen else "") + self._sample, self._number
 
-    async def _ask(self) -> str:
-        status = await run_in_threadpool(self._feed.status)
-        return f"data: {json.dumps(status, allow_nan=False)}\n\n"
+    def _ask(self, now: float) -> None:
+        if now - self._status_asked >= 1.0 / STATUS_RATE - 0.5 / RATE:  # the nearest of the polls
+            self._status_asked = now
+            self._status = f"data: {json.dumps(self._feed.status(), allow_nan=False)}\n\n"
+            self._number += 1
+        sample = self._feed.measure()
+        self._sample = f"event: sample\ndata: {json.dumps(sample, allow_nan=False)}\n\n" if sample else ""
 
 
 async def _events(poll: Poll, request: Request) -> AsyncIterator[str]:
-    """Yield the newest status until the page is closed."""
+    """Yield the newest measurements and status until the page is closed."""
+    seen = 0
     while not await request.is_disconnected():
-        yield await poll.newest()
+        text, seen = await poll.newest(seen)
+        if text:
+            yield text
         await asyncio.sleep(1.0 / RATE)
 
 

@@ -120,6 +120,7 @@ class Range(msgspec.Struct, frozen=True):
     high: float | None
     doc: str
     restores: bool = False  # its highest value releases a latch; no other value may raise it
+    switch: bool = False  # 0 or 1
 
 
 class Description(msgspec.Struct, frozen=True):

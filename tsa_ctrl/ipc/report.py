@@ -137,6 +137,8 @@ def _axis(description: Description, index: int, axis: Any, live: Parameters, age
             "low": each.low,
             "high": each.high,
             "unit": each.unit,
+            "doc": each.doc,
+            "switch": each.switch,
         }
         for each, value in zip(description.parameters[index], live, strict=True)
     }

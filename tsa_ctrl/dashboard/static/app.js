@@ -1,21 +1,28 @@
 "use strict";
-// The page of `tsa dashboard`: shows what the daemon says, and asks for nothing that was not confirmed here.
+// The page of `tsa dashboard`: shows the daemon's measurements and status, and changes nothing without a confirmation.
 
 const token = new URLSearchParams(location.search).get("token") || "";
-const SECONDS = 20; // of the charts
+const SECONDS = 20; // of the charts and of the errors
 const STALE = 0.5; // s without news from the loop
-const REFRESH = 1000 / 30; // ms between two looks of the charts
-const TENFOLD = 10; // of the smallest step that a number field knows per press of an arrow
+const REFRESH = 1000 / 30; // ms between two drawings
+const DRAWING = 3; // times the duration of a drawing until the next one, so that a slow machine still receives every point
+const TENFOLD = 10; // of the smallest step of a number field per press of an arrow
+const REVERSAL = 0.02; // s on either side of a reversal; as `tsa calibrate` and `tsa tune` separate the errors
+const DECIMALS = 3; // of the newest values
 const COLOURS = ["#1f77d4", "#888", "#12a594", "#d35400", "#8e44ad", "#2e9d38", "#c2185b"]; // of the lines of a chart
 const EDGE = "55"; // opacity of the ends of a band
+const ERROR = "tracking error"; // chart
 const FILL = "33"; // and of the area between them
 const $ = (id) => document.getElementById(id);
 const SIGNALS = JSON.parse($("signals").textContent); // of an axis: name, unit, doc, chart, band
 const CHARTS = charts(); // by title
+const SPEED = SIGNALS.find((signal) => signal.name === "omega_j").chart;
+let rested = 0; // ms, when the next drawing may begin
 const axes = new Map(); // name -> what is shown of it
 const changes = []; // {name, before, value, unit}, the last one is undone first
-let latest = null; // the newest status
-
+const incoming = []; // status and measurements in the order of their arrival, not drawn yet
+let latest = null; // the newest status of a daemon
+let start = null; // s, time of the loop's first cycle on the clock of the measurements
 
 function charts() { // unit, lines (field or function of the axis, label, colour), bands (labels of the upper and the lower line)
   const found = {};
@@ -25,11 +32,13 @@ function charts() { // unit, lines (field or function of the axis, label, colour
     lines.push([name, doc, colour]);
     if (!band) continue;
     const ends = [`${name}, upper`, `${name}, lower`];
-    lines.push([(axis) => axis[name]?.high ?? null, ends[0], colour + EDGE], [(axis) => axis[name]?.low ?? null, ends[1], colour + EDGE]);
+    lines.push([(axis) => axis.bands[name]?.high ?? null, ends[0], colour + EDGE], [(axis) => axis.bands[name]?.low ?? null, ends[1], colour + EDGE]);
     bands.push({ ends, fill: colour + FILL });
   }
+  found[ERROR] = { unit: "N·m", lines: [[(axis) => difference(delivered(axis), axis.tau_j_des), "delivered less desired joint torque", "#c62828"]], bands: [] };
   found.power = { unit: "W", lines: [[(axis) => product(delivered(axis), axis.omega_j), "power to the joint", COLOURS[0]]], bands: [] };
-  return Object.fromEntries(Object.entries(found).sort(([, a], [, b]) => b.bands.length - a.bands.length));
+  return Object.fromEntries(Object.entries(found).sort(([name, a], [other, b]) =>
+    b.bands.length - a.bands.length || (other === ERROR) - (name === ERROR)));
 }
 
 function element(tag, properties = {}, ...children) {
@@ -47,6 +56,10 @@ function number(value, digits = 4) {
   return value === null || value === undefined ? "–" : Number(value.toPrecision(digits)).toString();
 }
 
+function fixed(value, decimals) { // always as wide
+  return value === null || value === undefined ? "–" : value.toFixed(decimals).replace("-", "−");
+}
+
 function spelledOut(word) { // of a state; a dash while it is not known
   return word === null ? "–" : word.replaceAll("_", " ");
 }
@@ -55,8 +68,12 @@ function product(a, b) {
   return a === null || a === undefined || b === null || b === undefined ? null : a * b;
 }
 
-function delivered(axis) {
-  return axis.tau_j ?? axis.tau_j_stretch?.value ?? null;
+function difference(a, b) {
+  return product(a, 1) === null || product(b, 1) === null ? null : a - b;
+}
+
+function delivered(axis) { // N·m, measured by the torque sensor, else from the tendon elongation
+  return axis.tau_j ?? value_of(axis, "tau_j_stretch");
 }
 
 function value_of(axis, field) {
@@ -64,12 +81,20 @@ function value_of(axis, field) {
   return found?.value ?? found ?? null; // of a quantity its value
 }
 
+function rms(values) {
+  return values.length ? Math.sqrt(values.reduce((sum, value) => sum + value * value, 0) / values.length) : null;
+}
+
+function milli(value) { // a torque error
+  return value === null ? "–" : `${number(1000 * value, 3)} mN·m`;
+}
+
 function spelled(unit) { // as people read it
   return unit === "1" ? "" : unit.replaceAll("*", "·");
 }
 
 function band(found) { // a value between its ends
-  return found ? `${number(found.value, 3)} (${number(found.low, 3)} to ${number(found.high, 3)}) ${spelled(found.unit)}` : "–";
+  return found ? `${fixed(found.value, 3)} (${fixed(found.low, 3)} to ${fixed(found.high, 3)}) ${spelled(found.unit)}` : "–";
 }
 
 function figure(value, signal) { // as text: of a code its name, of a value with a band its ends
@@ -84,30 +109,34 @@ async function ask(path, body) {
     body: JSON.stringify(body || {}),
   });
   const answer = response.headers.get("content-type")?.includes("json") ? await response.json() : {};
-  if (!response.ok) throw new Error(answer.error || `refused (${response.status})`);
+  if (!response.ok) throw new Error(answer.error || `rejected (${response.status})`);
   return answer;
 }
 
 function addAxis(axis) {
   const article = $("axis").content.firstElementChild.cloneNode(true);
   $("axes").append(article);
-  const shown = { article, charts: {}, data: {}, lines: {}, sliders: new Map() };
+  const shown = { article, charts: {}, data: {}, lines: {}, controls: new Map() };
   const colour = getComputedStyle(document.documentElement).getPropertyValue("--plain");
   const style = { stroke: colour, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884", width: 1 } };
   for (const [kind, { unit, lines, bands }] of Object.entries(CHARTS)) {
     const target = article.querySelector(".charts").appendChild(element("div", { className: `chart${bands.length ? " wide" : ""}` }));
+    target.dataset.chart = kind;
     const known = lines.filter(([field]) => typeof field === "function" || field in axis);
     shown.lines[kind] = known;
     shown.data[kind] = [[], ...known.map(() => [])];
     const filled = bands.map(({ ends, fill }) => ({ series: ends.map((end) => 1 + known.findIndex(([, label]) => label === end)), fill }));
+    const edges = new Set(bands.flatMap(({ ends }) => ends));
+    const value = (_, found) => `${fixed(found, DECIMALS)} ${unit}`;
     shown.charts[kind] = new uPlot(
       {
-        title: kind,
         width: target.clientWidth || 900,
         height: heightOf(kind),
         scales: { x: { time: false } },
-        axes: [{ ...style, label: bands.length ? "s" : undefined }, { ...style, label: unit, size: 64, space: 18 }],
-        series: [{ label: "s" }, ...known.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
+        axes: [{ ...style, label: "time (s)", labelSize: 18, size: 32 }, { ...style, label: `${kind} (${unit})`, size: 64, space: 18 }],
+        series: [{ label: "time", value: (_, found) => `${fixed(found, 2)} s` },
+          ...known.map(([, label, stroke]) => ({ label, stroke, value, class: edges.has(label) ? "edge" : null, width: 1.5, spanGaps: false, points: { show: false } }))],
+        cursor: { sync: { key: axis.name } },
         bands: filled,
       },
       shown.data[kind],
@@ -119,7 +148,7 @@ function addAxis(axis) {
 }
 
 function heightOf(kind) { // px; a chart with bands is taller
-  return CHARTS[kind].bands.length ? 290 : 180;
+  return CHARTS[kind].bands.length ? 290 : 190;
 }
 
 function fit() { // the charts to the width that there is
@@ -141,43 +170,64 @@ function addParameters(axis, shown) {
   for (const [name, figures] of Object.entries(axis.parameters)) {
     if (figures.low === null) continue;
     const full = `${axis.name}.${name}`;
-    const slider = element("input", { type: "range", min: figures.low, max: figures.high, step: "any", value: figures.value });
-    slider.setAttribute("aria-label", full);
+    const control = figures.switch ? switchOf(full, figures) : sliderOf(full, figures);
     const now = element("td", { className: "number" });
-    const wanted = element("input", { type: "number", min: figures.low, max: figures.high, step: step(figures.low, figures.high), value: number(figures.value) });
-    wanted.setAttribute("aria-label", `${full}, number`);
     const apply = element("button", { textContent: "apply" });
     const cancel = element("button", { textContent: "cancel" });
     const row = element(
       "tr", {},
-      element("th", { textContent: name }),
+      element("th", { textContent: name.replaceAll("_", " "), title: figures.doc ?? "", scope: "row" }),
       now,
-      element("td", { textContent: spelled(figures.unit) }),
-      element("td", {}, slider),
-      element("td", {}, wanted),
+      element("td", { className: "unit", textContent: spelled(figures.unit) }),
+      ...control.cells,
       element("td", { className: "decide" }, apply, " ", cancel),
     );
     row.dataset.parameter = full;
     const decide = () => {
       row.classList.remove("pending");
-      change(full, Number(wanted.value), true);
+      change(full, control.value(), true);
     };
-    slider.addEventListener("input", () => {
+    row.addEventListener("input", (event) => {
       row.classList.add("pending");
-      wanted.value = number(Number(slider.value));
+      control.follow(event.target);
     });
-    wanted.addEventListener("input", () => {
-      row.classList.add("pending");
-      slider.value = wanted.value;
-    });
-    wanted.addEventListener("keydown", (event) => {
+    row.addEventListener("keydown", (event) => {
       if (event.key === "Enter" && row.classList.contains("pending")) decide();
     });
     cancel.addEventListener("click", () => row.classList.remove("pending"));
     apply.addEventListener("click", decide);
     table.append(row);
-    shown.sliders.set(name, { row, slider, wanted, now });
+    shown.controls.set(name, { row, control, now });
   }
+}
+
+function sliderOf(full, { low, high, value }) { // and a field for the number
+  const slider = element("input", { type: "range", min: low, max: high, step: "any", value });
+  slider.setAttribute("aria-label", full);
+  const field = element("input", { type: "number", min: low, max: high, step: step(low, high), value: number(value) });
+  field.setAttribute("aria-label", `${full}, number`);
+  return {
+    cells: [element("td", { className: "slide" }, slider), element("td", {}, field)],
+    value: () => Number(field.value),
+    follow: (moved) => { if (moved === slider) field.value = number(Number(slider.value)); else slider.value = field.value; },
+    show: (found) => { slider.value = found; field.value = number(found); },
+    text: (found) => number(found),
+    parts: [slider, field],
+  };
+}
+
+function switchOf(full, { value }) {
+  const box = element("input", { type: "checkbox", className: "switch", checked: value !== 0 });
+  box.setAttribute("role", "switch");
+  box.setAttribute("aria-label", full);
+  return {
+    cells: [element("td", { className: "slide" }, box), element("td", {})],
+    value: () => Number(box.checked),
+    follow: () => {},
+    show: (found) => { box.checked = found !== 0; },
+    text: (found) => found === null ? "–" : found === 0 ? "off" : "on",
+    parts: [box],
+  };
 }
 
 async function change(name, value, remember) {
@@ -203,12 +253,12 @@ $("undo").addEventListener("click", () => {
 });
 
 async function stop() {
-  say("stop: asking ...");
+  say("stop: request sent ...");
   try {
     const answer = await ask("stop");
-    say(answer.signalled ? `its socket does not answer: process ${answer.signalled} got SIGTERM instead; the torque ramps to 0` : "stopping: the torque ramps to 0");
+    say(answer.signalled ? `the daemon's socket does not answer; SIGTERM was sent to process ${answer.signalled}. The torque ramps to 0` : "stopping: the torque ramps to 0");
   } catch (error) {
-    const reason = error instanceof TypeError ? "this page's own server does not answer" : String(error.message);
+    const reason = error instanceof TypeError ? "the server of this page does not answer" : String(error.message);
     say(`NOT STOPPED from here: ${reason}. Use the emergency stop, or in a terminal: tsa stop`, true);
   }
 }
@@ -217,19 +267,19 @@ addEventListener("keydown", (event) => {
   if (event.key === "Escape" && !event.repeat) stop();
 });
 
-let sure = 0; // until when a second press on recover counts, ms
+let confirmable = 0; // until when a second press on recover counts, ms
 $("recover").addEventListener("click", async () => {
-  if (performance.now() > sure) {
-    sure = performance.now() + 5000;
-    $("recover").textContent = "recover: press again, keep clear of the joint";
+  if (performance.now() > confirmable) {
+    confirmable = performance.now() + 5000;
+    $("recover").textContent = "recover: keep clear of the joint, then press again";
     setTimeout(() => { $("recover").textContent = "recover"; }, 5000);
     return;
   }
-  sure = 0;
+  confirmable = 0;
   $("recover").textContent = "recover";
   try {
     await ask("recover");
-    say("recovery asked for; see events for how it ends");
+    say("recovery requested; the events list its result");
   } catch (error) {
     say(String(error.message), true);
   }
@@ -239,9 +289,9 @@ function showFaults(status) {
   const faulted = status.phase === "faulted" || status.axes.some((axis) => axis.state === "fault");
   $("faulted").hidden = !status.faults.length;
   $("recover").disabled = !faulted;
-  $("recover-words").textContent = faulted ? "resets the fault; the drive is enabled and torque comes back" : "over: torque is on again";
+  $("recover-words").textContent = faulted ? "resets the fault and enables the drive again, with torque" : "the fault was reset and torque is on again";
   $("faults").replaceChildren(...status.faults.slice(0, 4).map((event) => element("li", { className: "fault", textContent: spoken(event) },
-    ...(event.cure ? [element("span", { className: "cure", textContent: `do: ${event.cure}` })] : []))));
+    ...(event.cure ? [element("span", { className: "cure", textContent: `remedy: ${event.cure}` })] : []))));
 }
 
 function spoken(event) {
@@ -252,45 +302,91 @@ function showAxis(axis) {
   if (!axes.has(axis.name)) addAxis(axis);
   const shown = axes.get(axis.name);
   shown.article.querySelector(".title").textContent = axis.name;
-  shown.article.querySelector(".figures").textContent =
-    SIGNALS.filter(({ chart, band: has }) => !chart || has).map((signal) => `${signal.name} ${figure(axis[signal.name], signal)}`).join("; ");
-  for (const [kind, lines] of Object.entries(shown.lines)) {
-    const data = shown.data[kind];
-    if (data[0].length && axis.t < data[0][data[0].length - 1]) data.forEach((column) => (column.length = 0)); // a new run
-    if (!data[0].length || axis.t > data[0][data[0].length - 1]) {
-      data[0].push(axis.t);
-      lines.forEach(([field], i) => data[i + 1].push(value_of(axis, field)));
-    }
-    const old = data[0].findIndex((t) => t >= axis.t - SECONDS);
-    if (old > 0) data.forEach((column) => column.splice(0, old));
-    shown.charts[kind].setData(data);
-  }
-  for (const [name, { row, slider, wanted, now }] of shown.sliders) {
+  shown.article.querySelector(".figures").replaceChildren(...SIGNALS.filter(({ chart, band: has }) => !chart || has).map((signal) =>
+    element("span", { className: "figure", title: signal.doc }, `${signal.name.replaceAll("_", " ")} `, element("b", { textContent: figure(axis[signal.name], signal) }))));
+  for (const [name, { row, control, now }] of shown.controls) {
     const value = axis.parameters[name].value;
-    now.textContent = number(value);
-    if (!row.classList.contains("pending") && ![slider, wanted].includes(document.activeElement)) {
-      slider.value = value;
-      wanted.value = number(value);
+    now.textContent = control.text(value);
+    if (!row.classList.contains("pending") && !control.parts.includes(document.activeElement)) control.show(value);
+  }
+}
+
+function takeSample(sample) { // one row of every chart; what only the status has is at most 20 ms old
+  if (!latest || start === null) return;
+  for (const measured of sample.axes) {
+    const shown = axes.get(measured.name);
+    if (!shown) continue;
+    const status = latest.axes.find((axis) => axis.name === measured.name);
+    const axis = { ...status, ...measured, bands: status };
+    const t = sample.time - start;
+    for (const [kind, lines] of Object.entries(shown.lines)) {
+      const data = shown.data[kind];
+      const last = data[0][data[0].length - 1];
+      if (t < last) data.forEach((column) => (column.length = 0)); // a new run
+      if (t === last) continue;
+      data[0].push(t);
+      lines.forEach(([field], i) => data[i + 1].push(value_of(axis, field)));
+      const old = data[0].findIndex((time) => time >= t - SECONDS);
+      if (old > 0) data.forEach((column) => column.splice(0, old));
     }
   }
+}
+
+function draw() {
+  for (const shown of axes.values()) {
+    for (const [kind, chart] of Object.entries(shown.charts)) {
+      chart.setData(shown.data[kind]);
+      const count = shown.data[kind][0].length;
+      if (count && !(chart.cursor.left >= 0)) chart.setLegend({ idx: count - 1 }); // the newest values
+    }
+    showErrors(shown);
+  }
+}
+
+function showErrors(shown) { // of the seconds in the charts
+  const [times, errors] = shown.data[ERROR];
+  const speed = shown.lines[SPEED].findIndex(([field]) => field === "omega_j");
+  const speeds = shown.data[SPEED][speed + 1];
+  const zone = latest?.axes.find((axis) => axes.get(axis.name) === shown)?.parameters.direction_zone?.value ?? 0;
+  const direction = speeds.map((speed) => speed === null || Math.abs(speed) <= zone ? 0 : Math.sign(speed));
+  let last = 0;
+  const reversals = [];
+  direction.forEach((sign, i) => {
+    if (sign && last && sign !== last) reversals.push(times[i]);
+    if (sign) last = sign;
+  });
+  const sliding = [], turning = [];
+  let next = 0;
+  errors.forEach((error, i) => {
+    while (next < reversals.length && reversals[next] < times[i] - REVERSAL) next += 1;
+    const near = next < reversals.length && reversals[next] <= times[i] + REVERSAL;
+    if (error !== null) (near || !direction[i] ? turning : sliding).push(error);
+  });
+  const known = errors.filter((error) => error !== null);
+  const peak = known.length ? Math.max(...known.map(Math.abs)) : null;
+  shown.article.querySelector(".errors").textContent = known.length
+    ? `Tracking error of the last ${SECONDS} s: RMS ${milli(rms(known))}; while sliding ${milli(rms(sliding))}, ` +
+      `at reversals and at rest ${milli(rms(turning))}; peak ${milli(peak)}`
+    : "Tracking error: the delivered torque is not measured";
 }
 
 function micros(seconds) {
-  return seconds === null ? "above" : `${Math.round(1e6 * seconds)} µs`;
+  return seconds === null ? "more" : `${Math.round(1e6 * seconds)} µs`;
 }
 
 function showTimes(status) {
-  const rows = [element("tr", {}, ...["", "p50", "p99", "p99.9"].map((text) => element("th", { textContent: text })))];
-  for (const name of ["lateness", "work"]) {
-    const found = status[name];
-    rows.push(element("tr", {}, element("th", { textContent: name }),
+  const rows = [element("tr", {}, ...["", "p50", "p99", "p99.9"].map((text) => element("th", { className: "number", textContent: text })))];
+  for (const [key, name] of [["lateness", "wake-up latency"], ["work", "execution time"]]) {
+    const found = status[key];
+    rows.push(element("tr", {}, element("th", { textContent: name, scope: "row" }),
       ...["p50", "p99", "p999"].map((key) => element("td", { className: "number", textContent: found[key] === null ? "–" : micros(found[key]) }))));
   }
+  rows.push(element("tr", {}, ...["wake-up latency", "cycles", "", ""].map((text, i) => element("th", { className: i === 1 ? "number" : "", textContent: text }))));
   const most = Math.max(1, ...status.lateness.bins.map(([, samples]) => samples));
   for (const [edge, samples] of status.lateness.bins) {
     const bar = element("span", { className: "bar" });
     bar.style.width = `${(8 * Math.log1p(samples)) / Math.log1p(most)}rem`;
-    const text = edge === null ? "later" : `up to ${micros(edge)}`;
+    const text = edge === null ? "longer" : `up to ${micros(edge)}`;
     rows.push(element("tr", {}, element("td", { textContent: text }), element("td", { className: "number", textContent: samples }), element("td", { colSpan: 2 }, bar)));
   }
   $("times").replaceChildren(...rows);
@@ -309,15 +405,15 @@ function show(status) {
   $("phase").className = `badge ${status.phase}`;
   const { cycles } = status;
   $("news").textContent = status.waiting_for
-    ? `since ${status.waiting.toFixed(1)} s: ${status.waiting_for}`
-    : status.age > STALE ? `no news for ${status.age.toFixed(1)} s: the loop hangs or is gone` : "";
+    ? `waiting since ${status.waiting.toFixed(1)} s: ${status.waiting_for}`
+    : status.age > STALE ? `no data for ${status.age.toFixed(1)} s: the loop hangs or has ended` : "";
   status.axes.forEach(showAxis);
   showTimes(status);
   showFaults(status);
   fit();
   const lines = [...status.events, ...status.faults].sort((a, b) => b.number - a.number).slice(0, 12);
   $("events").replaceChildren(
-    element("li", { textContent: `${cycles.cycles} cycles, ${cycles.skipped} skipped, ${cycles.dropped} frames dropped, ${cycles.log_lost} records lost` }),
+    element("li", { textContent: `${cycles.cycles} cycles, ${cycles.skipped} skipped, ${cycles.dropped} frames dropped, ${cycles.log_lost} log records lost` }),
     ...lines.map((event) => element("li", {
       className: event.fault ? "fault" : "",
       textContent: spoken(event),
@@ -326,11 +422,27 @@ function show(status) {
 }
 
 const source = new EventSource(`events?token=${encodeURIComponent(token)}`);
-source.onmessage = (event) => { latest = JSON.parse(event.data); };
-source.onerror = () => { latest = { error: "the dashboard's own server does not answer; start `tsa dashboard` again. To stop: emergency stop, or tsa stop" }; };
-setInterval(() => { // what came since the last look, at most as often as the charts can be drawn
-  if (latest === null) return;
-  const status = latest;
-  latest = null;
-  show(status);
+source.onmessage = (event) => { incoming.push({ status: JSON.parse(event.data) }); };
+source.addEventListener("sample", (event) => { incoming.push({ sample: JSON.parse(event.data) }); });
+source.onerror = () => { incoming.push({ status: { error: "the server of this page does not answer; start `tsa dashboard` again. To stop: emergency stop, or tsa stop" } }); };
+setInterval(() => { // what came since the last drawing
+  let news = null;
+  let measured = false;
+  for (const { status, sample } of incoming.splice(0)) {
+    news = status ?? news;
+    if (status?.axes) {
+      if (!latest) status.axes.forEach(showAxis); // the charts of the first status
+      latest = status;
+    }
+    if (!sample) continue;
+    const own = latest?.axes[0]?.t;
+    if (own != null && (start === null || Math.abs(sample.time - own - start) > STALE)) start = sample.time - own;
+    takeSample(sample);
+    measured = true;
+  }
+  if (news) show(news);
+  const now = performance.now();
+  if (!measured || now < rested) return;
+  draw();
+  rested = now + DRAWING * (performance.now() - now);
 }, REFRESH);
