@@ -21,15 +21,19 @@ from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.torque_path import PER_MILLE, drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.control.bending import BendingSettings, routing_of
-from tsa_ctrl.control.direction import DirectionSettings
-from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.control.estimator_selection import chosen
 from tsa_ctrl.control.kalman import why_not as beside
-from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.law_design import Limits, Plan, plan_of, reversal_speed
-from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings, largest
-from tsa_ctrl.control.temperature import TemperatureSettings
+from tsa_ctrl.control.setpoint import SetPoint, largest
+from tsa_ctrl.control.settings import (
+    BendingSettings,
+    DirectionSettings,
+    EstimatorSettings,
+    LawSettings,
+    SetPointSettings,
+    TemperatureSettings,
+)
 from tsa_ctrl.control.tension_estimator import why_not as no_tension
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
@@ -43,9 +47,7 @@ from tsa_ctrl.model.plausible import (
 )
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import why_not
-from tsa_ctrl.safety.limiter import LimiterSettings
-from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
-from tsa_ctrl.safety.plausibility import PlausibilitySettings
+from tsa_ctrl.safety.settings import LimiterSettings, OscillationSettings, PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings

@@ -13,8 +13,9 @@ import numpy as np
 from tests.control.laws import COUNT
 from tests.control.laws import law as make
 from tests.control.sliding import PERIOD, R_J, R_M, actuator
-from tsa_ctrl.control.estimator import EstimatorSettings, Sample
+from tsa_ctrl.control.estimator import Sample
 from tsa_ctrl.control.kalman import KalmanEstimator
+from tsa_ctrl.control.settings import EstimatorSettings
 
 LEVER = 0.4e-3 + 0.3e-3  # m, p + d/2
 STIFFNESS = 6e3 / 1.2  # N/m

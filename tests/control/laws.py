@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from tsa_ctrl.control.direction import Direction, DirectionSettings
-from tsa_ctrl.control.law import Inverse, Law, LawSettings
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.law import Inverse, Law
 from tsa_ctrl.control.law_design import Limits, Plan, plan_of
 from tsa_ctrl.control.motion_filter import Motion
+from tsa_ctrl.control.settings import DirectionSettings, LawSettings
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 

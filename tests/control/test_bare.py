@@ -7,8 +7,9 @@ import pytest
 
 from tests.blind.memory import bristle, first_order_lag
 from tests.model.actuator import ACTUATOR
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.estimator import EstimateState, Sample
 from tsa_ctrl.control.kalman import Bare, KalmanEstimator
+from tsa_ctrl.control.settings import EstimatorSettings
 
 PERIOD = 1e-3
 EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"

@@ -8,8 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, QUICK, TREMOR, UNSURE, Direction, DirectionSettings
+from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, QUICK, TREMOR, UNSURE, Direction
 from tsa_ctrl.control.motion_filter import Motion
+from tsa_ctrl.control.settings import DirectionSettings
 
 PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad

@@ -11,16 +11,9 @@ import pytest
 from tests.control.sliding import PERIOD, R_J, R_M, Sliding, actuator
 from tests.model.capstan import Pair
 from tests.model.test_curvature import S_BENT
-from tsa_ctrl.control.estimator import (
-    Attribution,
-    ConfigurationMap,
-    EstimateState,
-    EstimatorSettings,
-    Fixed,
-    Sample,
-    Split,
-)
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Fixed, Sample, Split
 from tsa_ctrl.control.kalman import KalmanEstimator, why_not
+from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
 

@@ -8,8 +8,8 @@ import re
 import pytest
 
 from tests.control.sliding import actuator
-from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.estimator_selection import chosen, why_fixed
+from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 
 KNOWN = dataclasses.replace(actuator(), bending_centre=0.5)

@@ -14,10 +14,11 @@ from tests.control.sliding import actuator
 from tests.control.test_law import Friction
 from tsa_ctrl.control import law as module
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.direction import Direction, DirectionSettings
-from tsa_ctrl.control.law import Law, LawSettings
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.motion_filter import Motion
 from tsa_ctrl.control.reversal import Front, Slip, Turn
+from tsa_ctrl.control.settings import DirectionSettings, LawSettings
 
 PERIOD = 1e-3
 RADII = (0.02, 0.025)  # m

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from tsa_ctrl.control.setpoint import Component, SetPoint, SetPointSettings, Source, read_file, waveform
+from tsa_ctrl.control.setpoint import SetPoint, Source, read_file, waveform
+from tsa_ctrl.control.settings import Component, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
 PERIOD = 1e-3

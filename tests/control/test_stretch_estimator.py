@@ -12,7 +12,8 @@ import pytest
 
 from tests.control.sliding import PERIOD, actuator
 from tests.virtual.joints import GAIT, play, sine
-from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.estimator import EstimateState, Sample
+from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 

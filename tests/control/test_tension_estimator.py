@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from tests.daemon.machine import CELLS, HERE, WITH_CELLS, Machine
 from tests.virtual.joints import GAIT, PERIOD, play
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.estimator import EstimateState, Sample
+from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.control.tension_estimator import TensionEstimator
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.errors import UsageError

@@ -19,7 +19,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.daemon.serving import PATIENCE, Serving, until
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.ipc.mailbox import Reading
 
 FOLDER = ROOT / "tsa_ctrl" / "ipc"

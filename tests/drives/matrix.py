@@ -14,8 +14,7 @@ from tests.drives.variations import Variation
 from tests.virtual.daemon import Daemon
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.control.estimator import EstimatorSettings
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import EstimatorSettings, SetPointSettings
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.protocol import Event

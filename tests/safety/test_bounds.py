@@ -9,12 +9,9 @@ import pytest
 
 from tsa_ctrl.bus.settings import DriveSettings, EncoderSettings, SupervisionSettings, TorqueSensorSettings
 from tsa_ctrl.config import ControllerSection
-from tsa_ctrl.control.law import LawSettings
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import LawSettings, SetPointSettings
 from tsa_ctrl.safety.bounds import KEYS, loose_bounds
-from tsa_ctrl.safety.limiter import LimiterSettings
-from tsa_ctrl.safety.passivity import PassivitySettings
-from tsa_ctrl.safety.plausibility import PlausibilitySettings
+from tsa_ctrl.safety.settings import LimiterSettings, PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 

@@ -9,7 +9,7 @@ import pytest
 
 from tsa_ctrl.safety.guard import FALL, FORGIVEN, HOLD, RECOVERY, RETURNED, Guard, Observed
 from tsa_ctrl.safety.limiter import Reason
-from tsa_ctrl.safety.passivity import PassivitySettings
+from tsa_ctrl.safety.settings import PassivitySettings
 
 PERIOD = 1e-3
 HALF_LOOP = 0.5

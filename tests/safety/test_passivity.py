@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.passivity import SENSOR, STRETCH, OscillationSettings, Passivity, PassivitySettings
+from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity
+from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings
 
 PERIOD = 1e-3
 HALF_LOOP = 0.5  # N*m at the joint

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.safety.causes import Finding
-from tsa_ctrl.safety.plausibility import Plausibility, PlausibilitySettings
+from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.residuals import Give
+from tsa_ctrl.safety.settings import PlausibilitySettings
 
 PERIOD = 0.002  # s
 RADII = (0.020, 0.025)  # m

@@ -17,7 +17,8 @@ import pytest
 from tests.blind import tendon_logs
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.setpoint import SetPointSettings, waveform
+from tsa_ctrl.control.setpoint import waveform
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.identify.diagnosis.report.result import Experiment
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_tendon_sheath

@@ -11,39 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Literal
 
-import msgspec
-from msgspec import Meta
-
+from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.model.routing import Route, Routing, Span
 
-Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
 FADE_OUT = 0.044  # s from a missing angle to the least wrap angle; 50 ms with three missed answers at 500 Hz
 FADE_IN = 1.0  # s back to the measured angle
-
-
-class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.bending]."""
-
-    source: Literal["fixed", "command", "joints", "sensor"] = "fixed"
-    offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
-    gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
-    range: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0  # 1, either way, by which the sheath may bend otherwise unseen
-    unmeasured: dict[str, tuple[float, float]] = {}  # rad, range of each joint of [routing] that no axis measures
-
-    def __post_init__(self) -> None:
-        if (self.source == "joints") != bool(self.gains):
-            raise ValueError(
-                f'source "{self.source}" with {len(self.gains)} gains; '
-                'gains (rad/rad by axis name) belong to source "joints", which needs at least one'
-            )
-        if self.source in ("fixed", "sensor") and self.offset is not None:
-            whence = "the model file" if self.source == "fixed" else "its sensor"
-            raise ValueError(f'source "{self.source}" takes the angle from {whence}; remove offset, or change source')
-        for name, (low, high) in self.unmeasured.items():
-            if not low < high:
-                raise ValueError(f"unmeasured.{name} = [{low:g}, {high:g}]; give [lowest, highest] rad of the joint")
 
 
 def routing_of(settings: BendingSettings, routing: Routing | None) -> Routing | None:

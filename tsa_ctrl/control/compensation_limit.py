@@ -28,7 +28,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from tsa_ctrl.control.bending import BendingSettings, routing_of
+from tsa_ctrl.control.bending import routing_of
+from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.control.torque_feedback import MORE
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding

@@ -36,12 +36,9 @@ Source: (3.29) with the tendon's xi' instead of omega_J; T2 + T4 changes only in
 from __future__ import annotations
 
 import math
-from typing import Annotated
-
-import msgspec
-from msgspec import Meta
 
 from tsa_ctrl.control.motion_filter import Motion
+from tsa_ctrl.control.settings import DirectionSettings
 
 NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
@@ -58,13 +55,6 @@ QUICK = 3  # turns in a row, each within `TREMOR`, that no hand makes
 BEYOND = 1.5  # of the way between them: the term throws the joint farther at some turns than at others
 MOST_PLAY = 0.02  # rad; a joint with more is loose
 REMEMBERED = 5.0  # s of the play that was found: a limit cycle that comes again has it found again within 0.1 s
-
-
-class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.direction]."""
-
-    zone: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.005  # rad/s of the joint that count as 0; more with few counts
-    play: Annotated[float, Meta(gt=0.0, le=1e-3)] = 1e-6  # m of tendon that the torque wanted must turn back
 
 
 class Direction:

@@ -17,29 +17,15 @@ import bisect
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, IntEnum
-from typing import Annotated, Literal, Protocol
+from enum import IntEnum
+from typing import Protocol
 
-import msgspec
-from msgspec import Meta
-
+from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 POINTS = 256  # of the table by which the half loop is inverted: 1e-5 of it, and no iteration in the loop
-
-
-class Attribution(Enum):
-    """The cause to which a change of the friction torque is attributed.
-
-    FRICTION: the friction coefficient; T_p is constant. PRETENSION: the tensioner; x is constant. BENDING: the bending
-    angle; x = mu Theta and T_p = T_p0 + k_t (p + d/2)(Theta - Theta_0) change together, (3.52), (3.56).
-    """
-
-    FRICTION = "friction"
-    PRETENSION = "pretension"
-    BENDING = "bending"
 
 
 class Split:
@@ -105,8 +91,6 @@ def _half_loop_of(model: TendonSheath, at_motor: bool) -> Callable[[float], floa
     return lambda angle: sliding(model, 1.0, angle, 1.0).half_loop
 
 
-Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
-
 JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor that sends 20 values a second
 DOWN = 5.0  # steps at which a parameter falls: what is compensated too much moves the joint in the meantime
 
@@ -118,27 +102,6 @@ class EstimateState(IntEnum):
     UNESTIMATED = 1  # too little excitation so far; the outputs are nominal
     ESTIMATED = 2
     INVALID = 3  # the data contradict the model, or want a parameter beyond its bounds; see the kinds for the outputs
-
-
-class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.estimator]."""
-
-    # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`choice`)
-    kind: Literal["fixed", "map", "sensor", "motor", "stretch", "tension"] | None = None
-    # Whether the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
-    use: bool | None = None
-    attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
-    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
-    # of kind "map": how much more the sheath may be bent than in the model file
-    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = (
-        0.2  # 1/s of nominal: fastest change of either parameter (kind "stretch": rise; "map": after a jump)
-    )
-    memory: Seconds = 4.0  # s of admitted motion after which old data count little
-    least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
-    settle: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05  # s after a reversal that are not admitted
-    residual: Annotated[float, Meta(gt=0.0, le=1000.0)] = 0.2  # N*m RMS of the fit above which it is invalid
-    known_load: Annotated[float, Meta(ge=-1000.0, le=1000.0)] = 0.0  # N*m at the joint, kind "motor"; 0: unloaded
-    most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": above is not admitted
 
 
 @dataclass(slots=True)

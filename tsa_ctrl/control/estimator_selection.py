@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import msgspec
 
-from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.kalman import why_not as beside
+from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.parameters import TendonSheath

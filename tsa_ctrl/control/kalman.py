@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import math
 
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, Split, toward
+from tsa_ctrl.control.estimator import EstimateState, Sample, Split, toward
+from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME

@@ -32,16 +32,14 @@ there.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Protocol
-
-import msgspec
-from msgspec import Meta
+from typing import Protocol
 
 from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.motion_filter import JointAngle, Motion
 from tsa_ctrl.control.reversal import Slip, Turn
+from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
 CLOSING = 5.0  # Hz at which the sensor's missing torque is added at rest: all of it at once throws a hand-held joint
@@ -53,24 +51,6 @@ BLIND = 2.0  # memories of the motion after a turn in which a motor without a jo
 NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
 MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
 _REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
-
-Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
-
-
-class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.law]; missing keys follow from the model file, the bus and the motor's inertia, see `law_design`."""
-
-    compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
-    fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable
-    slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10_000.0  # N*m/s, most of the friction term at the motor
-    settle: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.03  # 1, of the term, taken back while nothing is to move
-    motor_inertia: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None  # kg*m^2 at the motor pulley
-    delay: Time | None = None  # s from a measurement to the torque that acts
-    turn: Time | None = None  # s of a turn of the friction term
-    lead: Annotated[float, Meta(ge=0.0, le=0.03)] | None = None  # s by which the joint's velocity is taken ahead
-    ringing: Annotated[float, Meta(gt=0.0, le=2000.0)] | None = None  # Hz of the motor on its tendons
-    damping: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None  # N*m*s/rad of that ringing
-    feedback: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0  # Hz, bandwidth of the torque sensor's correction; 0: none
 
 
 class Inverse(Protocol):

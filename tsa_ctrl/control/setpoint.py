@@ -10,55 +10,15 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
-from msgspec import Meta
 
+from tsa_ctrl.control.settings import MOST_TORQUE, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
-MOST_TORQUE = 1000.0  # N*m: more is another unit
-Torque = Annotated[float, Meta(ge=-MOST_TORQUE, le=MOST_TORQUE)]  # N*m
-Frequency = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
-Seconds = Annotated[float, Meta(gt=0.0, le=86_400.0)]
 Source = Callable[[float], float]
 # A sum of sines: s that are sampled, 40 samples per period of the fastest sine (0.3 % of it), and some 20 ms of work.
 _SAMPLED, _MOST_SAMPLES = 60.0, 20_000
-
-
-class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One sine of a multi-sine."""
-
-    amplitude: Torque  # N*m
-    frequency: Frequency  # Hz
-    phase: Annotated[float, Meta(ge=-7.0, le=7.0)] = 0.0  # rad
-
-
-class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.setpoint]."""
-
-    kind: Literal["constant", "sine", "multi_sine", "chirp", "step", "file", "socket"] = "constant"
-    offset: Torque = 0.0  # N*m, added to every kind
-    amplitude: Torque = 0.0  # N*m: of sine, chirp and step
-    frequency: Frequency = 0.5  # Hz: of sine; where a chirp starts
-    end_frequency: Frequency = 5.0  # Hz: where a chirp ends
-    duration: Seconds = 20.0  # s: of one chirp, then again
-    at: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 1.0  # s: when a step comes
-    components: tuple[Component, ...] = ()  # of multi_sine
-    file: str = ""  # CSV or Parquet with columns t (s) and tau_j_des (N*m), relative to the configuration file
-    loop: bool = False  # start the file again at its end; else the set-point goes to 0
-    timeout: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.2  # s: a socket set-point older than this goes to 0
-    rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 50.0  # N*m/s: fastest change of the set-point
-
-    def __post_init__(self) -> None:
-        if (self.kind == "file") != bool(self.file):
-            raise ValueError(f'kind "{self.kind}" with file "{self.file}"; give both kind "file" and a file')
-        if (self.kind == "multi_sine") != bool(self.components):
-            raise ValueError(
-                f'kind "{self.kind}" with {len(self.components)} components; '
-                'components belong to kind "multi_sine", which needs at least one'
-            )
 
 
 class SetPoint:

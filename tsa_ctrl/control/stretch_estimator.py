@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, Split, sooner_down
+from tsa_ctrl.control.estimator import EstimateState, Sample, Split, sooner_down
+from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding_by
 from tsa_ctrl.model.stretch import stretch_line

@@ -3,18 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
-
-import msgspec
 
 LOWEST, HIGHEST = -40.0, 150.0  # degC; a value outside is a broken sensor and is ignored
 FASTEST = 2.0  # K/s; a jump of the reading must not become a jump of the torque
-
-
-class TemperatureSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.temperature]."""
-
-    source: Literal["none", "serial"] = "none"  # "serial": [[axis.serial]] of the quantity "temperature"
 
 
 class Temperature:

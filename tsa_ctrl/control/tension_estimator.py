@@ -19,8 +19,9 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample, sooner_down
+from tsa_ctrl.control.estimator import EstimateState, Sample, sooner_down
 from tsa_ctrl.control.kalman import Bare
+from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import elongations

@@ -17,13 +17,14 @@ from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending, routing_of
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
 from tsa_ctrl.control.direction import OVERSHOOT, UNSURE, Direction
-from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.live_parameters import Tuner, parameters_of
 from tsa_ctrl.control.motion_filter import FINER, LONGEST, WORTH, JointAngle, Motion
 from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.control.settings import Attribution
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.control.tension_estimator import TensionEstimator
 from tsa_ctrl.errors import UsageError

@@ -27,7 +27,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.cycle import command
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.parameters import check_bounds

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.config import AxisSettings, Configuration
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import TendonSheath

@@ -16,7 +16,7 @@ import msgspec
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration, load_configuration
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.safety.use_class import on_bench

@@ -17,7 +17,8 @@ import math
 from dataclasses import dataclass
 
 from tsa_ctrl.safety.limiter import Reason
-from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySettings
+from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity
+from tsa_ctrl.safety.settings import PassivitySettings
 
 LOWEST = 20.0  # Hz: faster than a limb moves; a reversal of the friction term contains higher frequencies
 BLOCK = 0.04  # s

@@ -42,10 +42,6 @@ its whole friction.
 from __future__ import annotations
 
 import math
-from typing import Annotated
-
-import msgspec
-from msgspec import Meta
 
 MEMORY = 2.0  # s in which energy is forgotten: longer than a gait cycle
 SENSOR = (0.03, 0.03, 0.01)  # g, z, m with a joint torque sensor: what its data sheet leaves open
@@ -57,21 +53,6 @@ SWING = 2.0  # of the allowed energy that a swing excuses at most: 6 mJ and thos
 WARY = 0.5  # of threshold and uncertainties after a recent detection: no healthy rig reaches it
 FEWEST = 2  # cycles that must agree: one wrong value of a sensor is no motion
 _WILD = 1e6  # N*m: no real torque; values that are not finite also exceed it
-
-
-class PassivitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.passivity]: when the compensation counts as a motor of its own, and backs off."""
-
-    energy: Annotated[float, Meta(gt=0.0, le=100.0)] = 3e-3  # J; at 1 rad/s 0.02 kg*m^2 have 10 mJ
-    buzz: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.03  # N*m RMS at the motor above 20 Hz, for 0.4 s
-
-
-class OscillationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.oscillation] of earlier versions: read, and without effect."""
-
-    speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.5
-    duration: Annotated[float, Meta(gt=0.0, le=60.0)] = 1.0
-    share: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.5
 
 
 class Passivity:

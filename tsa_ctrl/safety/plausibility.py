@@ -16,17 +16,11 @@ the limiter, this module imports nothing of the control law.
 from __future__ import annotations
 
 import math
-from typing import Annotated
-
-import msgspec
-from msgspec import Meta
 
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.debounce import Debounce
 from tsa_ctrl.safety.residuals import LASTING, SAMPLES, Elongation, Give, Standstill, Velocity
-
-Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
-Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
+from tsa_ctrl.safety.settings import PlausibilitySettings
 
 DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
 DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: too little to throw a person
@@ -36,15 +30,6 @@ BEGUN = 0.5  # of that, from which on the drive must respond: the noise of a con
 FROZEN_TIME = 0.03  # s from then on, in which the drive must respond
 SLIP_TIME = 0.01  # s beyond a given angle
 VELOCITY_TIME = 0.02  # s that velocity and position must contradict each other
-
-
-class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.plausibility]: how far measured and commanded torque, joint and motor, may disagree."""
-
-    torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
-    joint_torque: Torque | None = None  # N*m at the joint; default: 0.15 of limits.torque, at the joint
-    duration: Duration = 0.1  # s that either must last, less a quarter of the time for which it did not
-    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None  # rad at the motor; default: by the torque in use
 
 
 class Plausibility:

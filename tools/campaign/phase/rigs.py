@@ -11,7 +11,7 @@ from tools.campaign.phase.plan import Draw
 from tools.command import CONFIG
 from tsa_ctrl.config import AxisSettings as ControlSettings
 from tsa_ctrl.config import Configuration, load_configuration, with_estimators
-from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.control.settings import SetPointSettings
 from tsa_ctrl.plant.axis import CURVATURES
 from tsa_ctrl.plant.settings import AxisSettings, PlantSettings, load_plant
 
