@@ -47,7 +47,8 @@ from tsa_ctrl.model.plausible import (
 )
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import why_not
-from tsa_ctrl.safety.settings import LimiterSettings, OscillationSettings, PassivitySettings, PlausibilitySettings
+from tsa_ctrl.safety.limiter import LimiterSettings
+from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings

@@ -11,7 +11,8 @@ from tsa_ctrl.bus.settings import DriveSettings, EncoderSettings, SupervisionSet
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.settings import LawSettings, SetPointSettings
 from tsa_ctrl.safety.bounds import KEYS, loose_bounds
-from tsa_ctrl.safety.settings import LimiterSettings, PassivitySettings, PlausibilitySettings
+from tsa_ctrl.safety.limiter import LimiterSettings
+from tsa_ctrl.safety.settings import PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 

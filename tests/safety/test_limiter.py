@@ -13,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.safety import limiter as module
-from tsa_ctrl.safety.limiter import Limiter, Reason
-from tsa_ctrl.safety.settings import LimiterSettings
+from tsa_ctrl.safety.limiter import Limiter, LimiterSettings, Reason
 
 PERIOD = 1e-3
 SETTINGS = LimiterSettings(

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.bus.settings import DriveSettings
-from tsa_ctrl.safety.settings import LimiterSettings
+from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits
 
 SPEEDS = st.floats(0.1, 20.0)

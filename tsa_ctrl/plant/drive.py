@@ -10,6 +10,7 @@ import math
 import random
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import msgspec
 
@@ -56,7 +57,7 @@ _NO_CLAMP, _NO_SPEED_CLAMP = 0x7FFF, 0x7FFFFFFF  # per mille, rpm: of a drive wi
 _RESTING = 0.01  # of rated torque: below it a quick stop or a fault reaction is complete
 
 
-class ConnectionLoss(int):
+class ConnectionLoss(IntEnum):
     """0x6007: what the drive does when the connection is lost."""
 
     NOTHING = 0

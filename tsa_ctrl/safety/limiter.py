@@ -11,8 +11,13 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 from math import isfinite
+from typing import Annotated
 
-from tsa_ctrl.safety.settings import LimiterSettings
+import msgspec
+from msgspec import Meta
+
+Torque = Annotated[float, Meta(gt=0.0, le=1000.0)]  # N*m
+Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
 class Reason(IntEnum):
@@ -50,6 +55,36 @@ MEANINGS = {
     Reason.UNPROVEN: "the sensors confirm less friction than the model has, so less is compensated; move the joint, "
     "run tsa tune, or add a joint torque sensor",
 }
+
+
+class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.limits]: the bounds of one axis' motor torque; only `torque` has no default."""
+
+    torque: Torque  # N*m at the motor, absolute
+    torque_share: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None  # 1, of the rated torque, in place of torque
+    rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
+    distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
+    joint_speed: Speed = 10.0  # rad/s: driving torque fades to 0 towards it, from 80 % of it on
+    over_speed: Speed = 12.0  # rad/s at the joint, latches: no knee or elbow is led faster than 8
+    motor_over_speed: Speed = 20.0  # rad/s at the motor, latches: a torn tendon is a runaway
+    travel: tuple[float, float] | None = None  # rad, joint; outward torque is 0 beyond
+    travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
+
+    def __post_init__(self) -> None:
+        if self.torque_share is not None:  # else it is `torque` by now
+            raise ValueError("both torque and torque_share are given; keep one of them")
+        if self.travel is not None and self.travel[1] - self.travel[0] <= 2.0 * self.travel_margin:
+            raise ValueError(
+                f"travel {list(self.travel)} rad is not wider than two travel margins of "
+                f"{self.travel_margin:g} rad; give [lower, upper]"
+            )
+
+    def check_order(self) -> None:
+        """Raise ValueError if over_speed is not above joint_speed; for limits that are complete."""
+        if self.over_speed <= self.joint_speed:
+            raise ValueError(
+                f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"
+            )
 
 
 class Limiter:

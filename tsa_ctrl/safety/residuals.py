@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 SMOOTH = 0.005  # s, low-pass of torque and angles: a motor rings on its tendons at 40 Hz and more
 SAMPLES = 5.0  # least number of periods of that low-pass and of a residual: a slow loop samples the ringing too seldom
@@ -192,7 +193,7 @@ class Velocity:
     from the mean between two samples, so the comparison is not possible.
     """
 
-    LONGEST = 0.0025  # s, longest period: a quarter of the cycle of a motor that oscillates on its tendons at 100 Hz
+    LONGEST: ClassVar[float] = 0.0025  # s, longest period: a quarter of an oscillation at 100 Hz
 
     MEMORY = 0.1  # s of the comparison
     SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive

@@ -24,7 +24,7 @@ from msgspec import Meta
 
 from tsa_ctrl.bus.live.read_back import StopBit
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
-from tsa_ctrl.safety.settings import LimiterSettings
+from tsa_ctrl.safety.limiter import LimiterSettings
 
 UseClass = Literal["bench", "worn"]
 MARGIN = 1.25  # 1, between two speeds of the chain
