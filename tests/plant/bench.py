@@ -84,8 +84,8 @@ class Bench:
         end = self.clock.now + seconds
         while self.clock.now < end - 1e-9:
             self.clock.now = min(end, self.clock.now + step)
-            for outlet in self.unit.outlets.values():
-                outlet.release(self.clock.now)
+            for transmit in self.unit.transmit.values():
+                transmit.release(self.clock.now)
             self.machine.tick(self.clock.now)
         return self.bus.sent[before:]
 

@@ -20,7 +20,7 @@ def test_the_loop_answers_and_lets_time_pass(tmp_path: Path) -> None:
 def test_a_delayed_frame_leaves_at_its_time(tmp_path: Path) -> None:
     bench = Bench(tmp_path)
     bench.set_up()
-    bench.unit.outlets["drive"].delay = 0.0042
+    bench.unit.transmit["drive"].delay = 0.0042
     begin = bench.clock.now
     bench.bus.waiting.append((0x080, b""))
     bench.machine.run(lambda: 0x181 in dict(bench.bus.sent))

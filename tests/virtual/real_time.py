@@ -85,7 +85,7 @@ def in_real_time(folder: Path) -> tuple[Any, dict[str, FloatArray]]:
 def woken_as(log: dict[str, FloatArray], paths: tuple[Path, Path], rate: float) -> Simulation:
     """The run in virtual time whose loop is awake when that of `log` was, and misses the answers that it missed."""
     run = Run(load_configuration(paths[0]), check(paths[1]), SECONDS)
-    wait, outlets = run.rig.wait, run.machine.axes[0].outlets.values()
+    wait, faults = run.rig.wait, run.machine.axes[0].transmit.values()
     cycle = 0
 
     def waiting(until: float) -> float:
@@ -96,8 +96,8 @@ def woken_as(log: dict[str, FloatArray], paths: tuple[Path, Path], rate: float) 
             cycle += 1
         if cycle == log["t"].size:
             return wait(until)
-        for outlet in outlets:
-            outlet.loss = float(log["pdo_age"][cycle] > 0.0)
+        for each in faults:
+            each.loss = float(log["pdo_age"][cycle] > 0.0)
         awake = run.loop.start + log["t"][cycle] + log["lateness"][cycle]
         cycle += 1
         return wait(max(until, awake))

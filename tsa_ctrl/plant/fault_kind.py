@@ -18,7 +18,7 @@ _HISTORY = 4096  # frames that a replay can reach back
 
 
 @dataclass
-class Outlet:
+class TransmitFaults:
     """Send the frames of one node, modified by the active faults of the wire and of the node's firmware.
 
     Faults can change TPDOs and the heartbeat. EMCY and SDO frames pass unchanged.
@@ -117,7 +117,7 @@ class Target:
     torque_sensor: TorqueSensor | None
     nodes: tuple[Node, ...]
     node: Node
-    outlet: Outlet
+    transmit: TransmitFaults
     value: float
     duration: float
     now: float

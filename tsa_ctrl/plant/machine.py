@@ -23,7 +23,7 @@ from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_emulation import DriveEmulation
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, objects, pdos, shifted
 from tsa_ctrl.plant.emergency import EmcyCode
-from tsa_ctrl.plant.fault_kind import Outlet, Target
+from tsa_ctrl.plant.fault_kind import Target, TransmitFaults
 from tsa_ctrl.plant.faults import FaultPlan, check_fault
 from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
@@ -178,7 +178,7 @@ class AxisNodes:
     encoder: Encoder | None
     torque_sensor: TorqueSensor | None
     by_kind: dict[str, Node]
-    outlets: dict[str, Outlet]
+    transmit: dict[str, TransmitFaults]
 
     @property
     def nodes(self) -> tuple[Node, ...]:
@@ -204,11 +204,11 @@ def build_axes(plant: PlantSettings, send: Send, clock: Callable[[], float]) -> 
         units.append(unit)
         devices.setdefault(settings.drive.node_id, []).append(unit)
     for members in devices.values():
-        outlet = members[0].outlets["drive"]
-        node = DriveNode([unit.drive for unit in members], outlet)
+        transmit = members[0].transmit["drive"]
+        node = DriveNode([unit.drive for unit in members], transmit)
         for unit in members:
             unit.by_kind["drive"] = node
-            unit.outlets["drive"] = outlet
+            unit.transmit["drive"] = transmit
     return units
 
 
@@ -221,16 +221,18 @@ def _build_axis(
     def noise(number: int) -> random.Random:
         return random.Random(plant.physics.seed * 1000 + place * 10 + number)
 
-    outlets = {kind: Outlet(send, clock, noise(5 + i)) for i, kind in enumerate(("drive", "encoder", "torque_sensor"))}
+    transmit = {
+        kind: TransmitFaults(send, clock, noise(5 + i)) for i, kind in enumerate(("drive", "encoder", "torque_sensor"))
+    }
     drive = Drive(settings.drive, axis.readings, axis.command, noise(0))
     encoder = sensor = None
     nodes: dict[str, Node] = {}
     if settings.encoder.present:
-        nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, outlets["encoder"])
+        nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, transmit["encoder"])
     if settings.torque_sensor.present:
-        sensor = TorqueSensor(settings.torque_sensor, axis.readings, noise(1), outlets["torque_sensor"])
+        sensor = TorqueSensor(settings.torque_sensor, axis.readings, noise(1), transmit["torque_sensor"])
         nodes["torque_sensor"] = sensor
-    return AxisNodes(axis, drive, encoder, sensor, nodes, outlets)
+    return AxisNodes(axis, drive, encoder, sensor, nodes, transmit)
 
 
 class Machine:
@@ -252,7 +254,7 @@ class Machine:
         self.axes = build_axes(plant, bus.send, clock)
         self.mechanism: Mechanism = build_mechanism(plant, [unit.axis for unit in self.axes])
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
-        self._outlets = tuple({id(out): out for unit in self.axes for out in unit.outlets.values()}.values())
+        self._transmit = tuple({id(out): out for unit in self.axes for out in unit.transmit.values()}.values())
         self.faults = FaultPlan()
         self.flood_rate = 0.0  # frames/s of identifiers that nobody uses
         self.housekeeping: Callable[[float], None] = lambda now: None
@@ -291,16 +293,16 @@ class Machine:
     def due(self) -> float:
         """When something happens here although no frame comes, s of the clock."""
         due = self._next_tick
-        for outlet in self._outlets:
-            if outlet.waiting and outlet.waiting[0][0] < due:
-                due = outlet.waiting[0][0]
+        for each in self._transmit:
+            if each.waiting and each.waiting[0][0] < due:
+                due = each.waiting[0][0]
         return due
 
     def step(self, frame: Frame | None, now: float) -> None:
         """What is due at `now`, and a frame that has arrived."""
-        for outlet in self._outlets:
-            if outlet.waiting:
-                outlet.release(now)
+        for each in self._transmit:
+            if each.waiting:
+                each.release(now)
         if frame is not None:
             self.handle(*frame, now)
         if now >= self._next_tick:
@@ -366,7 +368,7 @@ class Machine:
                 unit.torque_sensor,
                 unit.nodes,
                 node,
-                unit.outlets[fault.node],
+                unit.transmit[fault.node],
                 value,
                 fault.duration,
                 now,
