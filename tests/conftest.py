@@ -121,6 +121,8 @@ def lack_of_vcan() -> str | None:
     name = os.environ.get("TSA_VCAN")
     if not name:
         return "no vcan: run under tools/vcan"
+    if name.startswith("datagram:"):
+        return f"no vcan: TSA_VCAN={name}: local sockets are no interface of the kernel"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         try:
             answer = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))

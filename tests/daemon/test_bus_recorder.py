@@ -9,21 +9,23 @@ import can
 import pytest
 
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.daemon.bus_recorder import recorded
 from tsa_ctrl.errors import UsageError
 
-CHANNEL = f"239.74.{os.getpid() % 250}.77"
-SETTINGS = BusSettings(interface="udp_multicast", channel=CHANNEL)
+MULTICAST = BusSettings(interface="udp_multicast", channel=f"239.74.{os.getpid() % 250}.77")
+DATAGRAM = BusSettings(interface="datagram", channel=f"recorder-{os.getpid()}")
 FRAMES = [(0x181 + n, bytes(range(n + 1))) for n in range(8)]
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
-def test_frames_of_all_programs_are_recorded_in_order(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize(
+    ("settings", "suffix"), [(MULTICAST, ".log"), (MULTICAST, ".asc"), (MULTICAST, ".blf"), (DATAGRAM, ".log")]
+)
+def test_frames_of_all_programs_are_recorded_in_order(tmp_path: Path, settings: BusSettings, suffix: str) -> None:
     path = tmp_path / f"run{suffix}"
-    bus = PythonCan("udp_multicast", CHANNEL, 1_000_000)
+    bus = open_bus(settings)
     said: list[str] = []
-    with recorded(SETTINGS, path, said.append):
+    with recorded(settings, path, said.append):
         for frame in FRAMES:
             assert bus.send(*frame)
     bus.close()

@@ -85,7 +85,7 @@ def test_any_interface_of_python_can_may_be_asked_for() -> None:
 def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rig, "can_interfaces", dict)
     monkeypatch.setattr(rig, "make_vcan", denied)
-    assert choose().interface == "udp_multicast"
+    assert choose().interface == "datagram"
 
 
 def denied(*arguments: object) -> None:
@@ -108,7 +108,7 @@ def test_a_vcan_that_is_down_and_stays_so_is_told(monkeypatch: pytest.MonkeyPatc
     told: list[str] = []
     there(monkeypatch, Interface(False, "vcan", name="vcan3"))
     monkeypatch.setattr(rig, "set_up", denied)
-    assert choose(say=told.append).interface == "udp_multicast"
+    assert choose(say=told.append).interface == "datagram"
     assert told == [
         "demo: vcan3 is down and cannot be brought up (Operation not permitted): ip link set vcan3 up; "
         "goes on without it"

@@ -14,7 +14,8 @@ import pytest
 
 from tests.monitor.healthy import HEARTBEAT, MOTION, RPDO, SYNC, watched
 from tests.sensors.lines import wait_for
-from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.monitor.watch import Frame
@@ -42,8 +43,8 @@ def given(output: OutputSettings | None = None, interface: str = "udp_multicast"
 class Bus:
     """The other end of the bus: a loop and a drive whose frames the test sends."""
 
-    def __init__(self) -> None:
-        self._bus = PythonCan("udp_multicast", GROUP, 1_000_000)
+    def __init__(self, interface: str = "udp_multicast", channel: str = GROUP) -> None:
+        self._bus = open_bus(BusSettings(interface=interface, channel=channel))
         self.heard: list[Frame] = []
 
     def send(self, *frames: Frame) -> None:
@@ -99,6 +100,18 @@ def test_a_wrong_command_is_answered_until_the_drive_confirms(
     bus.until(lambda: faulty(monitor)() and monitor.report.confirmed)
     assert bus.heard[0] == STOP
     assert (tmp_path / "off").exists()
+
+
+def test_it_watches_a_bus_of_local_sockets() -> None:
+    place = ("datagram", f"monitor-{os.getpid()}")
+    bus, monitor = Bus(*place), MonitorProcess(given(None, *place))
+    bus.enable()
+    bus.send((RPDO, b"\x0f\x00\x00\x0f"))
+    bus.until(lambda: bus.heard.count(STOP) >= 2 and ASK in bus.heard)
+    bus.send((0x581, bytes.fromhex("4b41600031120000")))
+    bus.until(lambda: faulty(monitor)() and monitor.report.confirmed)
+    monitor.close()
+    bus.close()
 
 
 def test_it_outlives_a_daemon_that_dies_until_the_torque_is_gone(bus: Bus, monitor: MonitorProcess) -> None:

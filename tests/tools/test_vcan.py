@@ -8,10 +8,14 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from tests.conftest import ROOT
+from tools.guest import vcan as vcan_tool
+from tools.guest.guest import Limits
+from tools.guest.kernel import Kernel, UnavailableError
 
 VCAN = str(ROOT / "tools" / "vcan")
 NO_VCAN = 77
@@ -42,6 +46,33 @@ def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], 
     assert done.stdout == b""
     assert done.stderr.decode().startswith(f"tools/vcan: {message}")
     assert done.stderr.count(b"\n") == 1
+
+
+def test_local_sockets_are_chosen_by_name_and_are_no_vcan_for_the_tests() -> None:
+    script = "from tests.conftest import lack_of_vcan; import os; print(os.environ['TSA_VCAN'], lack_of_vcan())"
+    done = run([sys.executable, "-c", script], {"TSA_VCAN": "datagram:bench", "PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0
+    assert done.stdout.startswith(b"datagram:bench no vcan: TSA_VCAN=datagram:bench: local sockets")
+
+
+def test_local_sockets_take_the_place_of_a_vcan_only_if_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The third choice, on a machine that has neither a vcan nor a kernel for the guest."""
+
+    def lacking() -> Kernel:
+        raise UnavailableError("no mirror")
+
+    def instead(command: list[str], interface: str, limits: Limits) -> NoReturn:
+        raise SystemExit(interface)
+
+    monkeypatch.setattr(vcan_tool, "kernel", lacking)
+    monkeypatch.setattr(vcan_tool, "run_here", instead)
+    monkeypatch.delenv("TSA_REQUIRE_VCAN", raising=False)
+    monkeypatch.delenv("TSA_VCAN_ELSE", raising=False)
+    with pytest.raises(SystemExit, match=str(NO_VCAN)):
+        vcan_tool.run_in_guest(["true"], "vcan7", Limits(1 << 30, None))
+    monkeypatch.setenv("TSA_VCAN_ELSE", "datagram")
+    with pytest.raises(SystemExit, match="datagram:vcan7"):
+        vcan_tool.run_in_guest(["true"], "vcan7", Limits(1 << 30, None))
 
 
 def test_the_guests_first_process_needs_the_standard_library_alone() -> None:

@@ -1,10 +1,11 @@
 """Compare one axis with several lean axes at 1 kHz on one bus: skipped periods, missed answers, faults.
 
-Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--virtual]
+Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--interface NAME] [--virtual]
 
 The rigs are one axis with standard PDOs, and two axes with lean drives and encoders, without and with torque sensors.
-Plant and daemon run as two processes on UDP multicast, a round of each rig after the other, so that all of them meet
-the same load of the machine. With --virtual they run in virtual time, where the bus has its bit rate.
+Plant and daemon run as two processes on a bus of local sockets ("datagram") or on UDP multicast, a round of each rig
+after the other, so that all of them meet the same load of the machine. With --virtual they run in virtual time, where
+the bus has its bit rate.
 """
 
 from __future__ import annotations
@@ -31,9 +32,10 @@ READY = "plant: ready"
 Files = tuple[Path, Path]
 
 
-def write(folder: Path, axes: int, pdo: str, torque_sensors: bool, rate: float) -> Files:
+def write(folder: Path, axes: int, pdo: str, torque_sensors: bool, rate: float, interface: str) -> Files:
     """Write the files of one rig; return controller and plant."""
-    bus = rig.BusChoice("udp_multicast", "239.255.{}.{}".format(*os.urandom(2)))
+    channel = "239.255.{}.{}".format(*os.urandom(2)) if interface == "udp_multicast" else f"axes-{os.getpid()}"
+    bus = rig.BusChoice(interface, channel)
     plant, controller = rig.plant(bus, "full"), rig.controller(bus, "axes", rate, "nominal.toml", 0.95)
     controller["socket"] = {"path": str(folder / "axes.sock")}
     (body,), (axis,) = plant["axis"], controller["axis"]
@@ -77,13 +79,14 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--rate", type=float, default=1000.0)
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--interface", choices=("datagram", "udp_multicast"), default="datagram")
     parser.add_argument("--virtual", action="store_true")
     options = parser.parse_args()
     lines: list[tuple[object, ...]] = []
     for number in range(1 if options.virtual else options.rounds):
         for name, (axes, pdo, torque_sensors) in RIGS.items():
             with tempfile.TemporaryDirectory() as folder:
-                files = write(Path(folder), axes, pdo, torque_sensors, options.rate)
+                files = write(Path(folder), axes, pdo, torque_sensors, options.rate, options.interface)
                 if options.virtual:
                     found = simulate_loop(*files, options.seconds).summary.as_dict()
                 else:

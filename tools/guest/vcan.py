@@ -4,9 +4,11 @@ Runs COMMAND where there is a virtual CAN interface, its name in TSA_VCAN, and e
 interface is, in this order: a vcan that is up; one that this user may create (as root for all, else in a network
 namespace for COMMAND alone); one in a user-mode Linux guest that is started for COMMAND (its root file system is this
 one; it has its own /dev/shm, TMPDIR, processes and network, and one processor).
-Without any of them: one line and exit status 77.
+Without any of them: one line and exit status 77. A bus of local sockets, interface "datagram", is no vcan but carries
+frames between processes without any rights; TSA_VCAN is then datagram:NAME. Tests marked vcan do not accept it.
 
-  TSA_VCAN          name of the interface; default a vcan that is up, else vcan0
+  TSA_VCAN          name of the interface; default a vcan that is up, else vcan0. "datagram:NAME" selects local sockets
+  TSA_VCAN_ELSE     datagram: if there is no vcan, run COMMAND on local sockets instead of exit status 77
   TSA_VCAN_ALONE    1: not the machine's own, which others may use at the same time
   TSA_REQUIRE_VCAN  1: without a vcan the exit status is 1, not 77
   TSA_VCAN_TIMEOUT  seconds after which COMMAND is ended, with exit status 124; default none
@@ -30,6 +32,7 @@ from tools.guest.kernel import UnavailableError, kernel
 from tsa_ctrl.bus.wire import link
 
 DEFAULT = "vcan0"
+SUBSTITUTE = "datagram:"  # interface and channel of a bus of local sockets
 FAILED, USAGE, SKIPPED, NOT_FOUND, INTERRUPTED = 1, 2, 77, 127, 130
 
 
@@ -52,6 +55,8 @@ def run(arguments: list[str]) -> int:
     if shutil.which(arguments[0]) is None:
         end(NOT_FOUND, f"{arguments[0]}: no such command")
     name = os.environ.get("TSA_VCAN", "")
+    if name.startswith(SUBSTITUTE):
+        run_here(arguments, name, limits)
     if os.environ.get("TSA_VCAN_ALONE") != "1" and (interface := found_or_created(name)):
         run_here(arguments, interface, limits)
     name = name or DEFAULT
@@ -74,6 +79,9 @@ def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
     except UnavailableError as reason:
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
             end(FAILED, f"no vcan to be had: {reason}")
+        if os.environ.get("TSA_VCAN_ELSE") == "datagram":
+            print(f"tools/vcan: no vcan to be had: {reason}; local sockets take its place", file=sys.stderr)
+            run_here(command, f"{SUBSTITUTE}{interface}", limits)
         end(SKIPPED, f"skipped, no vcan to be had: {reason}")
 
 

@@ -53,7 +53,7 @@ class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One CAN bus."""
 
-    interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or any interface of python-can
+    interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s
     options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface

@@ -45,7 +45,7 @@ STAGE_WORDS = {
     type=Finite(50.0, 4000.0),
     help="Of the loop, Hz.  [default: 1000, or the half or quarter of it that this machine keeps; --full 1000]",
 )
-@click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL of python-can; default: the best there is.")
+@click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL; default: the best there is.")
 @click.option("--virtual", is_flag=True, help="In virtual time: no bus, no rights, faster than real time.")
 @click.option("--load", type=click.Choice(LOADS), default="imposed", show_default=True, help="What the joint drives.")
 @click.option("--tendon", type=click.Choice(["full", "distributed"]), help="Of the plant.  [default: distributed]")

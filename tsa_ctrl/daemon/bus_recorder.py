@@ -15,19 +15,21 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import can
 
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.python_can import opened
+from tsa_ctrl.bus.wire.datagram import DatagramBus
+from tsa_ctrl.bus.wire.python_can import Option, opened
+from tsa_ctrl.bus.wire.seam import REMOTE_FLAG
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
 
 FORMATS = (".asc", ".blf", ".csv", ".log", ".trc")
-SHARED = ("socketcan", "udp_multicast")  # interfaces that several programs can open at once
+SHARED = ("socketcan", "udp_multicast", "datagram")  # interfaces that several programs can open at once
 LOOK = 0.1  # s between two looks at whether the run has ended
 LONGEST_END = 0.5  # s of frames after the run
 PATIENCE = 5.0  # s for the last frames to be written
@@ -80,11 +82,11 @@ def record(interface: str, channel: str, bitrate: str, options: str, path: str) 
 
     threading.Thread(target=wait, daemon=True).start()
     try:
-        with opened(interface, channel, int(bitrate), json.loads(options)) as bus, can.Logger(path) as log:
+        with _received(interface, channel, int(bitrate), json.loads(options)) as receive, can.Logger(path) as log:
             os.write(1, READY)
             last = math.inf  # s, when the recorder ends although others still send
             while time.monotonic() < last:
-                message = bus.recv(LOOK)
+                message = receive(LOOK)
                 if message is not None:
                     log.on_message_received(message)
                 elif ended.is_set():
@@ -95,6 +97,31 @@ def record(interface: str, channel: str, bitrate: str, options: str, path: str) 
         print(" ".join(str(error).split()) or type(error).__name__, flush=True)
         return 1
     return 0
+
+
+@contextmanager
+def _received(
+    interface: str, channel: str, bitrate: int, options: Mapping[str, Option]
+) -> Iterator[Callable[[float], can.Message | None]]:
+    """Open the bus and return the function that waits at most so many seconds for the next frame."""
+    if interface != "datagram":
+        with opened(interface, channel, bitrate, options) as library:
+            yield library.recv
+        return
+    bus = DatagramBus(channel)
+
+    def receive(timeout: float) -> can.Message | None:
+        frame = bus.recv(timeout)
+        if frame is None:
+            return None
+        can_id, data = frame
+        remote = bool(can_id & REMOTE_FLAG)
+        return can.Message(time.time(), can_id & 0x7FF, is_extended_id=False, is_remote_frame=remote, data=data)
+
+    try:
+        yield receive
+    finally:
+        bus.close()
 
 
 if __name__ == "__main__":

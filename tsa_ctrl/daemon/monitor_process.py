@@ -17,6 +17,7 @@ from select import select
 
 import msgspec
 
+from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched
 from tsa_ctrl.safety.causes import Cause, Finding
@@ -129,10 +130,29 @@ class LibraryCan:
         self._bus.send(self._message(arbitration_id=can_id, is_extended_id=False, data=data))
 
 
+class DatagramCan:
+    """The substitute for a CAN interface."""
+
+    def __init__(self, channel: str) -> None:
+        self._bus = DatagramBus(channel)
+        self.fileno, self.send = self._bus.fileno, self._bus.send
+
+    def receive(self) -> tuple[Frame, float] | None:
+        frame = self._bus.recv(0.0)
+        return None if frame is None else (frame, time.time())
+
+
+def opened(given: Given) -> RawCan | LibraryCan | DatagramCan:
+    """Open the bus of the run with a separate socket."""
+    if given.interface == "socketcan":
+        return RawCan(given.channel)
+    return DatagramCan(given.channel) if given.interface == "datagram" else LibraryCan(given)
+
+
 class Watch:
     """Run the monitor, its bus and its output until the daemon has ended and the torque is off."""
 
-    def __init__(self, given: Given, bus: RawCan | LibraryCan, output: TorqueOff, board: Board) -> None:
+    def __init__(self, given: Given, bus: RawCan | LibraryCan | DatagramCan, output: TorqueOff, board: Board) -> None:
         self._monitor, self._bus, self._output, self._board = Monitor(given.watched), bus, output, board
         self._number, self._due, self._permit, self._last = 0, 0.0, 0.0, Report()
 
@@ -244,7 +264,7 @@ def main(argv: list[str]) -> int:
         os.setsid()  # a stop of the terminal's group does not stop it
     given = msgspec.json.decode(_first_line(sys.stdin.fileno()), type=Given)
     try:
-        bus = RawCan(given.channel) if given.interface == "socketcan" else LibraryCan(given)
+        bus = opened(given)
         output = TorqueOff(given.output)
     except Exception as error:
         line = str(error) if isinstance(error, TsaError) else f"[monitor] bus '{given.channel}': {error}"

@@ -120,9 +120,9 @@ VIRTUAL = BusChoice("socketcan", "vcan0", virtual=True)
 
 
 def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: None) -> BusChoice:
-    """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL of python-can), else the best available one.
+    """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL), else the best available one.
 
-    The order of preference is an existing vcan, a new vcan, UDP multicast. A vcan that is down is brought up. Without
+    The order of preference is an existing vcan, a new vcan, local sockets. A vcan that is down is brought up. Without
     the permission for that, `say` receives a message and another bus is used.
     Raises UsageError if the requested CAN interface does not exist or is down.
     """
@@ -158,7 +158,9 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
             pass
         else:
             return BusChoice("socketcan", "vcan0")
-    return BusChoice("udp_multicast", "239.255.{}.{}".format(*os.urandom(2)))  # RFC 2365; no two demos hear each other
+    if named is not None and named.startswith("datagram:"):
+        return BusChoice("datagram", named.removeprefix("datagram:"))
+    return BusChoice("datagram", f"demo-{os.getpid()}")  # no two demos receive each other's frames
 
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the tendons' domain at the pretension below

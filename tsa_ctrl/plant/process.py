@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import FrameType
 
+from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
@@ -169,6 +170,8 @@ def open_bus(settings: BusSettings) -> Bus:
     """Open the configured bus; raises BusError."""
     if settings.interface == "socketcan":
         return SocketCan(settings.channel, send_queue=128)
+    if settings.interface == "datagram":
+        return DatagramBus(settings.channel, send_queue=128)
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)
 
 

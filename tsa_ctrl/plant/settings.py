@@ -28,7 +28,7 @@ HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Where the nodes are."""
 
-    interface: str = "socketcan"  # or any interface of python-can
+    interface: str = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that must be told
     options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface

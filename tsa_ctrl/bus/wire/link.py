@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
+from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.netlink import (
     CREATE,
     DUMP,
@@ -73,7 +74,7 @@ def read(channel: str) -> Interface | None:
     return parse(found[0]) if found else None
 
 
-IN_ONE_MACHINE = frozenset({"virtual", "udp_multicast"})  # interfaces of python-can without a drive on them
+IN_ONE_MACHINE = frozenset({"virtual", "udp_multicast", "datagram"})  # interfaces without a drive on them
 _VIRTUAL_LINKS = ("vcan", "vxcan")
 
 
@@ -185,14 +186,16 @@ def _state(value: int | None) -> CanState | None:
 def open_bus(settings: BusSettings) -> Bus:
     """Open the configured bus and return it; raises BusError if it is not ready.
 
-    "socketcan" uses a raw socket, every other interface uses python-can.
+    "socketcan" uses a raw socket, "datagram" local sockets, and every other interface python-can.
     """
+    if settings.interface in ("socketcan", "datagram") and settings.options:
+        raise UsageError(
+            f'[bus] options: {", ".join(settings.options)} mean nothing to interface "{settings.interface}"; remove '
+            "them (the bit rate of a SocketCAN interface is set with 'ip link')"
+        )
+    if settings.interface == "datagram":
+        return DatagramBus(settings.channel, settings.send_queue)
     if settings.interface == "socketcan":
-        if settings.options:
-            raise UsageError(
-                f'[bus] options: {", ".join(settings.options)} mean nothing to interface "socketcan"; remove them '
-                "(the bit rate of a SocketCAN interface is set with 'ip link')"
-            )
         bus = SocketCan(settings.channel, settings.send_queue)
         try:
             check(settings.channel, settings.bitrate)

@@ -11,13 +11,12 @@ from contextlib import suppress
 
 import can
 
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, EXTENDED_FLAG, FLUSH_LIMIT, REMOTE_FLAG, BusFault, BusInProcess, Frame
 from tsa_ctrl.errors import BusError
 
 Option = str | int | float | bool
 
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
-_FLUSH_LIMIT = 100_000  # frames
 _ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
 # Options for a loop at a fixed rate, unless [bus] options contain them. A read of slcan without frames blocks for its
 # `timeout`, 1 ms by default, which is a whole period. Without `tcp_tune` the kernel delays small frames of socketcand
@@ -30,18 +29,13 @@ _DEFAULTS: dict[str, dict[str, Option]] = {
 _MAX_ECHOES = 64  # frames sent whose echo may be on its way
 
 
-class PythonCan:
+class PythonCan(BusInProcess):
     """A `Bus` over `can.Bus(interface=..., channel=..., **options)`; raises BusError when it cannot be opened."""
 
     def __init__(self, interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> None:
-        self.name = f"{interface}:{channel}"
-        self.counters = Counters()
-        self.fault: BusFault | None = None
+        super().__init__(f"{interface}:{channel}")
         self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
         self._bus = opened(interface, channel, bitrate, options)
-
-    def clock(self) -> float:
-        return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> bool:
         message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
@@ -79,9 +73,6 @@ class PythonCan:
     def listen_for(self, can_id: int) -> None:
         """No bus of python-can can wait for one identifier: `answers` waits for any."""
 
-    def expect(self, until: float) -> None:
-        """Nor can it wait for a timer of ours beside its frames."""
-
     def answers(self, timeout: float, most: int) -> list[Frame]:
         frame = self.recv(timeout)
         return [] if frame is None else [frame]
@@ -110,12 +101,6 @@ class PythonCan:
             self._bus.set_filters(
                 [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(set(can_ids))]
             )
-
-    def flush(self) -> int:
-        return len(self.gather(0.0, _FLUSH_LIMIT))
-
-    def clear_fault(self) -> None:
-        self.fault = None
 
     def fileno(self) -> int:
         try:
@@ -155,5 +140,5 @@ def _hear_own_group_only(descriptor: int) -> None:
         else:
             same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
         with suppress(BlockingIOError):
-            for _ in range(_FLUSH_LIMIT):
+            for _ in range(FLUSH_LIMIT):
                 same.recv(1, socket.MSG_DONTWAIT)

@@ -6,6 +6,7 @@ identifier, its class in the bits below and its details in the data (Linux `can/
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntFlag
@@ -14,6 +15,8 @@ from typing import Protocol
 ERROR_FLAG = 0x20000000  # CAN_ERR_FLAG
 EXTENDED_FLAG = 0x80000000  # CAN_EFF_FLAG
 REMOTE_FLAG = 0x40000000  # CAN_RTR_FLAG
+
+FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
 
 Frame = tuple[int, bytes]
 
@@ -96,6 +99,30 @@ class Bus(Protocol):
     def close(self) -> None:
         """Release the bus; may be called twice."""
         ...
+
+
+class BusInProcess:
+    """Implement the parts of `Bus` that need no support by the kernel."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+
+    def clock(self) -> float:
+        return time.monotonic()
+
+    def gather(self, until: float, most: int) -> Sequence[Frame]:
+        raise NotImplementedError
+
+    def expect(self, until: float) -> None:
+        """Do nothing: waiting sets its own timer."""
+
+    def flush(self) -> int:
+        return len(self.gather(0.0, FLUSH_LIMIT))
+
+    def clear_fault(self) -> None:
+        self.fault = None
 
 
 class ErrorClass(IntFlag):

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable
 from select import select
 
-from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.seam import FLUSH_LIMIT, BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Alarm, sleep_until
 
@@ -88,7 +88,6 @@ _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
 _TICK = 0.01  # s; with a time-out so much later than the next event, the kernel sets no timer
-_FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
 
 _NOTHING: list[int] = []
 _DROPPED = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK})
@@ -232,7 +231,7 @@ class SocketCan:
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
 
     def flush(self) -> int:
-        return len(self.gather(0.0, _FLUSH_LIMIT))
+        return len(self.gather(0.0, FLUSH_LIMIT))
 
     def clear_fault(self) -> None:
         self.fault = None
