@@ -3,10 +3,11 @@
 Usage: tools/run manual/measure [NAME ...] [--long] [--runs N] [--list]
        tools/run manual/measure TABLE --printed FILE
 
-`tools/manual/figures.toml` lists the figures and tables with their commands. Without names all figures are measured,
-those that take minutes with --long alone. What is deterministic is run once, the rest `--runs` times: median, lowest
-and highest. A table is taken from what its command prints; --printed reads a file instead of running the command. The
-pages follow by `tools/run manual/write`.
+`tools/manual/figures.toml` lists the figures and tables with their commands. Without names, the figures that take
+seconds are measured; with --long all figures and tables, which takes hours. A figure that does not vary is measured
+once, the others `--runs` times: median, lowest and highest. A table is taken from the output of its command;
+--printed reads a file instead of running the command. At the end the pages are written, as by `tools/run
+manual/write`.
 """
 
 from __future__ import annotations
@@ -112,7 +113,7 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("names", nargs="*", help="figures and tables; default all figures")
     parser.add_argument("--runs", type=int, default=3, help="of what is not deterministic (default 3)")
-    parser.add_argument("--long", action="store_true", help="also the figures that take minutes")
+    parser.add_argument("--long", action="store_true", help="also the tables, and the figures that take minutes")
     parser.add_argument("--printed", type=Path, metavar="FILE", help="what the command of the table printed")
     parser.add_argument("--list", action="store_true", help="names and commands only")
     arguments = parser.parse_args()
@@ -123,7 +124,8 @@ def main() -> int:
         return 0
     if unknown := [name for name in arguments.names if name not in figures and name not in tables]:
         raise UsageError(f"no figure or table '{unknown[0]}'; known are {', '.join([*figures, *tables])}")
-    names = arguments.names or [name for name in figures if arguments.long or not figures[name]["run"].get("long")]
+    quick = [name for name in figures if not figures[name]["run"].get("long")]
+    names = arguments.names or ([*figures, *tables] if arguments.long else quick)
     failed = 0
     with tempfile.TemporaryDirectory() as out:
         for name in names:
@@ -141,4 +143,7 @@ def main() -> int:
                 continue
             keep(FIGURES, name, row)
             print(f"{name}: {row['value']:.4g} {row['unit']} ({row['low']:.4g} to {row['high']:.4g})", flush=True)
+    from tools.manual.write import write_pages  # here, because its parts import this module
+
+    write_pages()
     return int(failed > 0)

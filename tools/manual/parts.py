@@ -110,12 +110,10 @@ def _short(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
-def figures(*beginnings: str) -> str:
-    """Return the measured figures whose names begin so; all without a name."""
+def figures() -> str:
+    """Return the measured figures."""
     rows: list[tuple[str, ...]] = []
-    for name, row in measure.load(measure.FIGURES).items():
-        if beginnings and not name.startswith(beginnings):
-            continue
+    for row in measure.load(measure.FIGURES).values():
         spread = "" if row["runs"] == 1 else f" ({_short(row['low'])} to {_short(row['high'])} in {row['runs']})"
         value = f"{_short(row['value'])} {row['unit']}{spread}"
         rows.append((row["words"], value, f"`{row['command']}`", f"{row['date']}, {row['commit']}"))
@@ -160,9 +158,6 @@ def of_rows(name: str) -> str:
     return table(*module.table(read_rows(module.FILE)))
 
 
-DIAGNOSIS = ("diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "pairs-", "base-")  # figures' names
-
-
 def bus_rates() -> str:
     """Return the highest rates of one to four axes on a bus of 1 Mbit/s, by their nodes and `pdo`."""
     rows = []
@@ -192,7 +187,6 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "profiles": profiles,
     "quirks": quirks,
     "figures": figures,
-    "diagnosis-figures": partial(figures, *DIAGNOSIS),
     "licences": licences,
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in measure.listed()["tables"]},

@@ -61,13 +61,17 @@ def differing(root: Path) -> dict[Path, str]:
     return found
 
 
-def main() -> int:
-    parser = command.parser(__name__, __doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 when a page differs")
-    check = parser.parse_args().check
+def write_pages(check: bool = False) -> int:
+    """Write the pages that differ; with `check` only name them, and return 1 if there is one."""
     pages = differing(command.ROOT)
     for path, text in pages.items():
         print(f"{path.relative_to(command.ROOT)}: {'differs from its sources' if check else 'written'}")
         if not check:
             path.write_text(text, encoding="utf-8")
     return int(check and bool(pages))
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 when a page differs")
+    return write_pages(parser.parse_args().check)
