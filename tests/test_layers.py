@@ -32,7 +32,7 @@ ROOMS: dict[str, str] = {
     "system": "errors",
     "signals": "",  # of an axis: the log, the status and the client have their fields from this table
     # logs, sensors, the model: what both pipelines share
-    "log": "errors version settings outputs system signals",
+    "log": "errors display version settings outputs system signals",
     "sensors": "errors system",
     "model": "errors settings system.compiling",
     "observer": "errors model system.compiling",  # joint torque without its sensor
@@ -70,7 +70,7 @@ ROOMS: dict[str, str] = {
     "dashboard": "errors signals ipc",
     "live": "errors outputs signals ipc",
     "tune": (
-        "errors version settings outputs system signals log model control config ipc daemon.joint_files doctor "
+        "errors display version settings outputs system signals log model control config ipc daemon.joint_files doctor "
         "identify virtual"
     ),
     "investigate": "errors settings model identify tune",

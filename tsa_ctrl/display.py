@@ -14,6 +14,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_POINTS = 6000  # of a line; a screen shows no more
+TIME = "time (s)"
+_QUANTITIES = {  # of a column of a log: name and unit as every picture spells them
+    "t": TIME,
+    "tau_j": "joint torque (N·m)",
+    "tau_m": "motor torque (N·m)",
+    "tau_j_des": "desired joint torque (N·m)",
+    "omega_j": "joint velocity (rad/s)",
+    "omega_m": "motor velocity (rad/s)",
+    "q_j": "joint angle (rad)",
+    "q_m": "motor angle (rad)",
+    "theta": "wrap angle (rad)",
+    "t1": "tension of tendon a (N)",
+    "t3": "tension of tendon b (N)",
+    "temperature": "sheath temperature (°C)",
+}
+
+
+def axis_label(column: str, unit: str = "") -> str:
+    """Return the label of an axis that shows a column of a log: quantity (unit); other columns by name and `unit`."""
+    return _QUANTITIES.get(column) or (f"{column} ({unit})" if unit else column)
 
 
 class Displayed(ABC):
@@ -52,7 +72,7 @@ def lines(
             axis.plot(t[::step], values[::step], lw=1.0, label=name)
         axis.set_ylabel(label)
         axis.legend(loc="upper right")
-    axes[-1].set_xlabel("time (s)")
+    axes[-1].set_xlabel(TIME)
     figure.suptitle(title)
     return figure
 

@@ -83,14 +83,14 @@ def test_the_kernels_preemption(
     monkeypatch: pytest.MonkeyPatch, release: str, flag: str, result: Result, found: str
 ) -> None:
     monkeypatch.setattr(machine.platform, "version", lambda: release)
-    monkeypatch.setattr(machine, "_text", lambda path: flag)
+    monkeypatch.setattr(machine, "text_of", lambda path: flag)
     check = machine.kernel()
     assert (check.result, check.found.rpartition(", ")[2]) == (result, found)
 
 
 @pytest.mark.parametrize(("runtime", "result"), [("950000", Result.PASS), ("-1", Result.PASS), ("500000", Result.WARN)])
 def test_real_time_throttling(monkeypatch: pytest.MonkeyPatch, runtime: str, result: Result) -> None:
-    monkeypatch.setattr(machine, "_text", lambda path: runtime if "runtime" in path.name else "1000000")
+    monkeypatch.setattr(machine, "text_of", lambda path: runtime if "runtime" in path.name else "1000000")
     check = machine.throttling()
     assert check.result is result
     assert check.fix == ("" if result is Result.PASS else "sysctl kernel.sched_rt_runtime_us=950000")

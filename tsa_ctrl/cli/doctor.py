@@ -1,4 +1,4 @@
-"""`tsa doctor`: is this machine fit to run the loop."""
+"""`tsa doctor`: check that this machine can run the loop."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
     "--serial-numbers", is_flag=True, help="Ask the drives for theirs and write them into CONTROLLER.toml, and end."
 )
 def command(controller: Path | None, seconds: float, as_json: bool, serial_numbers: bool) -> int:
-    """Check kernel, rights, clock, CAN interface, bus load and lateness; exit code 1 when something fails.
+    """Check kernel, rights, clock, CAN interface, bus load and latency; exit code 1 if a check fails.
 
-    With a CONTROLLER.toml its rate, rights and bus are checked; without one the machine alone at 1 kHz.
+    With a CONTROLLER.toml, its rate, rights, bus and CAN interrupts are checked; without one, the machine at 1 kHz.
     """
     from tsa_ctrl.config import check_drives, load_configuration
-    from tsa_ctrl.doctor import can_interface, machine
+    from tsa_ctrl.doctor import can_interface, interrupts, machine
     from tsa_ctrl.doctor.can_interface import Result
     from tsa_ctrl.system.realtime import RealtimeSettings
 
@@ -48,6 +48,8 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
         file = configuration.file
         found += machine.checks(file.realtime, file.controller.rate, seconds)
         found += can_interface.checks(file.bus, file.axes, file.controller.rate)
+        if file.bus.interface == "socketcan":
+            found += interrupts.can_interrupts(file.bus.channel, file.realtime)
     if as_json:
         click.echo(json.dumps({"schema": 1, "checks": json_types(found)}))
     else:
@@ -56,7 +58,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 
 
 def _write_serial_numbers(configuration: Configuration) -> int:
-    """Nothing is commanded: the drives are asked by SDO, and the file before is kept beside."""
+    """Read the serial numbers by SDO, command nothing, and write the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
     from tsa_ctrl.bus.wire.link import open_bus
     from tsa_ctrl.doctor.serial_numbers import ask, written

@@ -100,8 +100,8 @@ class Leg:
                 row[0].plot(*window(one.t, one.delivered, first, SHOWN), colour, lw=1.0)
                 text = f"{label}: {1e3 * one.rms:.0f} mN·m RMS"
                 row[1].plot(*window(one.t, 1e3 * one.error, first, SHOWN), colour, lw=1.0, label=text)
-            row[0].set_ylabel(f"{name}: torque (N·m)")
-            row[1].set_ylabel("error (mN·m)")
+            row[0].set_ylabel(f"{name}: joint torque (N·m)")
+            row[1].set_ylabel("torque error (mN·m)")
             row[1].axhline(0.0, color="k", lw=0.5)
             low, high = row[1].get_ylim()
             row[1].set_ylim(low, high + 0.45 * (high - low))
@@ -111,7 +111,7 @@ class Leg:
         rows[0][0].legend(loc="upper right", fontsize=7)
         for axes in rows[-1]:
             axes.set_xlabel("time since torque was enabled (s)")
-        figure.suptitle(f"Joints that bend each other's sheaths. Error of the leg reduced by {self.reduction:.1f} %")
+        figure.suptitle(f"Compensation with routing reduces the torque error of the leg by {self.reduction:.1f} %")
         figure.savefig(self.picture, dpi=130)
 
 

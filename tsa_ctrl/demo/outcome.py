@@ -93,7 +93,7 @@ class Outcome:
         }
 
     def draw(self, seconds: float) -> None:
-        """Write the picture: wanted and delivered torque, the errors, and the joint's motion, over some seconds."""
+        """Write the picture of desired and delivered torque, the errors, and the motion over `seconds` s."""
         figure = Figure(figsize=(9.0, 7.5), layout="constrained")
         torque, error, motion = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
         first = self.compensated.t[0]
@@ -108,7 +108,7 @@ class Outcome:
             error.plot(*window(run.t, run.error, first, seconds), colour, lw=1.0, label=shown)
             motion.plot(*window(run.t, run.angle, first, seconds), colour, lw=width, label=label)
         torque.set_ylabel("joint torque (N·m)")
-        error.set_ylabel("error (N·m)")
+        error.set_ylabel("torque error (N·m)")
         motion.set_ylabel("joint angle (rad)")
         motion.set_xlabel("time since torque was enabled (s)")
         error.axhline(0.0, color="k", lw=0.5)
@@ -118,8 +118,7 @@ class Outcome:
             axes.set_ylim(low, high + LEGEND * (high - low))
             axes.legend(loc="upper right", ncols=3, fontsize=8)
         torque.set_title(
-            f"Feedforward compensation of tendon-sheath friction, load: {self.load}. "
-            f"Error reduced by {self.reduction:.1f} %"
+            f"Friction compensation reduces the torque error by {self.reduction:.1f} % (load: {self.load})"
         )
         figure.savefig(self.picture, dpi=130)
 

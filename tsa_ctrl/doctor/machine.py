@@ -1,4 +1,4 @@
-"""Kernel, scheduling and memory-lock rights as in force, frequency governor, clock source, measured lateness."""
+"""Check kernel, processors, scheduling and memory-lock rights, governor and clock, and measure the wake-up latency."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from tsa_ctrl.doctor.can_interface import Check, Result, judge
+from tsa_ctrl.doctor.interrupts import isolation, text_of
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.process_supervisor import unheard_by_children
@@ -21,14 +22,16 @@ from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.sleep import sleep_until
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")
+REALTIME = Path("/sys/kernel/realtime")
 CPUS = Path("/sys/devices/system/cpu")
 CLOCKS = Path("/sys/devices/system/clocksource/clocksource0")
 
 
 def checks(settings: RealtimeSettings, rate: float, seconds: float) -> Iterator[Check]:
-    """All checks of the machine; the last one sleeps at `rate` Hz for `seconds`, with the rights of `settings`."""
+    """Yield all checks of the machine; the last sleeps at `rate` Hz for `seconds` s with the rights of `settings`."""
     yield kernel()
     yield processors()
+    yield isolation(settings)
     yield governor()
     yield clock_source()
     yield throttling()
@@ -39,9 +42,9 @@ def checks(settings: RealtimeSettings, rate: float, seconds: float) -> Iterator[
 
 
 def kernel() -> Check:
-    """Preemption model of the kernel."""
+    """Return the check of the kernel's preemption model."""
     version = platform.version()
-    realtime_kernel = _text(Path("/sys/kernel/realtime")) == "1" or "PREEMPT_RT" in version
+    realtime_kernel = text_of(REALTIME) == "1" or "PREEMPT_RT" in version
     model = "PREEMPT_RT" if realtime_kernel else "PREEMPT" if "PREEMPT" in version else "no full preemption"
     return judge(
         "kernel",
@@ -53,21 +56,20 @@ def kernel() -> Check:
 
 
 def processors() -> Check:
-    """A processor of its own for the loop."""
+    """Return the check of the number of processors."""
     count = os.cpu_count() or 1
-    isolated = _text(CPUS / "isolated")
     return judge(
         "processors",
         count >= 2,
-        f"{count}, isolated: {isolated or 'none'}",
+        f"{count}",
         "at least 2",
-        "use a machine with two cores: one for the loop, one for the rest",
+        "use a machine with at least two processors: one for the loop, one for the rest",
     )
 
 
 def governor() -> Check:
-    """Frequency governor: a sleeping processor that first speeds up is late."""
-    found = sorted({_text(path) for path in CPUS.glob("cpu[0-9]*/cpufreq/scaling_governor")})
+    """Return the check of the frequency governor: a processor that first has to speed up wakes late."""
+    found = sorted({text_of(path) for path in CPUS.glob("cpu[0-9]*/cpufreq/scaling_governor")})
     return judge(
         "governor",
         found in ([], ["performance"]),
@@ -78,9 +80,9 @@ def governor() -> Check:
 
 
 def clock_source() -> Check:
-    """The kernel's clock: anything but a processor counter costs a microsecond and more at each reading."""
-    found = _text(CLOCKS / "current_clocksource") or "unknown"
-    available = _text(CLOCKS / "available_clocksource")
+    """Return the check of the clock: each reading takes a microsecond or more if it is no processor counter."""
+    found = text_of(CLOCKS / "current_clocksource") or "unknown"
+    available = text_of(CLOCKS / "available_clocksource")
     better = next((name for name in GOOD_CLOCKS if name in available.split()), None)
     return judge(
         "clock source",
@@ -92,9 +94,11 @@ def clock_source() -> Check:
 
 
 def throttling() -> Check:
-    """Share of time that the kernel leaves to real-time tasks."""
-    found = _text(Path("/proc/sys/kernel/sched_rt_runtime_us"))
-    share = 1.0 if found in ("-1", "") else int(found) / int(_text(Path("/proc/sys/kernel/sched_rt_period_us")) or 1e6)
+    """Return the check of the share of time that the kernel leaves to real-time tasks."""
+    found = text_of(Path("/proc/sys/kernel/sched_rt_runtime_us"))
+    share = (
+        1.0 if found in ("-1", "") else int(found) / int(text_of(Path("/proc/sys/kernel/sched_rt_period_us")) or 1e6)
+    )
     return judge(
         "real-time throttling",
         share >= 0.9,
@@ -105,7 +109,7 @@ def throttling() -> Check:
 
 
 def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tuple[Check, Check, Check]:
-    """Take the rights in a process of its own and read them back there, so that this one keeps what it had."""
+    """Take the rights in a separate process and read them back there, so that this process keeps its rights."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_measure, args=(theirs, settings, rate, seconds), daemon=True)
@@ -115,7 +119,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
     try:
         fifo, priority, locked, missing, late = ours.recv()
     except EOFError:
-        raise BusError("doctor: the measuring process died; see the system's log (dmesg)") from None
+        raise BusError("doctor: the measuring process ended; see the system's log (dmesg)") from None
     except BaseException:
         process.terminate()
         raise
@@ -125,7 +129,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
     scheduling = judge(
         "scheduling",
         fifo and priority == settings.priority,
-        f"SCHED_FIFO {priority}" if fifo else "SCHED_OTHER: real-time scheduling is refused",
+        f"SCHED_FIFO {priority}" if fifo else "SCHED_OTHER: real-time scheduling is rejected",
         f"SCHED_FIFO {settings.priority}",
         _first(missing, "SCHED_FIFO") or "give the user an rtprio limit: '@realtime - rtprio 95' in limits.conf",
         wanted,
@@ -152,7 +156,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
 
 
 def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds: float) -> None:
-    """Bare absolute sleeps at the loop's rate: lateness in s of each wake-up."""
+    """Sleep to absolute deadlines at the loop's rate, and send the rights and the latency (s) of each wake-up."""
     rights = realtime.acquire(msgspec.structs.replace(settings, allow_without=True))
     period = round(1e9 / rate)
     late = np.zeros(max(1, round(seconds * rate)))
@@ -167,10 +171,3 @@ def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds:
 
 def _first(lines: tuple[str, ...], word: str) -> str:
     return next((line for line in lines if line.startswith(word)), "")
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="ascii", errors="replace").strip()
-    except OSError:
-        return ""

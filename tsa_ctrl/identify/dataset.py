@@ -100,7 +100,7 @@ class Dataset(Displayed):
         ):
             if signals := {name: self[name] for name in names if name in self}:
                 panels.append((label, signals))
-        return lines(panels, self["t"], self.name)
+        return lines(panels, self["t"], f"{self.name}: {self['t'][-1] - self['t'][0]:.4g} s at {self.rate:.4g} Hz")
 
     def __len__(self) -> int:
         return len(self.columns["t"])

@@ -1,4 +1,4 @@
-"""Measured against simulated torque as a picture: over time, as a loop against the other end, and what is left."""
+"""Draw measured and simulated torque: over time, as a hysteresis loop against the other end, and the residual."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.simulate import Simulation
@@ -16,7 +17,7 @@ from tsa_ctrl.identify.simulate import Simulation
 Array = NDArray[np.float64]
 
 MEASURED = "#222222"
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # told apart by colour-blind eyes, too
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # also distinct for colour-blind eyes
 MOST_POINTS = 6000  # per line; more cannot be seen
 
 
@@ -41,7 +42,7 @@ def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> Non
         _draw_loop(axes["loop"], dataset, simulations, other)
         axes["residual"].sharex(axes["torque"])
         axes["torque"].tick_params(labelbottom=False)
-        figure.suptitle(f"{_words(quantity)}, {dataset.name}")
+        figure.suptitle(_conclusion(dataset, simulations))
         try:
             figure.savefig(path, dpi=130)
         except ValueError:
@@ -61,17 +62,17 @@ def _draw_time(torque: Any, residual: Any, dataset: Dataset, simulations: Sequen
     for simulation, colour in zip(simulations, _colours(simulations), strict=True):
         torque.plot(*_thinned(dataset["t"], simulation.predicted), color=colour, lw=1.2, label=simulation.name)
         if simulation.residual is not None:
-            label = f"{simulation.name}: RMS {simulation.rms:.3g} N·m"
+            label = f"{simulation.name}: RMS {simulation.rms:.4g} N·m"
             residual.plot(*_thinned(dataset["t"], simulation.residual), color=colour, lw=1.0, label=label)
-    torque.set_ylabel(f"{_symbol(quantity)} / N·m")
+    torque.set_ylabel(axis_label(quantity))
     torque.legend(loc="upper right", framealpha=0.85)
     residual.axhline(0.0, color=MEASURED, lw=0.6)
-    residual.set_ylabel("measured − simulated / N·m")
-    residual.set_xlabel("time / s")
+    residual.set_ylabel("residual (N·m)")
+    residual.set_xlabel(TIME)
     if quantity in dataset:
         residual.legend(loc="upper right", framealpha=0.85, fontsize="small")
     else:
-        residual.text(0.5, 0.6, f"the log has no {quantity}", transform=residual.transAxes, ha="center")
+        residual.text(0.5, 0.6, f"the log has no column {quantity}", transform=residual.transAxes, ha="center")
     for axis in (torque, residual):
         axis.grid(alpha=0.25)
         axis.margins(x=0.01)
@@ -82,11 +83,11 @@ def _draw_loop(loop: Any, dataset: Dataset, simulations: Sequence[Simulation], o
     x = dataset[other]
     step = max(1, len(x) // MOST_POINTS)
     if quantity in dataset:
-        loop.plot(x[::step], dataset[quantity][::step], color=MEASURED, lw=0.8, label="measured")
+        loop.plot(x[::step], dataset[quantity][::step], ".", color=MEASURED, ms=1.2, label="measured")
     for simulation, colour in zip(simulations, _colours(simulations), strict=True):
-        loop.plot(x[::step], simulation.predicted[::step], color=colour, lw=0.8, alpha=0.8, label=simulation.name)
-    loop.set_xlabel(f"{_symbol(other)} / {'N·m' if other == 'tau_m' else 'rad/s'}")
-    loop.set_ylabel(f"{_symbol(quantity)} / N·m")
+        loop.plot(x[::step], simulation.predicted[::step], ".", color=colour, ms=1.0, label=simulation.name)
+    loop.set_xlabel(axis_label(other))
+    loop.set_ylabel(axis_label(quantity))
     loop.grid(alpha=0.25)
 
 
@@ -106,9 +107,11 @@ def _colours(simulations: Sequence[Simulation]) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i in range(len(simulations))]
 
 
-def _symbol(column: str) -> str:
-    return {"tau_j": r"$\tau_J$", "tau_m": r"$\tau_M$", "omega_m": r"$\omega_M$", "omega_j": r"$\omega_J$"}[column]
-
-
-def _words(quantity: str) -> str:
-    return "Joint torque measured and simulated" if quantity == "tau_j" else "Motor torque measured and simulated"
+def _conclusion(dataset: Dataset, simulations: Sequence[Simulation]) -> str:
+    """Return the title: the error of the best model, or that the log has no measurement to compare with."""
+    quantity = axis_label(simulations[0].quantity).partition(" (")[0]
+    compared = [(each.rms, each.name) for each in simulations if each.rms is not None]
+    if not compared:
+        return f"{dataset.name}: simulated {quantity}; the log has no measurement of it"
+    rms, name = min(compared)
+    return f"{dataset.name}: {name} simulates the {quantity} with an RMS error of {rms:.4g} N·m"

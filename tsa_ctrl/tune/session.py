@@ -19,10 +19,13 @@ from numpy.typing import NDArray
 from tsa_ctrl import settings
 from tsa_ctrl.config import AxisSettings, load_configuration
 from tsa_ctrl.daemon.joint_files import admitted
+from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.doctor import can_interface
 from tsa_ctrl.doctor.can_interface import Result
 from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.identify.calibrate import errors_of
 from tsa_ctrl.identify.dataset import Dataset, load_logs
+from tsa_ctrl.identify.diagnosis.report.words import told_torque
 from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
@@ -30,7 +33,6 @@ from tsa_ctrl.model.predict import predict
 from tsa_ctrl.outputs import backups, untaken
 from tsa_ctrl.system.process_supervisor import daemon, postponed
 from tsa_ctrl.tune.by_stretch import why_not_told
-from tsa_ctrl.tune.estimate import sliding_error
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
@@ -54,11 +56,11 @@ DPI = 120
 
 
 def draw(outcome: Outcome, folder: Path) -> list[tuple[str, Path]]:
-    """Write all pictures; (what it shows, file) of each."""
+    """Write all pictures, and return (caption, file) of each."""
     log = longest(outcome.logs)
     pictures = [
-        ("Measured joint torque and the predictions of the two files", _fit(log, outcome, folder / "fit.png")),
-        ("Residual of the two files", _residual(log, outcome, folder / "residual.png")),
+        ("Measured joint torque and the predictions of both files", _fit(log, outcome, folder / "fit.png")),
+        ("Residual of both files", _residual(log, outcome, folder / "residual.png")),
     ]
     if outcome.verification is not None:
         file = _verification(outcome.verification, folder / "verification.png")
@@ -84,25 +86,31 @@ def _fit(log: Dataset, outcome: Outcome, file: Path) -> Path:
         predicted = predict(model, log.signals())[part]
         course.plot(t, predicted, colour, lw=0.9, label=name)
         loop.plot(log["tau_m"][part], predicted, ".", color=colour, ms=0.8, label=name)
-    course.set(xlabel="time (s)", ylabel="joint torque (N·m)")
-    loop.set(xlabel="motor torque (N·m)", ylabel="joint torque (N·m)")
+    course.set(xlabel=TIME, ylabel=axis_label("tau_j"))
+    loop.set(xlabel=axis_label("tau_m"), ylabel=axis_label("tau_j"))
+    figure.suptitle(_conclusion(outcome))
     return _saved(figure, file)
+
+
+def _conclusion(outcome: Outcome) -> str:
+    """Return the title: the errors while sliding on all logs, as the terminal prints the one of the new file."""
+    given, new = errors_of(outcome.logs, outcome.nominal).sliding, outcome.errors.sliding
+    return f"Error while sliding: {told_torque(given)} with the given file, {told_torque(new)} with the new file"
 
 
 def _residual(log: Dataset, outcome: Outcome, file: Path) -> Path:
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
     axes = figure.subplots(2, 2)
-    against = (("time (s)", "t"), ("joint speed (rad/s)", "omega_j"), ("motor torque (N·m)", "tau_m"), ("", ""))
     for name, model, colour in _models(outcome):
         residual = 1e3 * (log["tau_j"] - predict(model, log.signals()))
-        rms = 1e3 * sliding_error([log], model)
-        for place, (label, column) in zip(axes.flat[:3], against, strict=False):
-            place.plot(log[column], residual, ".", ms=0.8, color=colour, label=f"{name}: sliding RMS {rms:.0f} mN·m")
-            place.set_xlabel(label)
-        axes.flat[3].hist(residual, bins=80, color=colour, alpha=0.6)
+        for place, column in zip(axes.flat[:3], ("t", "omega_j", "tau_m"), strict=True):
+            place.plot(log[column], residual, ".", ms=0.8, color=colour, label=name)
+            place.set_xlabel(axis_label(column))
+        axes.flat[3].hist(residual, bins=80, color=colour, alpha=0.6, label=name)
     for place in axes.flat[:3]:
         place.set_ylabel("residual (mN·m)")
-    axes.flat[3].set(xlabel="residual (mN·m)", ylabel="samples")
+    axes.flat[3].set(xlabel="residual (mN·m)", ylabel="number of samples")
+    figure.suptitle(_conclusion(outcome))
     return _saved(figure, file)
 
 
@@ -119,10 +127,12 @@ def _verification(verification: Verification, file: Path) -> Path:
     for name, run, colour in runs:
         part = run.t <= run.t[0] + SHOWN
         torque.plot(run.t[part], run.delivered[part], colour, lw=0.9, label=name)
-        shown = f"{name}: RMS {1e3 * run.rms:.0f} mN·m"
+        shown = f"{name}: RMS {1e3 * run.rms:.1f} mN·m"
         error.plot(run.t[part], (run.delivered - run.wanted)[part], colour, lw=0.9, label=shown)
-    torque.set_ylabel("joint torque (N·m)")
-    error.set(xlabel="time since the enable (s)", ylabel="error (N·m)")
+    torque.set_ylabel(axis_label("tau_j"))
+    error.set(xlabel="time since the enable (s)", ylabel="torque error (N·m)")
+    without, new = 1e3 * verification.without.rms, 1e3 * verification.after.rms
+    figure.suptitle(f"RMS torque error: {without:.1f} mN·m without compensation, {new:.1f} mN·m with the new file")
     return _saved(figure, file)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.daemon.build import STATES
 from tsa_ctrl.daemon.summary import Summary
-from tsa_ctrl.display import Displayed, lines
+from tsa_ctrl.display import Displayed, axis_label, lines
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.safety.limiter import Reason
 
@@ -75,8 +75,9 @@ class AxisResult(Displayed):
     def plot(self) -> Figure:
         """Return a picture of desired and delivered joint torque, and of the joint's velocity, over time."""
         torques = {"desired": self.log["tau_j_des"], "delivered": self.delivered}
-        panels = (("joint torque (N·m)", torques), ("velocity (rad/s)", {"omega_j": self.log["omega_j"]}))
-        return lines(panels, self.log["t"], self.facts()["error RMS / 99 % / peak"] + " error RMS / 99 % / peak")
+        panels = ((axis_label("tau_j"), torques), (axis_label("omega_j"), {"joint": self.log["omega_j"]}))
+        errors = self.facts()["error RMS / 99 % / peak"]
+        return lines(panels, self.log["t"], f"Torque error: RMS / 99 % / peak {errors}")
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready: null where no cycle counts."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl import outputs, settings
+from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.foreign.mapping import Mapped, dump_map
@@ -113,11 +114,10 @@ def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:
     for i, name in enumerate(names, start=1):
         axes = figure.add_subplot(len(names), 1, i)
         axes.plot(columns["t"][::step], columns[name][::step], linewidth=0.8)
-        unit = COLUMNS[name].unit
-        axes.set_ylabel(f"{name}\n{unit}")
+        axes.set_ylabel(axis_label(name, COLUMNS[name].unit).replace(" (", "\n("))
         axes.grid(alpha=0.3)
         if i == len(names):
-            axes.set_xlabel("t, s")
-    figure.suptitle(f"{table.path.name} as it was understood")
+            axes.set_xlabel(TIME)
+    figure.suptitle(f"{table.path.name}: imported columns in SI units")
     with outputs.beside(path) as part:
         figure.savefig(part, dpi=110, format="png")

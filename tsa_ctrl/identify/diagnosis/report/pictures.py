@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.identify.diagnosis.report.details import Curves, Details
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.report.words import captions, spoken, torque_scale
@@ -96,15 +97,15 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
         colour = EXTENDED if curves.described is None else DESCRIBED
         each.fill_between(t, middle - band, middle + band, color=colour, alpha=0.15, lw=0, label="noise, 2 sigma")
         each.plot(t, curves.measured[part], color=MEASURED, lw=1.6, label="measured")
-        each.plot(t, curves.as_given[part], color=GIVEN, lw=1.0, ls=":", label="as given")
+        each.plot(t, curves.as_given[part], color=GIVEN, lw=1.0, ls=":", label="nominal")
         each.plot(t, curves.recalibrated[part], color=CALIBRATED, lw=1.0, label="recalibrated")
         if result.of_torque:
             each.plot(t, curves.extended[part], color=EXTENDED, lw=1.0, label="extended")
         if curves.described is not None:
             each.plot(t, middle, color=DESCRIBED, lw=1.0, label="with the formula")
-        each.set_ylabel(f"{details.target} (N·m)")
+        each.set_ylabel(axis_label(details.target))
         each.set_title(curves.name, loc="left", fontsize=9)
-    axes[-1].set_xlabel("t (s)")
+    axes[-1].set_xlabel(TIME)
     figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="upper center")
     return figure
 
@@ -123,7 +124,7 @@ def worst_segments(details: Details) -> list[tuple[Curves, slice]]:
 
 
 def _staircase(result: Diagnosis, details: Details) -> Figure:
-    steps = [("as given", result.rms.as_given, GIVEN), ("recalibrated", result.rms.recalibrated, CALIBRATED)]
+    steps = [("nominal", result.rms.as_given, GIVEN), ("recalibrated", result.rms.recalibrated, CALIBRATED)]
     if result.of_torque:
         steps.append(("extended", result.rms.extended, EXTENDED))
     if result.formula is not None:
@@ -135,11 +136,11 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
         if value is not None:
             axes.bar(place, factor * value, color=colour, width=0.6)
             axes.annotate(f"{factor * value:.3g}", (place, factor * value), ha="center", va="bottom")
-        axes.text(place, 0.0, f"\n{name}", ha="center", va="top")
+        axes.text(place, 0.0, f"\n{name}", ha="center", va="top", fontsize=8)
     axes.set_xticks([])
     axes.margins(y=0.15)
     axes.set_ylabel(f"RMS error ({unit})")
-    axes.set_title(fill(f"held out: {details.held_out}", 90), loc="left", fontsize=8)
+    axes.set_title(fill(f"held-out data: {details.held_out}", 90), loc="left", fontsize=8)
     return figure
 
 
@@ -158,13 +159,13 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
         axes.barh(place, entry.gain, color=colour, alpha=1.0 if named or entry.group < 0 else 0.5, height=0.7)
         if entry.group >= 0:
             role = "excluded" if entry.excluded else "not excluded"
-            told = f"cause {entry.group + 1}" if named else f"in place of cause {entry.group + 1}: {role}"
+            told = f"cause {entry.group + 1}" if named else f"instead of cause {entry.group + 1}: {role}"
             axes.text(entry.gain, place, f" {told}", va="center", fontsize=8)
             ends.append(entry.gain * across / (across - LETTER * (len(told) + 1)))
     axes.set_yticks(range(len(ranked)), names, fontsize=8)
     axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
-    shown = "share of the gain that is lost without it" if result.of_torque else "decrease of the whitened mean square"
+    shown = "share of the gain lost without the cause" if result.of_torque else "decrease of the whitened mean square"
     axes.set_xlabel(shown)
     axes.set_xlim(0.0, max(ends, default=0.0) or None)
     return figure
@@ -186,11 +187,11 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
         ("joint velocity (rad/s)", _joined(details, lambda c: c.omega)),
         ("motor torque (N·m)", _joined(details, lambda c: c.tau_m)),
         ("angle (rad)", _joined(details, lambda c: c.angle)),
-        ("t (s), logs one after another", np.arange(len(error)) * details.period),
+        ("time, logs in sequence (s)", np.arange(len(error)) * details.period),
     ]
     temperatures = [curves.temperature for curves in details.curves]
     if all(values is not None for values in temperatures):
-        signals.append(("temperature (°C)", np.concatenate([v for v in temperatures if v is not None])))
+        signals.append(("sheath temperature (°C)", np.concatenate([v for v in temperatures if v is not None])))
     rows = (len(signals) + 1) // 2
     figure, axes = _figure(rows, 2, 2.7 * rows + 0.4, top=RIGHT)
     step = max(1, len(error) // DOTS)
@@ -211,7 +212,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
                 )
         each.set_ylim(span)
         each.set_xlabel(name)
-        each.set_ylabel(f"error ({unit})")
+        each.set_ylabel(f"residual ({unit})")
     for each in axes[len(signals) :]:
         each.set_visible(False)
     axes[0].legend(fontsize=7)
@@ -233,7 +234,7 @@ def _reversals(result: Diagnosis, details: Details) -> Figure:
             each.plot(*_binned(signal[near], factor * left[near]), color=EXTENDED, label="extended")
         each.axhline(0.0, color="k", lw=0.5)
         each.set_xlabel(name)
-        each.set_ylabel(f"σ · error, mean ({unit})")
+        each.set_ylabel(f"σ · residual, mean ({unit})")
     axes[0].legend(fontsize=8)
     return figure
 
@@ -257,7 +258,7 @@ def _occupancy(result: Diagnosis, details: Details) -> Figure:
     share = 100.0 * np.ma.masked_equal(found.occupancy.T, 0.0)
     image = axes.pcolormesh(found.speed_edges, found.load_edges, share, cmap="viridis")
     figure.colorbar(image, ax=axes, label="share of the samples (%)")
-    axes.set_xlabel("velocity (rad/s)")
+    axes.set_xlabel("joint velocity (rad/s)")
     axes.set_ylabel("motor torque (N·m)")
     axes.set_title(f"{found.seconds:.0f} s, {found.reversals} reversals", loc="left", fontsize=9)
     return figure

@@ -269,22 +269,32 @@ def _drives(finding: Finding) -> bool:
 
 
 def captions(result: Diagnosis) -> dict[str, str]:
-    """What each picture of a result shows, by its name, in the order of the report; none of insufficient logs."""
+    """Return the caption of each picture by its name, in the order of the report; none for insufficient logs."""
     if result.details is None:
         return {}
     return {
-        "worst.png": "Measured and simulated torque where the simulation is worst",
-        "staircase.png": "Error on held-out data, from the model as given to the sensor noise",
+        "worst.png": "Measured and simulated torque in the segments with the largest error",
+        "staircase.png": _fall(result),
         "ranking.png": _ranked(result),
-        "residual.png": "What is left, against speed, load, angle, time and temperature",
-        "reversals.png": "What is left after reversals, against time and against displacement",
-        "autocorrelation.png": "Autocorrelation of what is left after whitening",
-        "occupancy.png": "Where the logs have been: share of samples by speed and load",
+        "residual.png": "Residual against velocity, torque, angle, time and temperature",
+        "reversals.png": "Residual after friction reversals, against time and displacement",
+        "autocorrelation.png": "Autocorrelation of the whitened residual",
+        "occupancy.png": "Operating range of the logs: share of the samples by velocity and torque",
     }
 
 
+def _fall(result: Diagnosis) -> str:
+    """Return the caption of the errors on held-out data."""
+    rms = result.rms
+    last = rms.recalibrated if not result.of_torque else rms.extended
+    if result.formula is not None:
+        last = result.formula.rms[1]
+    noise = "" if rms.noise_floor is None else f"; the sensor noise is {told_torque(rms.noise_floor)}"
+    return f"Error on held-out data: {told_torque(rms.as_given)} nominal, {told_torque(last)} at the end{noise}"
+
+
 def _ranked(result: Diagnosis) -> str:
-    """What the ranking shows."""
+    """Return the caption of the ranking."""
     if result.of_torque:
-        return "What each cause explains, and what its rivals would in its place"
-    return "What each effect of the catalogue would explain alone"
+        return "Share of the gain that each cause explains, and each competing hypothesis instead of it"
+    return "Share that each effect of the catalogue would explain alone"
