@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
 from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, Talk
-from tsa_ctrl.ipc.lease import Lease
 from tsa_ctrl.ipc.mailbox import RECOVER
+from tsa_ctrl.ipc.server import Lease
 
 SILENT = 0.2  # s for which a value acts whose client never asked for a lease
 WHO = st.sampled_from(["owner", "member", "watcher"])

@@ -10,7 +10,7 @@ import pytest
 
 from tsa_ctrl.cli import main
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.hidden import EFFECTS, OFF, draw, motion
+from tsa_ctrl.demo.example import EFFECTS, OFF, draw, motion
 from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward

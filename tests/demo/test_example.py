@@ -8,7 +8,7 @@ import pytest
 
 from tsa_ctrl.cli import main
 from tsa_ctrl.demo import example
-from tsa_ctrl.demo.hidden import EFFECTS, draw
+from tsa_ctrl.demo.example import EFFECTS, draw
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.parameters import load_model
 

@@ -21,8 +21,8 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.fleet import Row, logs_in, sweep
 from tsa_ctrl.identify.fleet.executors import Workers, local
-from tsa_ctrl.identify.fleet.job import Done, Job
 from tsa_ctrl.identify.fleet.ledger import LEDGER, TABLE
+from tsa_ctrl.identify.fleet.sweep import Done, Job
 
 T = np.arange(0.0, 12.0, 0.005)
 X, PRETENSION = 0.28, 42.0
@@ -275,7 +275,7 @@ def test_an_unexpected_failure_costs_one_row(folder: Path, model: Path, tmp_path
     def broken(*_: Any, **__: Any) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
-    monkeypatch.setattr(sys.modules["tsa_ctrl.identify.fleet.job"], "diagnose", broken)
+    monkeypatch.setattr(sys.modules["tsa_ctrl.identify.fleet.sweep"], "diagnose", broken)
     rows, _ = swept(folder, model, tmp_path)
     assert {row.error for row in rows} >= {"ZeroDivisionError: nobody thought of this"}
 

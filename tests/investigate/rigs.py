@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.hidden import MOTION
+from tsa_ctrl.demo.example import MOTION
 from tsa_ctrl.demo.rig import VIRTUAL, Play
 from tsa_ctrl.model.parameters import save_model
 

@@ -23,8 +23,7 @@ from tsa_ctrl.ipc.protocol import Event
 pytest.importorskip("foxglove")
 client = pytest.importorskip("websockets.sync.client")
 
-from tsa_ctrl.live import layouts  # noqa: E402 (after the check that the extra is there)
-from tsa_ctrl.live.server import Publisher  # noqa: E402
+from tsa_ctrl.live.server import Publisher, write_layouts  # noqa: E402 (after the check that the extra is there)
 
 
 class Loop:
@@ -172,7 +171,7 @@ def test_a_port_that_is_taken_is_one_line(loop: Loop) -> None:
 
 
 def test_layouts_show_the_signals_of_each_axis(tmp_path: Path) -> None:
-    foxglove, plotjuggler = layouts.write(tmp_path / "new", ["knee", "hip"])
+    foxglove, plotjuggler = write_layouts(tmp_path / "new", ["knee", "hip"])
     panels = json.loads(foxglove.read_text(encoding="utf-8"))["configById"]
     paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
     curves = [curve.get("name") for curve in ElementTree.parse(plotjuggler).iter("curve")]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.model import transmission
 from tsa_ctrl.model.curvature import Points, Profile
+from tsa_ctrl.model.effects import transmission
 from tsa_ctrl.model.functions import ARRAYS, SCALARS
 
 R_M, R_J, T_P = 0.020, 0.025, 45.0

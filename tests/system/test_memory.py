@@ -10,7 +10,7 @@ import sys
 PROGRAM = """
 import os
 import numpy as np
-from tsa_ctrl.system.memory import give_back_large
+from tsa_ctrl.cli.diagnose import give_back_large
 
 def resident():
     return int(open("/proc/self/statm").read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -7,13 +7,22 @@ import importlib
 import importlib.util
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import get_completion_class
 
-from tsa_ctrl.cli import completion
-from tsa_ctrl.errors import TsaError
+from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.settings import write_text
 from tsa_ctrl.version import __version__
+
+PLACES = {
+    "bash": (".local/share/bash-completion/completions/tsa", "a new shell has it where bash-completion is installed"),
+    "zsh": (".zfunc/_tsa", "a new shell has it with 'fpath+=~/.zfunc; autoload -Uz compinit; compinit' in ~/.zshrc"),
+    "fish": (".config/fish/completions/tsa.fish", "a new shell has it"),
+}
+
 
 VERBS: dict[str, str] = {
     "init": "write commented example files for a rig, a desk or a leg",
@@ -76,6 +85,25 @@ class LazyGroup(click.Group):
                 formatter.write_dl(verbs)
 
 
+def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Write the script of the user's shell ($SHELL) and say where; raises UsageError for another shell."""
+    if not asked:
+        return
+    shell = Path(os.environ.get("SHELL", "")).name
+    maker = get_completion_class(shell) if shell in PLACES else None
+    if maker is None:
+        raise UsageError(f"--install-completion: no completion for shell '{shell}'; set SHELL to {', '.join(PLACES)}")
+    place, hint = PLACES[shell]
+    path = Path.home() / place
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{path.parent}: cannot be made ({error.strerror}); correct its owner") from None
+    write_text(path, maker(ctx.command, {}, "tsa", "_TSA_COMPLETE").source())
+    click.echo(f"{path}: written; {hint}")
+    ctx.exit()
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="tsa")
 @click.option(
@@ -83,7 +111,7 @@ class LazyGroup(click.Group):
     is_flag=True,
     is_eager=True,
     expose_value=False,
-    callback=completion.install,
+    callback=install_completion,
     help="Complete commands and options in this shell.",
 )
 def cli() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 
 TOLD = """Field report of a run of tsa-ctrl.
@@ -45,8 +45,8 @@ def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_do
     A stranger can reproduce the run from this one file: see tsa simulate-loop.
     """
     from tsa_ctrl import outputs
+    from tsa_ctrl.log.convert import write_last
     from tsa_ctrl.log.reader import LogFile
-    from tsa_ctrl.log.trim import write_last
 
     outputs.refuse_inputs(out, [log, *dumps])
     if not log.is_file():

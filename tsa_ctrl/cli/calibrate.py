@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl import outputs
-from tsa_ctrl.cli.finite import CUTOFF
-from tsa_ctrl.cli.strict import STRICT
+from tsa_ctrl.cli.options import CUTOFF, STRICT
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:

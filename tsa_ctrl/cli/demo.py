@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import BusError, UsageError
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def _full_circle(
     as_json: bool,
 ) -> None:
     from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
-    from tsa_ctrl.demo.hidden import draw
+    from tsa_ctrl.demo.example import draw
     from tsa_ctrl.demo.run import RATE
 
     hidden = draw(seed, names)

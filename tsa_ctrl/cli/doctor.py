@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.outputs import json_types
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+    from tsa_ctrl.bus.wire.seam import Bus
     from tsa_ctrl.config import Configuration
     from tsa_ctrl.doctor.can_interface import Check
 
@@ -61,15 +65,14 @@ def _write_serial_numbers(configuration: Configuration) -> int:
     """Read the serial numbers by SDO, command nothing, and write the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
     from tsa_ctrl.bus.wire.link import open_bus
-    from tsa_ctrl.doctor.serial_numbers import ask, written
 
     file = configuration.file
     bus = open_bus(file.bus)
     try:
-        numbers = ask(bus, file.bus, file.axes)
+        numbers = serial_numbers(bus, file.bus, file.axes)
     finally:
         bus.close()
-    text = written(configuration.path.read_text(encoding="utf-8"), numbers)
+    text = with_serial_numbers(configuration.path.read_text(encoding="utf-8"), numbers)
     with outputs.beside(configuration.path) as part:
         part.write_text(text, encoding="utf-8")
     for axis, number in numbers.items():
@@ -94,3 +97,31 @@ def _show(found: list[Check]) -> None:
     for check in found:
         if check.fix:
             console.print(f"{check.name}: {check.fix}", soft_wrap=True, markup=False, highlight=False)
+
+
+def serial_numbers(bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes]) -> dict[str, int | None]:
+    """Return 0x1018:4 of the drive of each axis, None if it has none. Raises BusError if a drive does not answer."""
+    from tsa_ctrl.bus.canopen import objects
+    from tsa_ctrl.bus.drive.session import Session
+
+    found = {}
+    with Session(bus, settings) as session:
+        session.alone()
+        for axis in axes:
+            node_id = axis.drive.node_id
+            session.read(node_id, objects.DEVICE_TYPE)
+            found[axis.name] = session.read_if_there(node_id, objects.SERIAL_NUMBER)
+    return found
+
+
+def with_serial_numbers(text: str, numbers: Mapping[str, int | None]) -> str:
+    """Return the text of a controller file with these serial numbers in its [axis.drive] tables."""
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    axes: Any = document["axis"]
+    for axis in axes:
+        number = numbers.get(axis["name"])
+        if number is not None:
+            axis["drive"]["serial_number"] = number
+    return str(tomlkit.dumps(document))

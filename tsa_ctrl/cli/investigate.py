@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 
 EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plant.toml --out out/investigation"
@@ -66,8 +66,7 @@ def command(
     from tsa_ctrl.identify.diagnosis.report.page import MODEL
     from tsa_ctrl.identify.diagnosis.report.page import write as write_diagnosis
     from tsa_ctrl.identify.diagnosis.report.pictures import plot
-    from tsa_ctrl.investigate import report
-    from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig
+    from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig, report_dict, write_report
     from tsa_ctrl.model.provenance import Origin
     from tsa_ctrl.plant.process import check
     from tsa_ctrl.tune.session import Plan, Session
@@ -109,9 +108,9 @@ def command(
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         play = on_the_rig(session.runner, folder, session.path)
         found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
-    page = report.write(found, folder)
+    page = write_report(found, folder)
     if as_json:
-        click.echo(json.dumps(report.to_dict(found, folder), allow_nan=False))
+        click.echo(json.dumps(report_dict(found, folder), allow_nan=False))
     else:
         for step in found.steps:
             causes = "; ".join(" or ".join(names) for names in step.hypotheses) or "no cause"

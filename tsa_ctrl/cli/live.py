@@ -34,12 +34,11 @@ def command(path: str, port: int, rate: float, settable: bool, folder: Path | No
     """
     if importlib.util.find_spec("foxglove") is None:
         raise UsageError("foxglove-sdk not installed; pip install '.[live]'")
-    from tsa_ctrl.live import layouts
-    from tsa_ctrl.live.server import Publisher
+    from tsa_ctrl.live.server import Publisher, write_layouts
 
     publisher = Publisher(path, port, settable)
     try:
-        for written in [] if folder is None else layouts.write(folder, publisher.axes):
+        for written in [] if folder is None else write_layouts(folder, publisher.axes):
             click.echo(f"written: {written}")
         click.echo(f"live: ws://127.0.0.1:{publisher.port}")
         publisher.run(rate)

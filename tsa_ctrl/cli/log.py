@@ -97,7 +97,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     with click.progressbar(length=100, label="reading", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
         found = trend_of(folder, nominal, lambda share: bar.update(int(100 * share) - bar.pos))
     if picture is not None:
-        from tsa_ctrl.identify.trend_picture import draw
+        from tsa_ctrl.identify.trend import draw
 
         draw(picture, found)
     if as_json:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration

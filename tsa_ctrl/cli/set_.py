@@ -7,7 +7,7 @@ import time
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client

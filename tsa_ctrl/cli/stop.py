@@ -7,7 +7,7 @@ import time
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import pid_file, protocol
 from tsa_ctrl.ipc.client import stop_daemon

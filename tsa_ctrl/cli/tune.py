@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tsa_ctrl.cli.finite import CUTOFF, Finite
+from tsa_ctrl.cli.options import CUTOFF, Finite
 
 if TYPE_CHECKING:
     from tsa_ctrl.tune.procedure import Outcome

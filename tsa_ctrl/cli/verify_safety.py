@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.example import runs_on
-from tsa_ctrl.demo.hidden import Hidden, motion
+from tsa_ctrl.demo.example import Hidden, motion
 from tsa_ctrl.demo.rig import BusChoice
+from tsa_ctrl.demo.run import runs_on
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose

@@ -1,39 +1,90 @@
-"""A log to try the diagnosis on: the real loop on the simulated plant in virtual time, with a cause hidden in it."""
+"""A log to try the diagnosis on: the real loop on the simulated plant in virtual time, with a hidden cause.
+
+The effects of the catalogue, their sizes and the parameter errors are random and repeatable by seed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.hidden import SECONDS, Hidden, draw, motion
-from tsa_ctrl.demo.rig import VIRTUAL, BusChoice
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.process_supervisor import daemon, plant
+from tsa_ctrl.demo.rig import VIRTUAL, Play
+from tsa_ctrl.demo.run import runs_on
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.specification import Draw
+from tsa_ctrl.model.parameters import TendonSheath
 
-Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
-
-
-def runs_on(bus: BusChoice) -> Run:
-    """Return a function that runs `controller-NAME.toml` of a folder on a new plant, and returns the run's summary.
-
-    Plant and daemon run as processes on the bus, or both in this process in virtual time.
-    """
-    if bus.virtual:
-        from tsa_ctrl.virtual.simulation import play  # the loop and the plant in this process
-
-        return play
-    return _on_the_bus
-
-
-def _on_the_bus(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
-    with plant(folder):
-        return daemon(folder, name, seconds, tick)
-
-
+OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
+MOTION_RATE = 200.0  # Hz of set-point and motion
+SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples of its inverse
 RATE = 500.0  # Hz: what the diagnosis needs of these motions, at half the time of 1 kHz
+MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
+TORQUE = ((0.35, 0.25), (0.55, 0.25), (0.85, 0.25), (1.2, 0.25))  # Hz, N*m: none of the motion's frequencies
+
+EFFECTS = tuple(name for name, spec in CATALOGUE.items() if spec.demo is not None)
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What the plant has and the nominal file does not: `effects`, and factors on its parameters."""
+
+    effects: Mapping[str, Mapping[str, Any]]
+    factors: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        return " + ".join(self.effects) or "nothing"
+
+    def axis(self) -> dict[str, dict[str, Any]]:
+        """Tables of the plant's axis: stiff tendons bent at the joint, so that (3.55) lacks nothing but the effects."""
+        return {
+            "effects": {name: dict(values) for name, values in self.effects.items()},
+            "perturbation": {**self.factors, "axial_stiffness": 10.0},
+            "tendon": {"kind": "full", "curvature": "joint_end"},
+            "motor": {"inertia": 1e-5},
+        }
+
+    def truth(self, nominal: TendonSheath) -> TendonSheath:
+        """The model that knows everything: the limit of what any estimate can reach."""
+        x = nominal.friction_angle * self.factors["friction_coefficient"]
+        tension = nominal.pretension * self.factors["pretension"]
+        return nominal.recalibrated(x, tension).with_effects(dict(self.effects))
+
+
+def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
+    """Factors and sizes by seed; the effect too, where no names are given.
+
+    Raises UsageError for a name that the demo cannot hide.
+    """
+    for name in names:
+        if name not in EFFECTS:
+            raise UsageError(f"demo: --hidden {name} is none of {', '.join(EFFECTS)}; choose one of these")
+    rng = np.random.default_rng(seed)
+    factors = {key: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for key in ("friction_coefficient", "pretension")}
+    chosen = list(names) or [str(rng.choice(EFFECTS))]
+    return Hidden({name: _sized(name, rng) for name in chosen}, factors)
+
+
+def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Parameters of one effect, the drawn ones by `rng`."""
+    sizes = CATALOGUE[name].demo or {}
+    return {key: size.value(rng) if isinstance(size, Draw) else size for key, size in sizes.items()}
+
+
+def motion() -> Play:
+    """Strokes of many speeds against a load that varies independently: what a diagnosis needs to see."""
+    t = np.arange(0.0, SECONDS + 0.5 / MOTION_RATE, 1.0 / MOTION_RATE)
+    angle = np.sum([a * np.sin(2.0 * math.pi * f * t) for f, a in MOTION], axis=0)
+    phases = [-math.pi * k * (k + 1) / len(TORQUE) for k in range(len(TORQUE))]  # Schroeder's: a low crest factor
+    waves = [a * np.sin(2.0 * math.pi * f * t + p) for (f, a), p in zip(TORQUE, phases, strict=True)]
+    return Play(t, np.sum(waves, axis=0), angle)
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,16 @@
-"""Runs of plant and daemon on the same motion; the demo is two of them, without and with compensation."""
+"""Run plant and daemon on the same motion, once without and once with compensation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.example import runs_on
 from tsa_ctrl.demo.outcome import Course, Outcome, course_of
 from tsa_ctrl.demo.rig import BusChoice, Play
+from tsa_ctrl.system.process_supervisor import daemon, plant
 
 COMPENSATION = 0.95
 RATE = 1000.0  # Hz
@@ -17,6 +18,24 @@ SLOWEST = 250.0  # Hz, that a demo falls back to: a machine that keeps not even 
 LEFT_OUT = 0.1  # of the cycles: a stall now and then stays below 0.02, a machine that is too slow leaves out a third
 
 Progress = Callable[[str, float], None]
+Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
+
+
+def runs_on(bus: BusChoice) -> Run:
+    """Return a function that runs `controller-NAME.toml` of a folder on a new plant, and returns the run's summary.
+
+    Plant and daemon run as processes on the bus, or both in this process in virtual time.
+    """
+    if bus.virtual:
+        from tsa_ctrl.virtual.simulation import play  # the loop and the plant in this process
+
+        return play
+    return _on_the_bus
+
+
+def _on_the_bus(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
+    with plant(folder):
+        return daemon(folder, name, seconds, tick)
 
 
 def demo(

@@ -2,15 +2,19 @@
 
 Topics: `/AXIS/signals` (each cycle, as far as the rate permits), `/AXIS/status` (`STATUS_RATE`), `/joint_states`
 (the fields of sensor_msgs/JointState) and `/events` (foxglove.Log). Messages are JSON; log times are wall-clock times.
+Layouts for Foxglove and PlotJuggler show the signals of the table in the charts of the table.
 """
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import foxglove
 from foxglove.channels import LogChannel
@@ -21,7 +25,8 @@ from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import AxisMeasured, Client, Measured
 from tsa_ctrl.ipc.protocol import Event
-from tsa_ctrl.signals import BANDED, SIGNALS, Kind, Place, signals_of
+from tsa_ctrl.outputs import beside
+from tsa_ctrl.signals import BANDED, CHARTS, SIGNALS, Kind, Place, Signal, signals_of
 
 STATUS_RATE = 10.0  # Hz: the daemon writes a new status as often
 BACKLOG = 4096  # messages for a client that reads slowly: some seconds at 1 kHz
@@ -225,3 +230,93 @@ def _effort(axis: AxisMeasured) -> float:
         if value is not None:
             return float(value)
     return 0.0
+
+
+def topic_of(axis: str, signal: Signal) -> str:
+    """Return the topic that has a signal of an axis: of each cycle, else of the status."""
+    return f"/{axis}/{'signals' if Place.CLIENT in signal.where else 'status'}"
+
+
+def foxglove_layout(axes: Sequence[str]) -> str:
+    """Return a Foxglove layout: a column of plots for each axis, and the events."""
+    panels: dict[str, object] = {"Log!events": {"topicToRender": "/events"}, "Parameters!live": {}}
+    columns: list[object] = []
+    for axis in axes:
+        names = []
+        for title, signals in CHARTS.items():
+            name = f"Plot!{axis}-{title.replace(' ', '-')}"
+            names.append(name)
+            panels[name] = {
+                "title": f"{axis}: {title}",
+                "paths": [
+                    {
+                        "value": f"{topic_of(axis, signal)}.{signal.name}",
+                        "enabled": True,
+                        "timestampMethod": "receiveTime",
+                    }
+                    for signal in signals
+                ],
+                "showLegend": True,
+                "isSynced": True,
+                "followingViewWidth": 10,
+            }
+        columns.append(_split(names, "column"))
+    plots = _split(columns, "row")
+    layout = {
+        "first": plots,
+        "second": _split(["Log!events", "Parameters!live"], "row"),
+        "direction": "column",
+        "splitPercentage": 75,
+    }
+    return json.dumps(
+        {
+            "configById": panels,
+            "globalVariables": {},
+            "userNodes": {},
+            "playbackConfig": {"speed": 1},
+            "layout": layout,
+        },
+        indent=1,
+    )
+
+
+def _split(panels: Sequence[object], direction: str) -> object:
+    """Return a mosaic that divides its area among the panels evenly."""
+    if len(panels) == 1:
+        return panels[0]
+    return {
+        "first": panels[0],
+        "second": _split(panels[1:], direction),
+        "direction": direction,
+        "splitPercentage": 100.0 / len(panels),
+    }
+
+
+def plotjuggler_layout(axes: Sequence[str]) -> str:
+    """Return a PlotJuggler layout: a tab for each axis, with the same plots one below the other."""
+    root = ElementTree.Element("root")
+    tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
+    for axis in axes:
+        tab = ElementTree.SubElement(tabs, "Tab", containers="1", tab_name=axis)
+        share = ";".join(f"{1.0 / len(CHARTS):.4f}" for _ in CHARTS)
+        sizes = {"sizes": share, "count": str(len(CHARTS)), "orientation": "-"}
+        splitter = ElementTree.SubElement(ElementTree.SubElement(tab, "Container"), "DockSplitter", sizes)
+        for title, signals in CHARTS.items():
+            area = ElementTree.SubElement(splitter, "DockArea", name=f"{axis}: {title}")
+            plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
+            for signal in signals:
+                ElementTree.SubElement(plot, "curve", name=f"{topic_of(axis, signal)}/{signal.name}")
+    ElementTree.SubElement(tabs, "currentTabIndex", index="0")
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def write_layouts(folder: Path, axes: Sequence[str]) -> list[Path]:
+    """Write both layouts into a folder and return their paths; raises UsageError if it cannot be written."""
+    written = []
+    for name, text in (("foxglove.json", foxglove_layout(axes)), ("plotjuggler.xml", plotjuggler_layout(axes))):
+        with beside(folder / name) as path:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+        written.append(folder / name)
+    return written

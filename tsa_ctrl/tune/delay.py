@@ -1,11 +1,16 @@
-"""How late a command acts: the drive's reported torque against what it was told, sample by sample.
+"""Delays of the drive: of its torque after the command, and of the velocity that it measures.
 
 The command holds for a period, begins to act D periods after the measurements that it follows from, and the drive's
 torque loop follows with a lag. All of it, from a measurement to the middle of the torque that answers it, is
 
     delay = D T + T/2 + lag
 
-which is what leads, plans and damping work with. D need be no whole number: a command may act on its arrival.
+which leads, plans and damping compensate. D need be no whole number: a command may act on its arrival. It is found from
+the reported torque against the command, sample by sample.
+
+An encoder's velocity is filtered, so a loop that follows it reverses its friction term late. Where the friction itself
+reverses at once (a sheath that bends at the joint) the logs show by how much: it is the lag at which the friction
+reverses with the least error of all samples. Source: `velocity_lag` in the catalogue.
 """
 
 from __future__ import annotations
@@ -16,10 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.signal import lfilter
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
 
 FloatArray = NDArray[np.float64]
 
@@ -30,6 +38,11 @@ AROUND = 2.5  # periods beside the one of the largest correlation
 AS_GOOD = 9.0  # times the variance: the 99 % quantile of chi^2 with two degrees of freedom
 RESOLUTION = 0.05  # of a period: narrower is no interval, for the instant of a drive's own cycle is not known better
 EXPLAINED = 0.8  # share of the reported torque's variance, at least: less is no answer to the command
+EFFECT = "velocity_lag"
+LAG_STEP = 0.25e-3  # s between the lags that are tried
+MOST_LAG = 0.02  # s; an encoder that is later is no encoder for a torque loop
+BLOCKS = 8
+CLEARLY_BETTER = 0.8  # of the error without a lag; with one it must be below
 
 
 @dataclass(frozen=True)
@@ -90,3 +103,41 @@ def _likely(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> int:
     steps = [(np.diff(u), np.diff(y)) for u, y in pairs]
     scores = [sum(float(u[: -1 - whole] @ y[whole + 1 :]) for u, y in steps) for whole in range(MOST + 1)]
     return int(np.argmax(scores))
+
+
+def with_lag(model: TendonSheath, lag: float) -> TendonSheath:
+    """The model, its velocity `lag` s late."""
+    return model.with_effects({**model.effects, EFFECT: {"time_constant": lag}})
+
+
+def velocity_lag(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | None:
+    """The lag (s) of least error, each log's mean apart; None when the model has one or none does clearly better.
+
+    The interval comes from leaving out blocks of time; it is never narrower than the steps of the search.
+    """
+    if EFFECT in model.effects:
+        return None
+    lags = np.arange(0.0, MOST_LAG + LAG_STEP / 2.0, LAG_STEP)
+    squares = np.array(
+        [_squares(logs, with_lag(model, float(lag)) if lag else model) for lag in lags]
+    )  # (lags, blocks)
+    total = squares.sum(axis=1)
+    best = int(np.argmin(total))
+    if best in (0, lags.size - 1) or total[best] > CLEARLY_BETTER**2 * total[0]:
+        return None
+    without = lags[np.argmin(total[:, None] - squares, axis=0)]
+    count = without.size
+    deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(without - without.mean()))))
+    half = max(LAG_STEP, float(stats.t.ppf(0.975, count - 1)) * deviation)
+    value = float(lags[best])
+    return Quantity(value, max(0.0, value - half), value + half, "s")
+
+
+def _squares(logs: Sequence[Dataset], model: TendonSheath) -> FloatArray:
+    """Sums of the squared error over blocks of time (m)."""
+    sums = []
+    for log in logs:
+        error = predict(model, log.signals()) - log["tau_j"]
+        error -= error.mean()
+        sums += [float(np.sum(np.square(part))) for part in np.array_split(error, BLOCKS)]
+    return np.array(sums)

@@ -26,7 +26,7 @@ class Workers:
 
 
 @contextlib.contextmanager
-def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.job") -> Iterator[Workers]:
+def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep") -> Iterator[Workers]:
     """Processes of this machine, one per core that this process may use; each begins with `preload` imported."""
     count = jobs or len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=_begin)

@@ -1,21 +1,67 @@
 """The transmission from the four tensions, with the effects that change it, and the full model in its place.
 
 B is the torque (N*m) that arrives at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle,
-sigma in [-1, 1] the direction or the friction state. Source: (3.37)-(3.55) and the catalogue of effects.
+sigma in [-1, 1] the direction or the friction state. Source: (3.37), (3.40), (3.45)-(3.46), (3.53)-(3.55) and the
+catalogue of effects. Sliding, with the signed angles x_a = sigma x (1 + ...), x_b:
+
+    T1 = T_p - tau_M/(2 r_M),     T3 = T_p + tau_M/(2 r_M),
+    T2 = T1 exp(+x_a),            T4 = T3 exp(-x_b),            tau_J = r_J (T4 - T2)
+
+x_a = x_b gives (3.55). Tensions in N, torques in N*m, radii in m, angles in 1. Assumes Coulomb friction while sliding,
+and that both tendons pull. The printed minus signs of the source are lost; the forms here are derived from
+dT/T = sigma mu dTheta.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Generic, NamedTuple
 
-from tsa_ctrl.model import curvature, transmission
+from tsa_ctrl.model import curvature
 from tsa_ctrl.model.curvature import NAMED, Profile
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
 from tsa_ctrl.model.effects.search import Scales, Variant, linear, one
 from tsa_ctrl.model.effects.specification import Draw, Kind, Motion, Parameter, Specification, Stage, Twins
 from tsa_ctrl.model.functions import SCALARS, F, Functions
+
+
+def motor_tensions(tau_m: F, pretension: F, r_m: float) -> tuple[F, F]:
+    """(T1, T3) from (3.40) and (3.45); a negative one means that a tendon would have to push."""
+    half = tau_m / (2.0 * r_m)
+    return pretension - half, pretension + half
+
+
+def torque_between(t2: F, t4: F, r_j: float) -> F:
+    """tau_J from the joint-side tensions (3.46)."""
+    return r_j * (t4 - t2)
+
+
+class FullModel(NamedTuple, Generic[F]):
+    """(3.53)-(3.54) as lines in tau_M: tau_J = gain tau_M - loss, T_p = level + coupling tau_M."""
+
+    gain: F  # 1
+    loss: F  # N*m
+    level: F  # N
+    coupling: F  # 1/m
+
+
+def full_model(
+    functions: Functions[F], x: F, alpha: F, beta: F, strain_force: F, r_m: float, r_j: float
+) -> FullModel[F]:
+    """The full model, derived signs.
+
+    x: signed friction angle. alpha, beta: elongation integrals (3.36), (3.39), and strain_force EA Delta l, all three
+    divided by l_us or none of them. A series element adds EA/k_s to alpha, beta and to the length in EA Delta l.
+    """
+    decay, growth = functions.exp(-x), functions.exp(x)
+    total = alpha + beta
+    return FullModel(
+        gain=r_j / r_m * (alpha * decay + beta * growth) / total,
+        loss=r_j * 2.0 * (growth - decay) * strain_force / total,
+        level=2.0 * strain_force / total,
+        coupling=(alpha - beta) / (2.0 * r_m * total),
+    )
 
 
 @dataclass(frozen=True)
@@ -114,17 +160,15 @@ class FourTensions:
         if self.tension_dependence is not None:
             x_a = x_a * self.tension_dependence.factor(functions, t1)
             x_b = x_b * self.tension_dependence.factor(functions, t3)
-        return transmission.torque_between(
-            t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), self.radii[1]
-        )
+        return torque_between(t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), self.radii[1])
 
     def grown(self, functions: Functions[F], tau_m: F, growth: F, pretension: F) -> F:
         """B, N*m, of a `symmetric` pair at growth = exp(sigma x)."""
         t1, t3 = self._tensions(functions, tau_m, pretension)
-        return transmission.torque_between(t1 * growth, t3 / growth, self.radii[1])
+        return torque_between(t1 * growth, t3 / growth, self.radii[1])
 
     def _tensions(self, functions: Functions[F], tau_m: F, pretension: F) -> tuple[F, F]:
-        t1, t3 = transmission.motor_tensions(tau_m, pretension, self.radii[0])
+        t1, t3 = motor_tensions(tau_m, pretension, self.radii[0])
         return (t1, t3) if self.slack is None else self.slack.clip(functions, t1, t3)
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
@@ -187,7 +231,7 @@ class FourTensions:
         dependence = self.tension_dependence
         assert dependence is not None
         r_m, r_j = self.radii
-        t1, t3 = transmission.motor_tensions(tau_m, pretension, r_m)
+        t1, t3 = motor_tensions(tau_m, pretension, r_m)
         d1, d3 = -0.5 / r_m, 0.5 / r_m
         if self.slack is not None:
             d1, d3 = (0.0, 1.0 / r_m) if t1 < 0.0 else (-1.0 / r_m, 0.0) if t3 < 0.0 else (d1, d3)
@@ -207,19 +251,17 @@ class Elongating:
     profile: Profile
     series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
     at_joint: bool = False  # where that stands: there it carries T2 and T4
-    _last: list[tuple[float, float, transmission.FullModel[float]]] = field(
-        default_factory=list, compare=False, repr=False
-    )
+    _last: list[tuple[float, float, FullModel[float]]] = field(default_factory=list, compare=False, repr=False)
 
     @property
     def linear(self) -> bool:
         """Return True: B is always the line of `tangent` in tau_M."""
         return True
 
-    def line(self, functions: Functions[F], x: F, pretension: F) -> transmission.FullModel[F]:
+    def line(self, functions: Functions[F], x: F, pretension: F) -> FullModel[F]:
         """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
         alpha, beta = self.lengths(functions, x)
-        return transmission.full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
+        return full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
 
     def lengths(self, functions: Functions[F], x: F) -> tuple[F, F]:
         """alpha and beta over l_us at the signed angle x, the series element included."""
@@ -228,7 +270,7 @@ class Elongating:
             return alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
         return alpha + self.series, beta + self.series
 
-    def _now(self, x: float, pretension: float) -> transmission.FullModel[float]:
+    def _now(self, x: float, pretension: float) -> FullModel[float]:
         """`line` for floats; the last one is kept, since the inverse asks for it three times a cycle."""
         last = self._last
         if not last or last[0][0] != x or last[0][1] != pretension:

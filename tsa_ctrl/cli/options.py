@@ -1,4 +1,4 @@
-"""Numbers on the command line: within bounds, and never nan, which click's own range lets pass."""
+"""Options that several verbs share, and numbers within bounds that are never nan or infinite."""
 
 from __future__ import annotations
 
@@ -27,4 +27,9 @@ CUTOFF = click.option(
     type=Finite(min=0.0, min_open=True),
     metavar="HZ",
     help="Low-pass in front of derived velocities and accelerations (default: as sharp as the noise allows).",
+)
+
+
+STRICT = click.option(
+    "--strict", is_flag=True, help="Refuse late rows, lost samples, doubled stamps and holes instead of mending them."
 )
