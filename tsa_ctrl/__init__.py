@@ -44,7 +44,7 @@ choose()
 
 
 def __getattr__(name: str) -> object:
-    """Load a public name on first use: the command line must not wait for what it does not need."""
+    """Load a public name on first use: the command line must not wait for modules that it does not need."""
     if name in _MODULES:
         import importlib
 

@@ -1,4 +1,4 @@
-"""The controller's configuration: one strict file, and what it refers to, checked before anything moves."""
+"""The controller's configuration: one strict file and the files that it names, checked before anything moves."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.torque_off import MonitorSettings
 
 PEAK = 3.0  # of the rated torque, that a drive gives for seconds
-MARGIN = 0.05  # s, beyond the longest time-out: to notice, to tell the drive, for its torque to fall
+MARGIN = 0.05  # s, beyond the longest time-out: to detect, to command the drive, for its torque to fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
 
@@ -127,7 +127,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 @dataclass(frozen=True)
 class Configuration:
-    """A checked configuration with what it refers to already read."""
+    """Hold a checked configuration with the contents of the files that it names."""
 
     path: Path
     file: ControllerFile
@@ -139,7 +139,7 @@ class Configuration:
 
     @cached_property
     def plans(self) -> tuple[Plan, ...]:
-        """What follows for each axis' law; raises UsageError for a damping without margin."""
+        """Derive the settings of each axis' law; raises UsageError for a damping without margin."""
         return tuple(
             plan_for(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
             for axis, model in zip(self.file.axes, self.models, strict=True)
@@ -240,14 +240,17 @@ def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> t
         follows = axis.bending.source != "fixed"
         estimator, note = chosen(axis.estimator, model, axis.encoder is not None, axis.has_torque_sensor, follows)
         if routing_of(axis.bending, model.routing) is not None and axis.estimator.kind in (None, "fixed"):
-            estimator, note = msgspec.structs.replace(estimator, kind="map"), ""  # the model file says how it bends
+            estimator, note = (
+                msgspec.structs.replace(estimator, kind="map"),
+                "",
+            )  # the model file has its curvature profile
         axes.append(msgspec.structs.replace(axis, estimator=estimator))
         notes.append(note)
     return msgspec.structs.replace(file, axes=tuple(axes)), tuple(notes)
 
 
 def check_drives(configuration: Configuration) -> None:
-    """Whether all of it can be written to the drives, by their EDS if there is one; raises UsageError."""
+    """Check by their EDS, if there is one, that all of it can be written to the drives; raises UsageError."""
     file = configuration.file
     try:
         for axis, profile in zip(file.axes, configuration.profiles, strict=True):
@@ -269,7 +272,7 @@ def _check_safety(path: Path, file: ControllerFile) -> None:
 
 
 def _check_unique(path: Path, file: ControllerFile) -> None:
-    """Axis names belong to one axis, and so do node ids, but for what one device may have for two."""
+    """Raise UsageError if two axes share a name, or a node id that one device cannot have for both."""
     names = Counter(axis.name for axis in file.axes)
     for name, number in names.items():
         if number > 1:
@@ -385,7 +388,7 @@ def _check_routing(where: str, axis: AxisSettings, model: TendonSheath, file: Co
 
 
 def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
-    """Whether the tendons' stretch is measured, and says anything."""
+    """Return True if the tendon elongation is measured and shows the joint torque."""
     if axis.encoder is None:
         raise UsageError(
             f'{where}: estimator.kind "stretch" without [axis.encoder]; stretch is what two angles differ by; '

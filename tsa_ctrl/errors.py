@@ -1,10 +1,10 @@
-"""One error tree. A message is one line: where, what was found, what is allowed, what to do."""
+"""One error tree. A message is one line: the place, the value found, the allowed range, the remedy."""
 
 from __future__ import annotations
 
 
 class TsaError(Exception):
-    """Base of all errors that a user can cause; `exit_code` is that of the command line."""
+    """Base of all errors that a user can cause; `exit_code`: of the command line."""
 
     exit_code = 1
 
@@ -16,7 +16,7 @@ class UsageError(TsaError):
 
 
 class TooStillError(UsageError):
-    """A log in which the joint moves too little to show what is wanted; another motion would."""
+    """A log in which the joint moves too little for the requested result; another motion would."""
 
 
 class StoppedError(TsaError):
@@ -30,4 +30,4 @@ class BusError(TsaError):
 
 
 class LeaseLostError(BusError):
-    """The set-point is no longer this client's; the message says why."""
+    """The set-point is no longer this client's; the message has the reason."""

@@ -1,6 +1,6 @@
-"""What a verb may write over: never what it reads; what else was there is kept beside it as `NAME.~N~`.
+"""The files that a command may overwrite: never one that it reads.
 
-What is written again and again gets a name with a date.
+Another existing file is kept next to it as `NAME.~N~`. A file that is written repeatedly gets a name with a date.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def backups(path: Path) -> dict[int, Path]:
 
 
 def keep(path: Path) -> Path | None:
-    """Copy a file that is about to be replaced to the next free `NAME.~N~`; None where there is no such file.
+    """Copy a file that is about to be replaced to the next free `NAME.~N~`; None if the file does not exist.
 
     Raises UsageError when it cannot be kept: then it is not replaced either.
     """
@@ -48,12 +48,14 @@ def keep(path: Path) -> Path | None:
         kept = path.with_name(f"{path.name}.~{1 + max(backups(path), default=0)}~")
         shutil.copy2(path, kept)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be kept beside itself ({error.strerror}); choose another place") from None
+        raise UsageError(
+            f"{path}: cannot be kept under another name ({error.strerror}); choose another place"
+        ) from None
     return kept
 
 
 def move_into(beside: Path, path: Path) -> Path | None:
-    """Rename a file that was written beside to `path`; returns where what was there is kept. Raises OSError."""
+    """Rename a temporary file to `path`; return the path of the copy of the old file. Raises OSError."""
     kept = keep(path)
     try:
         beside.replace(path)
@@ -68,7 +70,7 @@ def move_into(beside: Path, path: Path) -> Path | None:
 def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
     """Where a file is written, in the same folder, before it becomes `path`, whole, when the block ends.
 
-    `keeping`: what was at `path` is kept. Raises UsageError when it cannot be written; then nothing of it is left.
+    `keeping`: the old file at `path` is kept. Raises UsageError when it cannot be written; then nothing of it is left.
     """
     part = path.with_name(f".{path.name}.part")
     try:

@@ -1,6 +1,6 @@
 """The one strict reader of TOML files: unknown, missing, out of range or wrong in type is one clear line.
 
-A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds stand in `msgspec.Meta`.
+A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds are in `msgspec.Meta`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
     except ValueError as error:
-        raise UsageError(f"{str(path)!r}: is no path ({error}); give the path of a TOML file") from None
+        raise UsageError(f"{str(path)!r}: is not a path ({error}); give the path of a TOML file") from None
     except RecursionError:
         raise UsageError(f"{path}: tables or lists are nested too deeply; give one of the documented files") from None
 
@@ -98,7 +98,7 @@ def _strings(value: object) -> Iterator[str]:
 
 
 def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
-    """Every float in a parsed file, with where it stands."""
+    """Yield every float in a parsed file, with its place."""
     if isinstance(value, float):
         yield key, value
     elif isinstance(value, dict):
@@ -146,7 +146,7 @@ def _empty(value: object, kind: type, place: str) -> Iterator[str]:
         yield place.removeprefix(".")
 
 
-# What each file of the project is called, by the class that reads it.
+# Names of the project's files by the class that reads each.
 FILES = {
     "ControllerFile": "a controller file",
     "PlantSettings": "a plant file",
@@ -158,7 +158,7 @@ FILES = {
 
 
 def file_kind(data: dict[str, Any]) -> str | None:
-    """Which of the project's files parsed TOML is, by the tables that only that one has; None when it is none."""
+    """Return the kind of file of parsed TOML, by the tables that only this kind has; None if it is none of them."""
     axis = data.get("axis")
     first = axis[0] if isinstance(axis, list) and axis and isinstance(axis[0], dict) else {}
     if data.keys() & {"actuator", "tendon", "sheath", "pretension"}:
@@ -231,7 +231,7 @@ def _parts(hint: object) -> Iterator[object]:
 
 
 def _advice(name: str, place: str, kind: type) -> str:
-    """What to write instead of a key that is none at `place`: the nearest there, or the table that it belongs in."""
+    """Return the advice for an unknown key at `place`: the nearest there, or the table that it belongs in."""
     tables = list(tables_of(kind))
     path = tuple(re.findall(r"\.(\w+)", place))
     here = next((table for table in tables if table.path == path), tables[0])
@@ -275,7 +275,7 @@ def tables_of(
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file so that a crash leaves either the old or the new one: written beside, synced, renamed."""
+    """Write a file under another name, sync and rename it, so that a crash leaves either the old or the new one."""
     path = Path(path)
     try:
         mode = path.stat().st_mode & 0o777 if path.exists() else 0o644

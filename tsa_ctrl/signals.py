@@ -199,7 +199,7 @@ def is_input(name: str) -> bool:
 
 
 def is_selected(name: str, wanted: Collection[str] | None) -> bool:
-    """Return True if `name` is among `wanted`, in which q_j includes the columns q_j.NAME of all joints."""
+    """Return True if `name` is selected; q_j includes the columns q_j.NAME of all joints."""
     return wanted is None or name in wanted or (name.startswith(JOINT_ANGLE) and "q_j" in wanted)
 
 

@@ -75,10 +75,10 @@ def test_other_bytes_than_the_published_ones_are_refused_and_nothing_is_kept(
     address, folder = home
     (folder / "a").mkdir()
     (folder / "a/99.csv").write_text(RECORDED.replace("37.2", "37.3"))
-    with pytest.raises(UsageError, match="is not what was published"):
+    with pytest.raises(UsageError, match="is not the published file"):
         fetch(ONE, tmp_path / "out", address)
     (folder / "a/99.csv").write_text("<html>moved</html>")
-    with pytest.raises(UsageError, match="not what was published"):
+    with pytest.raises(UsageError, match="not the published file"):
         fetch(ONE, tmp_path / "out", address)
     assert not list((tmp_path / "out").rglob("*.gz"))
 
@@ -144,7 +144,7 @@ def test_matlab_columns_become_ours(tmp_path: Path) -> None:
         },
     )
     assert linear_axis((tmp_path / "a.mat").read_bytes(), "x") == "t,tau_m,q_m\n0,35.15,0.1\n0.001,-70.3,0.2\n"
-    with pytest.raises(UsageError, match="not what was published"):
+    with pytest.raises(UsageError, match="not the published file"):
         linear_axis(b"MATLAB 5.0 nonsense", "x")
 
 

@@ -92,7 +92,7 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
         (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
         (("0.5", "--against", "0.9", "--with", "slew=60,nan"), "write NAME=A,B"),
         (("0.5", "--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
-        (("0.5", "--with", "slew=60,90"), "give --against, too"),
+        (("0.5", "--with", "slew=60,90"), "also give --against"),
     ],
 )
 def test_a_comparison_that_cannot_be_made_is_refused(serving: Serving, arguments: tuple[str, ...], words: str) -> None:

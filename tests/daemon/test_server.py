@@ -109,7 +109,7 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        (Set("compensation", 0.5), "say of which axis: knee.compensation, hip.compensation"),
+        (Set("compensation", 0.5), "give the axis: knee.compensation, hip.compensation"),
         (Set("toe.compensation", 0.5), "no axis 'toe'; known are knee, hip"),
         (Set("knee.gain", 0.5), "no parameter 'gain'; known are compensation, pretension"),
         (Set("knee.compensatoin", 0.5), "did you mean 'compensation'"),

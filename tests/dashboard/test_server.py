@@ -83,7 +83,7 @@ def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
     [
         (b'{"name":"knee.compensation","value":7}', "out of bounds; allowed is 0 to 1.2"),
         (b'{"name":"knee.nothing","value":1}', "no parameter"),
-        (b'{"name":"recover","value":1}', "say of which axis"),
+        (b'{"name":"recover","value":1}', "give the axis"),
         (b'{"name":"knee.compensation","value":"1"}', "finite number"),
         (b'{"name":"knee.compensation","value":true}', "finite number"),
         (b'{"name":"knee.compensation","value":NaN}', "finite number"),

@@ -151,7 +151,7 @@ def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -
     count = 2.0 * np.pi / 64
     data["q_m"] = count * np.round(data["q_m"] / count)
     data["tau_m"] = 0.6 * np.sign(np.cos(data["t"]))
-    with pytest.raises(UsageError, match="does not tell their stiffness here; record motion") as caught:
+    with pytest.raises(UsageError, match="does not show their stiffness here; record motion") as caught:
         fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
     assert "\n" not in str(caught.value)
 

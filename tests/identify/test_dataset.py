@@ -424,7 +424,7 @@ def test_rows_of_a_text_file_come_with_their_line(tmp_path: Path) -> None:
         ("x.csv", b"", "is empty"),
         ("x.csv", b"t,tau_m,tau_j,omega_j\n", "holds 0 rows"),
         ("x.txt", b"t\n", "unknown kind of log"),
-        ("x.parquet", b"PAR1", "no readable Parquet"),
+        ("x.parquet", b"PAR1", "not a readable Parquet"),
         ("x.mcap", b"", "is empty"),
         ("missing.csv", None, "no such file"),
     ],

@@ -114,7 +114,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="holds no log"):
         trend(logs, model)
     (logs / "broken.csv").write_text("t,tau_m\n0,nonsense\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"none of 1 logs tells half loop or stiffness; .*broken.csv") as caught:
+    with pytest.raises(UsageError, match=r"none of 1 logs shows friction torque or stiffness; .*broken.csv") as caught:
         trend(logs, model)
     assert "\n" not in str(caught.value)
 

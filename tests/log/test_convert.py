@@ -116,7 +116,7 @@ def test_progress_ends_at_one(log: Path, tmp_path: Path) -> None:
 def test_what_a_table_cannot_hold_is_named(log: Path, tmp_path: Path) -> None:
     convert(f"{log}:hip", tmp_path / "x.csv")
     (written,) = convert(tmp_path / "x.csv", tmp_path / "y.parquet")
-    assert written.notes == ("columns that are no numbers are left out: state",)
+    assert written.notes == ("columns without numbers are left out: state",)
 
 
 @pytest.mark.parametrize(

@@ -73,7 +73,7 @@ def test_compressed_files_read_the_same(tmp_path: Path) -> None:
         (PLAIN.replace("\n", "\r").encode(), "lone carriage return"),
         (b"t,\xe4\xf6\n1,2\n", "line 1 is not UTF-8"),
         (b"0,1\n2,3\n", "line 1 holds numbers where the header is expected"),
-        (b"t,tau_m,t\n0,1,2\n", "column t stands twice"),
+        (b"t,tau_m,t\n0,1,2\n", "column t appears twice"),
         (b"t,tau_m\n0,1\n2\n", "row 2 (line 3) has 1 fields where the header has 2"),
         (b"t,tau_m\n0,1\n2,3,4\n", "row 2 (line 3) has 3 fields"),
         (b"t,tau_m\n0,1,1,5\n", "a decimal comma"),

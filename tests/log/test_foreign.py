@@ -125,7 +125,7 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
     ("data", "said"),
     [
         (b"", "is empty"),
-        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is no text"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is not text"),
         (b"just words\nand more words\n", "no row of numbers|one column only"),
     ],
 )

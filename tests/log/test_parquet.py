@@ -38,7 +38,7 @@ def test_a_name_with_the_letters_of_a_pattern_is_a_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "wanted", "said"),
     [
-        ("twice.parquet", None, "column t stands twice; rename or remove one"),
+        ("twice.parquet", None, "column t appears twice; rename or remove one"),
         ("of_pyarrow.parquet", ("t", "note"), "column note is VARCHAR, not a number; convert it"),
     ],
 )
@@ -54,6 +54,6 @@ def test_a_cut_file_is_one_line(tmp_path: Path, kept: int) -> None:
     cut.write_bytes((HERE / "of_pyarrow.parquet").read_bytes()[:kept])
     with pytest.raises(UsageError) as error:
         read_table(cut)
-    assert str(error.value).startswith(f"{cut}: is no readable Parquet file (")
+    assert str(error.value).startswith(f"{cut}: is not a readable Parquet file (")
     assert "\n" not in str(error.value)
     assert "/dev/fd" not in str(error.value)

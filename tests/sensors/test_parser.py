@@ -81,7 +81,7 @@ def test_values_do_not_depend_on_how_the_bytes_arrive(values: list[float], data:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"pattern": "("}, "no regular expression"),
+        ({"pattern": "("}, "not a regular expression"),
         ({"pattern": r"\d+"}, "no group 'value'"),
         ({"unit": "kg"}, "no group 'unit'"),
         ({"scale": 0.0}, "scale is 0"),

@@ -225,7 +225,7 @@ def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.Captu
     before = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG) == 0
     captured = capsys.readouterr()
-    assert "nobody to ask" in captured.err
+    assert "without a terminal" in captured.err
     assert (folder / "actuator.toml").read_text() == before
 
 

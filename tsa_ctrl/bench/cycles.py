@@ -46,7 +46,7 @@ class Times:
 
 @dataclass(frozen=True)
 class Measured:
-    """What some cycles at `rate` (Hz) took; `busy`: from the deadline to the end of all that a cycle does."""
+    """The durations of some cycles at `rate` (Hz); `busy`: from the deadline to the end of all that a cycle does."""
 
     rate: float
     cycles: int
@@ -133,7 +133,7 @@ def _run(
             samples.busy.append((end - deadline) * 1e-9)
         elif enable and number == first // 2:
             for axis in axes:
-                axis.set_point.gain = 0.0  # all is computed as ever, but nodes that stand in deliver no torque
+                axis.set_point.gain = 0.0  # everything is computed as usual, but substitute nodes deliver no torque
                 axis.enable()
         if number % 256 == 0:
             progress(number / (first + count))

@@ -1,6 +1,6 @@
 """Stand-in nodes for a bus without any: each SYNC is answered, statusword and torque follow the commands.
 
-`python -m tsa_ctrl.bench.responder`: settings of the bus and the axes' node ids as JSON on stdin; says `ready`, ends
+`python -m tsa_ctrl.bench.responder`: settings of the bus and the axes' node ids as JSON on stdin; prints `ready`, ends
 when its stdin closes.
 """
 
@@ -45,7 +45,7 @@ class Ids(msgspec.Struct, frozen=True):
 
 
 class Task(msgspec.Struct, frozen=True):
-    """What the process is told."""
+    """The settings of the process."""
 
     bus: BusSettings
     axes: tuple[Ids, ...]
@@ -86,7 +86,7 @@ class Responder:
         bus.accept([cia301.SYNC, *self._status])
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Answer until told to stop."""
+        """Answer until a stop is requested."""
         due = time.monotonic() + LOOK
         while True:
             frame = self._bus.recv(LOOK)
@@ -131,7 +131,7 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
         process.send(msgspec.json.encode(Task(settings, ids_of(axes))))
         readable, _, _ = select.select([process.stdout], [], [], START)
         if not readable or process.failure():
-            raise BusError("bench: the process that stands in for the nodes did not start; is the machine too busy?")
+            raise BusError("bench: the process that simulates the nodes did not start; is the machine too busy?")
         yield
     finally:
         process.end(START)

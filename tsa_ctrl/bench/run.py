@@ -100,7 +100,7 @@ class Found:
 
     @property
     def fits(self) -> bool:
-        """Whether the configured rate is within the margin."""
+        """Return True if the configured rate is within the margin."""
         return self.configured.rate <= self.highest
 
 
@@ -108,7 +108,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
     """Measure for `seconds` at each rate that is tried; raises BusError when the bus or its nodes are not fit for it.
 
     With real nodes on the bus nothing is enabled: they are brought up, answer every SYNC with the drives off, and are
-    left as after a run. On a virtual bus where nobody talks, others stand in, and the loop runs as with torque.
+    left as after a run. On a virtual bus without nodes, substitute nodes answer, and the loop runs as with torque.
     """
     configuration = _tolerant(configuration)
     bus = open_bus(configuration.file.bus)
@@ -125,7 +125,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
 
 
 def _tolerant(configuration: Configuration) -> Configuration:
-    """The same with supervision that counts what is lost, instead of ending the torque."""
+    """Return the same configuration with a supervision that counts losses instead of ending the torque."""
     file = configuration.file
     supervision = msgspec.structs.replace(
         file.bus.supervision, tolerated_misses=TOLERATED, tolerated_drops=TOLERATED, lost_share=1.0
@@ -145,7 +145,10 @@ def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
 
 
 def _nobody(configuration: Configuration, bus: Bus) -> bool:
-    """Whether nodes have to stand in. Raises BusError when another master is there, or a real bus has no nodes."""
+    """Return True if substitute nodes are necessary.
+
+    Raises BusError when another master is there, or a real bus has no nodes.
+    """
     settings = configuration.file.bus
     seen = listen(bus)
     heard = judged(bus, seen, "")
@@ -198,7 +201,7 @@ def _measure(
 
     configured = at(file.controller.rate)
     if configured.lost == configured.cycles:
-        raise BusError(f"{bus.name}: the nodes do not answer every SYNC; check their mapping (tsa run says more)")
+        raise BusError(f"{bus.name}: the nodes do not answer every SYNC; check their mapping (tsa run prints details)")
     bus_rate = configuration.load.highest_rate(file.bus.max_load)
     found = bounds(configured, margin, file.controller.collect, bus_rate, file.bus.max_load)
     highest, limited_by = rounded_down(found[0].rate), found[0].name
@@ -209,7 +212,7 @@ def _measure(
         confirmed = at(highest)
         if holds(confirmed, margin):
             break
-        highest, limited_by = rounded_down(LOWER * highest), "what was lost or late at a higher rate"
+        highest, limited_by = rounded_down(LOWER * highest), "losses and delays at a higher rate"
     else:
         if simulated:
             highest = 0.0

@@ -1,4 +1,4 @@
-"""The `tsa` command: a table of verbs, each in a module of its own that is imported only when it is called."""
+"""The `tsa` command: a table of commands, each in a separate module that is imported only when it is called."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click, which looks for what was meant among the commands that are loaded: none."""
+        """Suggest a similar command; click itself searches only the loaded commands, which are none."""
         near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
         if args[0] not in self.list_commands(ctx) and near and not ctx.resilient_parsing:
             ctx.fail(f"No such command '{args[0]}'; did you mean '{near[0]}'?")
@@ -86,7 +86,7 @@ class LazyGroup(click.Group):
 
 
 def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Write the script of the user's shell ($SHELL) and say where; raises UsageError for another shell."""
+    """Write the script of the user's shell ($SHELL) and print its path; raises UsageError for another shell."""
     if not asked:
         return
     shell = Path(os.environ.get("SHELL", "")).name

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 @click.command("bench", epilog="Example: tsa bench config/controller.toml")
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--seconds", default=5.0, show_default=True, type=Finite(0.1, 600.0), help="At each rate.")
-@click.option("--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Of the period, free.")
+@click.option("--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Free share of the period.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(controller: Path, seconds: float, margin: float, as_json: bool) -> int:
     """The highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.
 
     The loop's own cycle runs at the configured rate: waking up, SYNC, answers, law, limiter, command, record. With
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
-    stands in for them, and the rate that was found is run to confirm it.
+    simulates them, and a run at the highest rate confirms it.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -56,7 +56,7 @@ def _show(found: Found) -> None:
     from rich.table import Table
 
     console = Console()
-    nodes = "a process stands in for the nodes" if found.simulated else "the nodes answer, their drives off"
+    nodes = "a process simulates the nodes" if found.simulated else "the nodes answer, their drives off"
     console.print(f"{found.bus}: {nodes}; {found.rights}", markup=False, highlight=False)
     for line in found.missing:
         console.print(f"without: {line}", markup=False, highlight=False, soft_wrap=True)

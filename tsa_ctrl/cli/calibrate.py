@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 @click.option(
     "--stretch",
     is_flag=True,
-    help="Find stiffness, place of the bends and motor inertia, too, from q_m and q_j; tau_j is not needed then.",
+    help="Also find stiffness, curvature profile and motor inertia from q_m and q_j; tau_j is not needed then.",
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
 @CUTOFF
-@click.option("--yes", is_flag=True, help="Do not ask whether to write what is worse than the model given.")
+@click.option("--yes", is_flag=True, help="Write a result that is worse than the given model without a question.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def command(
     logs: tuple[Path, ...],
@@ -122,7 +122,7 @@ def command(
 
 
 def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
-    """Raise UsageError unless a person says that what is worse is to be written."""
+    """Raise UsageError unless a person confirms that a worse result is to be written."""
     asked = sys.stdin.isatty() and sys.stdout.isatty() and not as_json
     if asked and click.confirm(f"the calibrated model is worse than {model}; write {out}?", default=False):
         return
@@ -179,7 +179,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
         console.print(f"friction angle and pretension are parted by the data (condition {result.condition_number:.3g})")
     else:
         console.print(
-            "friction angle and pretension are NOT parted by these logs; their intervals are what is left open"
+            "friction angle and pretension are NOT parted by these logs; their intervals are the remaining uncertainty"
         )
         console.print(f"to settle it: {result.experiment}", soft_wrap=True)
     for note in result.notes:

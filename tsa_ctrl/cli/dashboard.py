@@ -13,7 +13,7 @@ NEEDED = ("starlette", "uvicorn")
 
 
 @click.command("dashboard", epilog="Example: tsa dashboard --port 8402")
-@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="The daemon's.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="this user's", help="The daemon's.")
 @click.option("--port", default=0, type=click.IntRange(0, 65535), show_default="a free one", help="Of 127.0.0.1.")
 def command(path: str, port: int) -> None:
     """A local page to watch and tune a running daemon: torques and lateness live, state, faults, live parameters.

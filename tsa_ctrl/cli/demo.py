@@ -43,12 +43,14 @@ STAGE_WORDS = {
 @click.option(
     "--rate",
     type=Finite(50.0, 4000.0),
-    help="Of the loop, Hz.  [default: 1000, or the half or quarter of it that this machine keeps; --full 1000]",
+    help="Rate of the loop, Hz.  [default: 1000, or the half or quarter of it that this machine keeps; --full 1000]",
 )
 @click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL; default: the best there is.")
 @click.option("--virtual", is_flag=True, help="In virtual time: no bus, no rights, faster than real time.")
-@click.option("--load", type=click.Choice(LOADS), default="imposed", show_default=True, help="What the joint drives.")
-@click.option("--tendon", type=click.Choice(["full", "distributed"]), help="Of the plant.  [default: distributed]")
+@click.option("--load", type=click.Choice(LOADS), default="imposed", show_default=True, help="Load of the joint.")
+@click.option(
+    "--tendon", type=click.Choice(["full", "distributed"]), help="Tendon model of the plant.  [default: distributed]"
+)
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for files, logs and picture; default: out/demo-DATE."
 )
@@ -74,8 +76,8 @@ def command(
 ) -> None:
     """Simulated drive and joint on a bus, the daemon, a set-point: what compensation gains.
 
-    An imposed joint follows a gait whatever its torque is; the others are held or move by the torque that arrives, so
-    that "without compensation" is a motion of its own.
+    An imposed joint follows a gait whatever its torque is; the others are held or move by the delivered torque, so
+    their motion "without compensation" is another one.
 
     With --full: five runs on a plant with a hidden effect (without compensation, with the nominal, the calibrated, the
     extended and the true model), the models estimated from the nominal run's log.
@@ -95,9 +97,7 @@ def command(
         return
     if full:
         if setpoint is not None or tendon is not None or load != "imposed":
-            raise UsageError(
-                "demo: --full has a motion and tendons of its own; leave --setpoint, --tendon and --load out"
-            )
+            raise UsageError("demo: --full has its own motion and tendons; leave --setpoint, --tendon and --load out")
         _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
     if hidden:
@@ -147,7 +147,7 @@ def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:
 
 
 def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, asked: bool) -> Shown:
-    """What `show` returns on the bus; in virtual time where real time fails on one that nobody asked for."""
+    """What `show` returns on the bus; in virtual time if real time fails on a bus that the user did not request."""
     from tsa_ctrl.demo.rig import VIRTUAL
 
     try:
@@ -175,7 +175,7 @@ def _bus(asked: str | None, virtual: bool) -> BusChoice:
 
 @contextlib.contextmanager
 def _progress(bus: BusChoice) -> Iterator[Progress]:
-    """What is being done and its share of the whole, on stderr where that is a terminal."""
+    """Show the current step and its share on stderr if stderr is a terminal."""
     from rich import progress as bars
     from rich.console import Console
 

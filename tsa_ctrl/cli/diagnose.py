@@ -1,4 +1,4 @@
-"""`tsa diagnose`: what the simulation gets wrong, why, the extended model, the gain."""
+"""`tsa diagnose`: find and explain model errors, extend the model, and measure the gain."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ Examples:
 @click.argument("logs", metavar="LOG...|FOLDER", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--model", type=click.Path(path_type=Path), help="Actuator model file.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
-@click.option("--example", is_flag=True, help="On a log made on the spot, with a cause hidden in it; told at the end.")
+@click.option(
+    "--example", is_flag=True, help="Diagnose a simulated log with a hidden cause, which is printed at the end."
+)
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
 @STRICT
 @CUTOFF
@@ -56,9 +58,9 @@ def command(
     jobs: int | None,
     scheduler: str | None,
 ) -> None:
-    """Say what the simulation of LOG files gets wrong, name the cause, extend the model, measure the gain.
+    """Find the error of the simulation of LOG files, identify its cause, extend the model, measure the gain.
 
-    Several logs are diagnosed together, as one drive. Of a folder each log is diagnosed by itself: the answers go to
+    Several logs are diagnosed together, as one drive. Each log of a folder is diagnosed separately: the answers go to
     one table, verdicts.csv, and the same command goes on where it was interrupted.
     """
     # Set before numpy is loaded. With matrices this narrow a second thread mostly waits at the cost of a core, and the
@@ -78,7 +80,7 @@ def command(
         if cutoff is not None:
             raise UsageError("--cutoff: is for logs that are named; leave it out, or name the logs in the folder")
         if hold_out is not None:
-            raise UsageError("--hold-out: of a folder each log is diagnosed by itself; leave it out, or name the logs")
+            raise UsageError("--hold-out: each log of a folder is diagnosed separately; leave it out, or name the logs")
         from tsa_ctrl.cli.fleet import diagnose_folder
 
         diagnose_folder(
@@ -97,7 +99,7 @@ def command(
 
 
 def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
-    """Make a log, diagnose it, and tell at last what was hidden."""
+    """Make a log, diagnose it, and print the hidden cause at the end."""
     if logs or model is not None:
         raise UsageError("--example: makes its own log and model; leave LOG and --model out")
     from tsa_ctrl.demo import example
@@ -139,7 +141,7 @@ def _diagnose(
     strict: bool,
     cutoff: float | None,
 ) -> Diagnosis:
-    """Read, diagnose and write, with what is being done on stderr."""
+    """Read, diagnose and write; show the current step on stderr."""
     from tsa_ctrl.system.process_supervisor import worker_context
 
     if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to load as all else together
@@ -207,7 +209,7 @@ def _show(result: Diagnosis, out: Path) -> None:
 
 
 def _shown(value: Quantity) -> tuple[str, str]:
-    """A number with its unit, and its interval where the logs told it."""
+    """Return a number with its unit, and its interval if it was estimated from the logs."""
     from tsa_ctrl.identify.quantity import spelled
 
     unit = "" if value.unit == "1" else f" {spelled(value.unit)}"

@@ -24,7 +24,13 @@ COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 
 @click.command("doctor", epilog="Example: tsa doctor config/controller.toml")
 @click.argument("controller", required=False, type=click.Path(path_type=Path))
-@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 600.0), help="Of measured lateness.")
+@click.option(
+    "--seconds",
+    default=3.0,
+    show_default=True,
+    type=Finite(0.1, 600.0),
+    help="Duration of the lateness measurement, s.",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @click.option(
     "--serial-numbers", is_flag=True, help="Ask the drives for theirs and write them into CONTROLLER.toml, and end."

@@ -1,4 +1,4 @@
-"""`tsa drive`: look at a drive; dump, restore or compare what this master writes; give it a node id."""
+"""`tsa drive`: look at a drive; dump, restore or compare the objects that this master writes; give it a node id."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tsa_ctrl.bus.wire.seam import Bus
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
-_PERIOD = 0.001  # s, when no configuration says otherwise
+_PERIOD = 0.001  # s, without a configuration
 
 
 class Target:
@@ -38,7 +38,7 @@ class Target:
         return self.axis.drive.node_id
 
     def plan(self) -> list[Write]:
-        """What the configuration writes to it."""
+        """Return the values that the configuration writes to the node."""
         from tsa_ctrl.bus.drive.plan import drive_plan
         from tsa_ctrl.bus.drive.torque_path import drive_scale
 
@@ -247,7 +247,7 @@ def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, Bu
 @click.option("--slot", type=click.IntRange(1, 8), default=1, show_default=True, help="Axis of a device with several.")
 @click.option("--out", type=click.Path(path_type=Path), help="Profile to write; default: stdout.")
 def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: int, out: Path | None) -> None:
-    """Read what a drive can do, and write a profile for you to finish; nothing is commanded, written or moved.
+    """Read the capabilities of a drive, and write a draft of its profile; nothing is commanded, written or moved.
 
     Asks by SDO alone: no NMT, no SYNC, no heartbeat.
     """
@@ -287,7 +287,9 @@ def set_node_id_command(node_id: int, interface: str, channel: str, bitrate: int
         click.echo(f"{channel}: one node with {has}: {named}", err=True)
         if not yes:
             if not sys.stdin.isatty():
-                raise UsageError(f"node id {node_id} would be stored in it, and nobody is there to agree; give --yes")
+                raise UsageError(
+                    f"node id {node_id} would be stored in it, which requires a confirmation in a terminal; give --yes"
+                )
             click.confirm(f"Store node id {node_id} in it?", abort=True)
         lss.set_node_id(bus, node_id, lambda line: click.echo(line, err=True))
     click.echo(f"{channel}: node id {node_id} is stored in it")

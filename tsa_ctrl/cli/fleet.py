@@ -1,4 +1,4 @@
-"""`tsa diagnose FOLDER`: every log of a folder by itself, with a progress bar and one table of verdicts."""
+"""`tsa diagnose FOLDER`: each log of a folder separately, with a progress bar and one table of verdicts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tsa_ctrl.identify.fleet.ledger import TABLE, counted
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.outputs import json_types
 
-SHOWN = 40  # rows of the table on a screen; all of them stand in verdicts.csv
+SHOWN = 40  # rows of the table on a screen; verdicts.csv has all of them
 
 
 def diagnose_folder(
@@ -30,7 +30,7 @@ def diagnose_folder(
     as_json: bool,
 ) -> None:
     """Work through the folder and show what came out; a log that cannot be read is a row of the table."""
-    load_model(model)  # what is wrong with it is said once, and now
+    load_model(model)  # its errors are reported once, and now
     logs = logs_in(folder)
     console = Console(stderr=True)
     columns = (
@@ -72,4 +72,4 @@ def _show(rows: list[Row], out: Path) -> None:
     console.print(f"{len(rows)} logs: " + ", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
     if causes:
         console.print("causes: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()), soft_wrap=True)
-    console.print(f"table: {out / TABLE}; a report for each log beside it", soft_wrap=True, markup=False)
+    console.print(f"table: {out / TABLE}; the reports of the logs are in the same folder", soft_wrap=True, markup=False)

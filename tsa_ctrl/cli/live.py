@@ -13,7 +13,7 @@ from tsa_ctrl.ipc.client import MOST_RATE
 
 
 @click.command("live", epilog="Example: tsa live --port 8765")
-@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="The daemon's.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="this user's", help="The daemon's.")
 @click.option(
     "--port",
     default=8765,

@@ -87,7 +87,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are told.
 
     The logs are of one axis. Half loop by the joint torque sensor or by the tendons' stretch; stiffness and zero by the
-    stretch, for which q_m and q_j are needed. A change is told from six runs on.
+    stretch, for which q_m and q_j are needed. A change is reported from six runs on.
     """
     from tsa_ctrl.identify.trend import ALARM
     from tsa_ctrl.identify.trend import trend as trend_of
@@ -116,7 +116,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     for change in found.changes:
         click.echo(str(change))
     if not found.changes:
-        click.echo("no change is told")
+        click.echo("no change is reported")
     click.echo(f"false alarms: {100.0 * ALARM:g} % for each quantity of a folder; a change needs six runs")
 
 
@@ -164,7 +164,7 @@ def import_(
     if proposals and not as_json:
         click.echo("proposals, not stated by the files: " + " ".join(f"--column '{text}'" for text in proposals))
     if asked and not click.confirm("is that right?", default=True):
-        raise click.ClickException("nothing was written; say it by --column or --map")
+        raise click.ClickException("nothing was written; give it by --column or --map")
     pairs = [
         (done, log_import.write(done, out, s, kind or ""))
         for done, s in zip(every, log_import.stems(files), strict=True)

@@ -1,4 +1,4 @@
-"""What `tsa log import` understood of a foreign table: found, shown as a table, written."""
+"""The result of `tsa log import` for a foreign table: found, shown as a table, written."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
 
 
 def show(done: Understood) -> None:
-    """The table of what was understood, before anything is written."""
+    """Print the interpretation of the table before anything is written."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Column, Table
@@ -137,7 +137,7 @@ def show(done: Understood) -> None:
     if done.dropped:
         console.print(f"note: {done.dropped} rows without a number in a column are left out: holes", markup=False)
     if done.table.ignored:
-        console.print(f"note: {done.table.ignored} lines that are no rows of the table are left out", markup=False)
+        console.print(f"note: {done.table.ignored} lines that are not rows of the table are left out", markup=False)
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
@@ -149,7 +149,7 @@ def show(done: Understood) -> None:
 
 
 def as_dict(done: Understood, written: Imported) -> dict[str, Any]:
-    """What `--json` prints."""
+    """Return the object that `--json` prints."""
     columns = {
         column.name: {"from": column.source, "unit": column.unit, "scale": column.scale, "offset": column.offset}
         for column in done.mapped

@@ -18,7 +18,7 @@ class Finite(click.FloatRange):
         return number
 
     def _describe_range(self) -> str:
-        """Nothing in the help where there is no bound: click would write `x<=None`."""
+        """Leave the range out of the help if there is no bound: click would write `x<=None`."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 
@@ -31,5 +31,5 @@ CUTOFF = click.option(
 
 
 STRICT = click.option(
-    "--strict", is_flag=True, help="Refuse late rows, lost samples, doubled stamps and holes instead of mending them."
+    "--strict", is_flag=True, help="Reject late rows, lost samples, doubled stamps and holes instead of repairing them."
 )

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     epilog="Example: tsa run config/controller.toml --seconds 20",
 )
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
+@click.option("--check", is_flag=True, help="Validate the configuration and the files that it names; move nothing.")
 @click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this time of torque.")
 @click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
 @click.option("--allow-simulated", is_flag=True, help="Run a model file with simulated numbers on real drives.")

@@ -14,12 +14,12 @@ from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.parameters import of_unit
 
 RECOVERY = 15.0  # s: a bring-up of a slow drive, and the cycles that settle
-HELD = 2.0  # s of torque in which what is still broken shows: a torn tendon throws the joint in less
+HELD = 2.0  # s of torque in which a remaining fault shows: a torn tendon throws the joint in less
 
 
 @click.command(
     "set",
-    context_settings={"ignore_unknown_options": True},  # a negative VALUE is no option
+    context_settings={"ignore_unknown_options": True},  # a negative VALUE is not an option
     epilog="Example: tsa set knee.compensation 0.9",
 )
 @click.argument("name")
@@ -29,9 +29,11 @@ HELD = 2.0  # s of torque in which what is still broken shows: a torn tendon thr
 )
 @click.option("--with", "more", multiple=True, metavar="NAME=A,B", help="A further parameter of the two sets compared.")
 @click.option("--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Of a comparison.")
-@click.option("--block-seconds", default=4.0, show_default=True, type=Finite(1.0, 3600.0), help="Of each.")
+@click.option(
+    "--block-seconds", default=4.0, show_default=True, type=Finite(1.0, 3600.0), help="Duration of each block, s."
+)
 @click.option("--json", "as_json", is_flag=True, help="The comparison as one JSON object on stdout.")
-@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="this user's", help="Its socket.")
 def command(
     name: str,
     value: float,
@@ -51,7 +53,7 @@ def command(
     that is running, and a verdict with its 95 % interval is given: tsa set compensation 0.8 --against 0.95
     """
     if more and against is None:
-        raise UsageError("--with belongs to a comparison; give --against, too")
+        raise UsageError("--with belongs to a comparison; also give --against")
     with Client(path) as client:
         if against is not None:
             sets = {"a": {name: value}, "b": {name: against}}
@@ -96,9 +98,9 @@ def _recovered(client: Client) -> str:
             if now - running >= HELD:
                 return f"recovered: running, and nothing was found for {HELD:g} s"
         elif running or now > end:
-            causes = "; ".join(str(fault["text"]) for fault in status["faults"][-2:]) or "no fault is told"
+            causes = "; ".join(str(fault["text"]) for fault in status["faults"][-2:]) or "no fault is reported"
             how = "recovered, but not for long" if running else f"not recovered after {RECOVERY:g} s"
-            raise BusError(f"{how}, phase {status['phase']}: {causes}; mend that, then ask again")
+            raise BusError(f"{how}, phase {status['phase']}: {causes}; remove its reason, then recover again")
         time.sleep(0.1)
 
 

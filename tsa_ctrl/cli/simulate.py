@@ -41,8 +41,8 @@ def command(
 ) -> None:
     """Predict the joint torque for LOG (CSV, CSV.gz, Parquet, MCAP or MCAP:AXIS) and print the error.
 
-    A model of kind rigid_drive predicts the motor torque instead. Where the log lacks the torque that is predicted,
-    there is no error to print.
+    A model of kind rigid_drive predicts the motor torque instead. Without the predicted torque in the log, no error is
+    printed.
     """
     from tsa_ctrl.identify.dataset import load_log
     from tsa_ctrl.identify.simulate import labels, simulate_all, unmoved, write_csv
@@ -53,7 +53,7 @@ def command(
         if path is not None:
             outputs.refuse_inputs(path, [split_axis(log)[0], *map(Path, models)], option)
     if out is not None and out == picture:
-        raise UsageError(f"--picture {picture}: is --out, too; choose another file")
+        raise UsageError(f"--picture {picture}: is also --out; choose another file")
     loaded = [load_model(path) for path in models]
     dataset = load_log(log, strict, cutoff)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))

@@ -1,4 +1,4 @@
-"""`tsa simulate-loop`: the real loop and the real plant under one clock of their own."""
+"""`tsa simulate-loop`: the real loop and the simulated plant under one virtual clock."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MOST_LOG = 4_000_000_000  # bytes of a log in a field report: some hours of four
 )
 @click.option("--record", type=click.Path(path_type=Path), help="CSV of the plant's own truth, as of tsa plant.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the daemon's own log, tsa.mcap.")
-@click.option("--seed", type=click.IntRange(0), help="Of all noise; default: the plant file's.")
+@click.option("--seed", type=click.IntRange(0), help="Seed of all noise; default: the plant file's.")
 @click.option(
     "--fault", "faults", multiple=True, metavar="LINE@T", help="As tsa plant --ask, or slow_loop (s per cycle), at T s."
 )

@@ -21,9 +21,9 @@ PERIOD = 0.1  # s between two statuses of --follow, as often as the daemon write
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--once", is_flag=True, help="Print the page once, even on a terminal.")
 @click.option("--follow", is_flag=True, help="Print a status every 0.1 s until Ctrl-C; with --json an object per line.")
-@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="this user's", help="Its socket.")
 def command(as_json: bool, once: bool, follow: bool, path: str) -> None:
-    """Show what a running daemon does: a live page on a terminal, else once."""
+    """Show the state of a running daemon: a live page on a terminal, else once."""
     from rich.console import Console
 
     from tsa_ctrl.ipc.page import Page, watch  # rich's layouts are not needed for --json

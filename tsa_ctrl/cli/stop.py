@@ -20,7 +20,7 @@ PATIENCE = 0.5  # of the wait, after which the process gets SIGTERM as well
     "stop",
     epilog="Example: tsa stop",
 )
-@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="this user's", help="Its socket.")
 @click.option("--wait", default=15.0, show_default=True, type=Finite(0.0), help="Seconds for its end; 0: do not wait.")
 def command(path: str, wait: float) -> None:
     """Ramp a running daemon's torque to zero, disable its drives, and end it; this also ends one that is starting.

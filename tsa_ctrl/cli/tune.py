@@ -22,17 +22,19 @@ if TYPE_CHECKING:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--axis", "axis_name", metavar="NAME", help="Which axis, where the file has several.")
+@click.option("--axis", "axis_name", metavar="NAME", help="The axis, if the file has several.")
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
 @click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
-@click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 600.0), help="Of excitation.")
+@click.option(
+    "--seconds", default=20.0, show_default=True, type=Finite(8.0, 600.0), help="Duration of the excitation, s."
+)
 @click.option(
     "--verify-seconds",
     default=10.0,
     show_default=True,
     type=Finite(4.0, 600.0),
-    help="Of each of three runs.",
+    help="Duration of each of three runs, s.",
 )
 @click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")
 @click.option("--given-form", is_flag=True, help="Keep the transmission's form; do not try the full model (3.53).")
@@ -57,7 +59,7 @@ if TYPE_CHECKING:
     "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
 )
 @click.option("--yes", is_flag=True, help="Write the new file without asking.")
-@click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log the estimate, too. Nothing is written.")
+@click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log also the estimate. Nothing is written.")
 @click.option("--undo", is_flag=True, help="Put back the files that the last tuning replaced.")
 @click.option(
     "--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing, writes only with --yes."
@@ -89,8 +91,8 @@ def command(
     A little shaking of the motor shows its inertia, the tendons' stiffness and how late a command acts; turn, lead and
     damping follow from them, with a gain margin of 2, and go into CONTROLLER.toml.
 
-    The limits default to those of CONTROLLER.toml and to where both tendons surely pull. Ctrl-C at any point leaves the
-    drive disabled and the files as they were.
+    The defaults are the limits of CONTROLLER.toml, and the torque up to which both tendons certainly pull. Ctrl-C at
+    any point leaves the drive disabled and the files as they were.
     """
     from tsa_ctrl.tune.session import Plan, Session
 
@@ -182,7 +184,7 @@ def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> boo
     if yes:
         return True
     if as_json or not sys.stdin.isatty():
-        click.echo("not written: no --yes, and nobody to ask", err=True)
+        click.echo("not written: without a terminal, --yes is required", err=True)
         return False
     names = " and ".join(str(path) for path in session.targets(outcome))
     return click.confirm(f"write {names}?", default=False, err=True)

@@ -1,4 +1,4 @@
-"""What is shown while `tsa tune` moves a rig: the phase, how far it is, torque and angle, and that Ctrl-C is safe."""
+"""The display while `tsa tune` moves a rig: the phase, how far it is, torque and angle, and that Ctrl-C is safe."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ PATIENCE = 0.05  # s for an answer: it is asked between two looks at the run
 def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
     """A progress line on a terminal's standard error.
 
-    Yields what takes the phase and the share that is done, and what says a line to a person and waits for Enter.
-    `socket`: of the daemons that the runs are; None where there are none, as in virtual time.
+    Yield a function for phase and share done, and one that prints a line and waits for Enter.
+    `socket`: of the daemons that the runs are; None without any, as in virtual time.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[live]}"))
@@ -55,7 +55,7 @@ class Live:
         self._client: Client | None = None
 
     def words(self) -> str:
-        """As "0.31 N*m, 0.12 rad; "; empty while nobody answers."""
+        """As "0.31 N*m, 0.12 rad; "; empty while there is no answer."""
         try:
             if self._client is None:
                 self._client = Client(self._path, timeout=PATIENCE)

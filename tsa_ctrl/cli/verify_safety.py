@@ -1,4 +1,4 @@
-"""`tsa verify-safety`: does the drive stop by itself when this computer does not?"""
+"""`tsa verify-safety`: verify that the drive stops if this computer fails."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def command(controller: Path, torque: float | None, held: bool, record: Path | N
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
 
     With --held, the joints are held and the motors pull in both directions. The joint torque sensor or the load cells
-    must show the sign and, within 10 %, the gain. What passed is stored in verify-safety.toml next to the controller
+    must show the sign and, within 10 %, the gain. Passed trials are stored in verify-safety.toml next to the controller
     file. Class "worn" requires both results.
     """
     from tsa_ctrl.config import load_configuration
@@ -90,7 +90,9 @@ def _held(configuration: Configuration, yes: bool, as_json: bool) -> int:
 def _confirm(torque: float, axes: int, question: str = "three times. Is the joint free?") -> None:
     motors = "the motor" if axes == 1 else f"all {axes} motors"
     if not sys.stdin.isatty():
-        raise UsageError(f"{motors} will pull with {torque:g} N*m, and nobody is there to agree; give --yes")
+        raise UsageError(
+            f"{motors} will pull with {torque:g} N*m, which requires a confirmation in a terminal; give --yes"
+        )
     click.confirm(f"{motors.capitalize()} will pull with {torque:g} N*m, {question}", abort=True)
 
 

@@ -360,7 +360,7 @@ async def _events(poll: Poll, request: Request) -> AsyncIterator[str]:
 
 
 def serve(path: str, port: int, say: Callable[[str], None]) -> None:
-    """Serve until SIGINT or SIGTERM; `say` gets the address. Raises UsageError when the port is taken."""
+    """Serve until SIGINT or SIGTERM; `say` receives the address. Raises UsageError when the port is taken."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

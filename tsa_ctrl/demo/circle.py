@@ -1,4 +1,4 @@
-"""The full circle: run with the nominal model, calibrate, diagnose that run's log, run again with what was found.
+"""The full circle: run with the nominal model, calibrate, diagnose the log of this run, run again with the result.
 
 The estimates come from the daemon's log of the nominal run alone, that is from what bus and sensors gave; the plant's
 truth serves only for the run that shows the limit.
@@ -26,7 +26,7 @@ from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.tune.run import Run, read_run
 
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
-MODEL_ALONE = {"kind": "fixed"}  # each stage shows its model: no estimate makes up for what it lacks
+MODEL_ALONE = {"kind": "fixed"}  # each stage shows its model: no estimate compensates for its errors
 COMPENSATION = 1.0  # of the friction term: the motion is imposed, nothing can begin to oscillate
 
 Progress = Callable[[str, float], None]
@@ -34,7 +34,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Circle:
-    """One full circle: what was hidden and found, and each stage's run; `notes` for people."""
+    """One full circle: hidden and identified effects, and the run of each stage; `notes` for people."""
 
     bus: str
     hidden: Hidden
@@ -73,7 +73,7 @@ class Circle:
 
 
 def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: float, say: Progress) -> Circle:
-    """All stages in `folder`, each with a plant that starts anew; `seconds` of torque per run, `rate` in Hz.
+    """Run all stages in `folder`, each with a new plant; `seconds` of torque per run, `rate` in Hz.
 
     Raises BusError when plant or daemon fail, UsageError when the log of the nominal run shows too little.
     """
@@ -115,7 +115,7 @@ def _read(folder: Path, stage: str, seconds: float, summary: dict[str, Any]) -> 
 
 
 def _controllable(diagnosis: Diagnosis, period: float) -> tuple[bool, tuple[str, ...]]:
-    """Whether a controller can use the extended model, and what it does not compensate, or why not."""
+    """Describe if a controller can use the extended model, and the effects that it does not compensate."""
     if not isinstance(diagnosis.model, TendonSheath):
         return False, ("the diagnosis gave no model of a tendon-sheath: the calibrated one is run",)
     try:

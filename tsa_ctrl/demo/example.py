@@ -24,7 +24,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
 MOTION_RATE = 200.0  # Hz of set-point and motion
 SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples of its inverse
-RATE = 500.0  # Hz: what the diagnosis needs of these motions, at half the time of 1 kHz
+RATE = 500.0  # Hz: sufficient for the diagnosis of these motions, at half the time of 1 kHz
 MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
 TORQUE = ((0.35, 0.25), (0.55, 0.25), (0.85, 0.25), (1.2, 0.25))  # Hz, N*m: none of the motion's frequencies
 
@@ -33,7 +33,7 @@ EFFECTS = tuple(name for name, spec in CATALOGUE.items() if spec.demo is not Non
 
 @dataclass(frozen=True)
 class Hidden:
-    """What the plant has and the nominal file does not: `effects`, and factors on its parameters."""
+    """Hold the differences between plant and nominal file: `effects`, and factors on its parameters."""
 
     effects: Mapping[str, Mapping[str, Any]]
     factors: Mapping[str, float]
@@ -79,7 +79,7 @@ def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def motion() -> Play:
-    """Strokes of many speeds against a load that varies independently: what a diagnosis needs to see."""
+    """Strokes of many speeds against a load that varies independently: sufficient for a diagnosis."""
     t = np.arange(0.0, SECONDS + 0.5 / MOTION_RATE, 1.0 / MOTION_RATE)
     angle = np.sum([a * np.sin(2.0 * math.pi * f * t) for f, a in MOTION], axis=0)
     phases = [-math.pi * k * (k + 1) / len(TORQUE) for k in range(len(TORQUE))]  # Schroeder's: a low crest factor
@@ -96,7 +96,7 @@ class Example:
     hidden: Hidden
 
     def told(self) -> str:
-        """What was hidden, for the end."""
+        """Return the hidden cause as text."""
         sizes = "; ".join(
             f"{name} with "
             + ", ".join(

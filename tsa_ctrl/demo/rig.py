@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 PERIOD = 1.6  # s of one gait cycle
 RATE = 200.0  # Hz of the built-in tables
-SINE_PERIOD, SINE_TORQUE = 2.0, 0.5  # s, N*m: what no load answers with more than it may move
+SINE_PERIOD, SINE_TORQUE = 2.0, 0.5  # s, N*m: so small that every load stays within its travel
 # Typical level walking over one cycle, of the literature: knee flexion in degrees, and an assisting torque in N*m as a
 # small actuator gives it. Fraction of the cycle, value.
 KNEE_ANGLE = (
@@ -67,7 +67,7 @@ def gait() -> Play:
 
 
 def play_for(load: str) -> Play:
-    """What is played on a joint with this load: the gait, and a sine where the torque moves the joint."""
+    """Return the motion of a joint with this load: the gait, and a sine where the torque moves the joint."""
     if load in ("imposed", "held"):
         return gait()
     t = np.arange(0.0, SINE_PERIOD + 0.5 / RATE, 1.0 / RATE)

@@ -83,7 +83,7 @@ def compare(
     say: Progress,
     kept: Callable[[Course], bool] = lambda course: True,
 ) -> dict[str, Course]:
-    """Each controller for `seconds` on a plant that starts anew, with the same motion; their courses by name.
+    """Run each controller for `seconds` on a new plant with the same motion; return their courses by name.
 
     A course that is not to be `kept` is the last.
     """

@@ -90,7 +90,7 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
         )  # fmt: skip
         restart = link.restart_ms or 0
         yield judge(
-            "automatic restart", restart == 0, f"restart-ms {restart}", "0: bus-off stays until somebody asks",
+            "automatic restart", restart == 0, f"restart-ms {restart}", "0: bus-off stays until the next query",
             f"ip link set {channel} down && ip link set {channel} type can restart-ms 0 && ip link set {channel} up",
         )  # fmt: skip
     else:
@@ -108,7 +108,7 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
 
 def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:
     """Open the bus as the daemon would, listen to who talks already, and time the answer of each drive."""
-    wanted = "opens; nobody else sends SYNC or torque"
+    wanted = "opens; no other node sends SYNC or torque"
     try:
         bus = open_bus(settings)
     except TsaError as error:
@@ -137,7 +137,7 @@ def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
     """Return the check of the frames that `listen` counted; it fails for a failed bus or another master."""
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
-        return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "mend wiring and power of the bus")
+        return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "repair wiring and power of the bus")
     masters = [f"0x{can_id:03X}" for can_id in seen if can_id == 0x080 or 0x200 <= can_id < 0x280]
     if masters:
         text = f"{found}; another master sends {', '.join(masters)}"

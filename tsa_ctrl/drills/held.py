@@ -112,7 +112,7 @@ def _pulling(configuration: Configuration, axis: AxisSettings, model: TendonShea
 
 
 def sign_and_gain(name: str, columns: Columns, model: TendonSheath) -> SignAndGain:
-    """Return what the log of one axis shows.
+    """Return the result of the log of one axis.
 
     Args:
         name: of the axis.

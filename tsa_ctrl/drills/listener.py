@@ -1,7 +1,7 @@
-"""A process of its own that watches the drives: `python -m tsa_ctrl.drills.listener CONTROLLER.toml`.
+"""A separate process that watches the drives: `python -m tsa_ctrl.drills.listener CONTROLLER.toml`.
 
-It is told one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `begin`
-(another loop is started), `pull` (which way and how much its motors pull), `guard` (begin to keep what is seen),
+It reads one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `begin`
+(another loop is started), `pull` (which way and how much its motors pull), `guard` (begin to keep the observations),
 `quiet` (what was seen; no longer on guard), `armed` (the time-outs that the drives hold), `end`.
 
 Drives report on SYNC, which ends with the loop, and it must not be replaced: there are drives whose RPDO timer acts on
@@ -37,7 +37,7 @@ from tsa_ctrl.drills.pull import Pull, Watch
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.system.process_supervisor import READY, ignore
 
-# What the listener saw of each drive's torque, and what follows from it. Pure.
+# Hold the observed torque of each drive and the result. Pure.
 
 Source = Literal["tpdo", "sdo"]
 
@@ -60,7 +60,7 @@ class Said(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Timing(msgspec.Struct, frozen=True, kw_only=True):
-    """One drive in one trial; times in s since the loop was stopped, None for what was not seen."""
+    """One drive in one trial; times in s since the loop was stopped, None if it was not observed."""
 
     torque_before: float | None  # N*m, the last before
     last_torque: float | None  # the last time that torque was seen
@@ -133,11 +133,11 @@ def _same(acted: str | None, name: str) -> bool:
 SILENT = 0.01  # s without a TPDO after which a drive is asked by SDO
 ASK = 0.002  # s between two questions, where the answer to the last has come
 UNANSWERED = 0.5  # s after which a question counts as lost
-PATIENCE = 1.0  # s for the time-outs to be told
+PATIENCE = 1.0  # s until the time-outs are reported
 ZERO_SHARE = 0.02  # of rated torque, up to which torque counts as none
 _UPLOAD = struct.Struct("<BHB4x")
 _ANSWER = struct.Struct("<BHB4s")
-_EXPEDITED = 0x43  # answer to an upload, its size told; bits 2 and 3 are the bytes that are not used
+_EXPEDITED = 0x43  # answer to an upload, with its size; bits 2 and 3 are the bytes that are not used
 _CONSUMERS = 4  # entries of 0x1016 that are looked at
 _DOWNLOAD_WORD = struct.Struct("<BHBH2x")
 
@@ -195,7 +195,7 @@ class Listener:
             watch.begin()
 
     def pulls(self) -> dict[str, Pull]:
-        """What each axis showed since then."""
+        """Return the observations of each axis since then."""
         return {axis: watch.seen() for axis, watch in self._watches.items()}
 
     def guard(self) -> None:
@@ -218,7 +218,7 @@ class Listener:
         self._bus.send(cia301.NMT, cia301.nmt(NmtCommand.STOP, drive.node))
 
     def armed(self) -> dict[str, dict[str, int]]:
-        """Time-outs that the drives hold, ms: `rpdo`, `heartbeat`, `guarding`; what is 0 or not there is not."""
+        """Time-outs that the drives hold, ms: `rpdo`, `heartbeat`, `guarding`; without values that are 0 or missing."""
         for drive in self._drives.values():
             drive.armed = {}
             timer = drive.layout.command.communication(5, objects.Type.U16, "")
@@ -288,7 +288,7 @@ class Listener:
 
 
 def main(argv: list[str]) -> int:
-    """Serve until told to end, or until stdin closes."""
+    """Serve until an end is requested, or until stdin closes."""
     ignore(signal.SIGINT, signal.SIGHUP)
     try:
         configuration = load_configuration(argv[0])
@@ -297,7 +297,7 @@ def main(argv: list[str]) -> int:
         print(error, flush=True)
         return error.exit_code
     listener = Listener(configuration, bus)
-    with contextlib.suppress(BrokenPipeError):  # who asked is gone: nobody is to be told
+    with contextlib.suppress(BrokenPipeError):  # who asked is gone: no process receives the answer
         return _serve(listener, 0.5 * configuration.period)
     return 1
 

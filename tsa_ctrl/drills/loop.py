@@ -1,4 +1,4 @@
-"""The loop under trial, a process of its own: `python -m tsa_ctrl.drills.loop CONTROLLER.toml TORQUE`.
+"""The loop under trial, a separate process: `python -m tsa_ctrl.drills.loop CONTROLLER.toml TORQUE`.
 
 The configuration as it is, but for the set-point: a constant torque (N*m at the motor) and nothing of the friction
 compensation, no log, no socket that others know. SIGUSR1 makes it withhold its heartbeat; all else goes on.
@@ -54,7 +54,7 @@ def _pulling(axis: AxisSettings, model: TendonSheath, torque: float) -> AxisSett
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM, until its owner is gone, or until somebody kills it: that is what it is for."""
+    """Run until SIGTERM, until its owner is gone, or until it is killed, which is its purpose."""
     follow()
     from tsa_ctrl.daemon.run import run
 

@@ -28,7 +28,7 @@ MOVED = 0.03  # of rated torque that it must have moved by, to show anything
 
 
 class Pull(msgspec.Struct, frozen=True, kw_only=True):
-    """What was seen of one axis; correlations are 1, None where there is nothing to see it by."""
+    """The observations of one axis; correlations are 1, None where there is nothing to see it by."""
 
     stretch: float | None  # of the motor's torque with how far motor and joint are apart
     sensor: float | None  # with the joint torque sensor
@@ -62,12 +62,12 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(NamedTuple):
-    """One cycle; nan is what is not there."""
+    """One cycle; nan if it is missing."""
 
     torque: float  # N*m, the motor's
     apart: float  # rad, q_m - (r_J/r_M) q_j
     joint: float  # N*m, of the joint torque sensor
-    angle: float  # rad, of the joint, geared to the motor; the motor's own where there is no joint encoder
+    angle: float  # rad, of the joint, geared to the motor; the motor's without a joint encoder
 
 
 def pull(rows: Sequence[Row], rated: float, geared: float, wound: float) -> Pull:
@@ -83,13 +83,13 @@ def pull(rows: Sequence[Row], rated: float, geared: float, wound: float) -> Pull
     most = max(map(abs, torques))
     upper = [row for row in rows if abs(row.torque) > HALF * most]  # below it the sheath's friction may keep all of it
     sensor, slope = _line([row.torque for row in upper], [row.joint for row in upper])
-    held = _range([row.angle for row in rows]) <= least  # else a hand may be in it, too
+    held = _range([row.angle for row in rows]) <= least  # otherwise a hand may also act
     clear = sensor is not None and slope is not None and sensor > CLEAR and slope < (FAR if held else EXCESS) * geared
     return Pull(stretch=stretch, sensor=sensor, gain=slope if clear else None, geared=geared)
 
 
 def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool:
-    """Whether the joint moved `least` rad while there was no torque (`begun`, N*m), or against what the motor does.
+    """Return True if the joint moved `least` rad without torque (`begun`, N*m), or against the motor.
 
     A motor that moves its joint goes ahead of it; one that is drawn along stays behind.
     """
@@ -118,7 +118,7 @@ def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float |
 
 
 class Watch:
-    """Hears the nodes of one axis beside its loop; `take` every frame, SYNC among them."""
+    """Receive the frames of the nodes of one axis in parallel with its loop; `take` every frame, SYNC among them."""
 
     def __init__(self, configuration: Configuration, index: int, axis: Axis) -> None:
         """`axis`: one of ours, which commands nothing."""
@@ -133,7 +133,7 @@ class Watch:
 
     @property
     def can_ids(self) -> Iterable[int]:
-        """What it has to hear."""
+        """Return the frames that it must receive."""
         return (cia301.SYNC, *self._inboxes)
 
     def begin(self) -> None:

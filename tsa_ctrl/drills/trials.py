@@ -1,4 +1,4 @@
-"""The trials one by one: a loop with torque, what is done to it, and what the listener saw of the drives."""
+"""The trials one by one: a loop with torque, the disturbance, and the observed reaction of the drives."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ STARTED = 60.0  # s until the loop delivers torque
 SETTLED = 0.4  # s of torque before anything is done
 BEYOND = 0.3  # s that are watched beyond the limit
 ENDED = 10.0  # s until a process ends that was asked to
-DELIVERED = 0.5  # share of the wanted torque that a drive must report
+DELIVERED = 0.5  # share of the desired torque that a drive must report
 
 
 class Trial(Enum):
-    """What is done to the loop: its name, and in words."""
+    """The disturbance of the loop: its name, and in words."""
 
     WITHHOLD = ("withheld", "heartbeat withheld")
     HANG = ("hang", "loop hung: SIGSTOP")
@@ -76,15 +76,14 @@ class ListenerProcess:
         if reason := self._process.failure():
             self.end()
             raise BusError(
-                f"the listener beside the loop cannot listen: {reason}; choose a bus that two processes can "
-                "open, as SocketCAN is"
+                f"the listener cannot open the bus: {reason}; choose a bus that two processes can open, as SocketCAN is"
             )
 
     def ask(self, word: str) -> Any:
         self._process.send(word.encode())
         line = self._process.receive()
         if not line:
-            raise BusError("the listener beside the loop has ended; nothing was measured: start again")
+            raise BusError("the listener has ended; nothing was measured: start again")
         return msgspec.json.decode(line)
 
     def end(self) -> None:
@@ -93,7 +92,7 @@ class ListenerProcess:
 
 @contextlib.contextmanager
 def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
-    """A listener on the bus, in a process of its own."""
+    """A listener on the bus in a separate process."""
     listener = ListenerProcess(configuration)
     try:
         yield listener
@@ -134,7 +133,9 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
     finally:
         if loop is not None:
             _end(loop)
-        if on_guard:  # given up: on guard it would go on asking the drives, and nobody else could leave them in order
+        if (
+            on_guard
+        ):  # given up: on guard it would continue to query the drives, so that no other process could reset them
             with contextlib.suppress(BusError):
                 listener.ask("quiet")
     outcomes = []
@@ -162,7 +163,10 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
 
 
 def _pulls(listener: ListenerProcess) -> dict[str, Pull]:
-    """By axis, what the torque showed. Raises BusError when one pulls the wrong way, or another torque than it says."""
+    """Return the results of the torque by axis.
+
+    Raises BusError if one pulls the wrong way, or with another torque than it reports.
+    """
     found = msgspec.convert(listener.ask("pull"), dict[str, Pull])
     for axis, each in found.items():
         if each.wrong:
@@ -189,13 +193,13 @@ def _all_pull(listener: ListenerProcess, torque: float) -> bool:
 
 
 def _reason(loop: subprocess.Popen[bytes]) -> str:
-    """It ends; the last line that it said."""
+    """It ends; the last line of its output."""
     said = _end(loop).decode(errors="replace").strip().splitlines()
     return said[-1].strip() if said else "it said nothing"
 
 
 def _end(loop: subprocess.Popen[bytes]) -> bytes:
-    """Whatever was done to it, it ends, in order if it can; what it said."""
+    """Whatever was done to it, it ends, in order if it can; its output."""
     if loop.poll() is None:
         loop.send_signal(signal.SIGCONT)
         loop.terminate()

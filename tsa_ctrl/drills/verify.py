@@ -23,11 +23,11 @@ from tsa_ctrl.version import __version__
 
 SCHEMA = 1
 DEFAULT_SHARE = 0.1  # of the smallest rated torque
-LEAST_SHARE = 0.06  # of the largest: below it torque cannot be told from none
+LEAST_SHARE = 0.06  # of the largest: below it torque cannot be distinguished from none
 
 
 class Verification(msgspec.Struct, frozen=True, kw_only=True):
-    """What was found, and on what."""
+    """Hold the results and the configuration that was tested."""
 
     date: str  # ISO 8601, local time with its offset
     version: str
@@ -67,7 +67,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def trial_torque(configuration: Configuration, asked: float | None) -> float:
-    """N*m at the motor: what was asked, the configuration's, or a tenth of the rated torque. Raises UsageError."""
+    """N*m at the motor: the requested one, the configured one, or a tenth of the rated torque. Raises UsageError."""
     axes = configuration.file.axes
     rated = [axis.drive.rated_torque * axis.drive.gear_ratio for axis in axes]
     given = configuration.file.safety.torque if asked is None else asked
@@ -82,7 +82,10 @@ def trial_torque(configuration: Configuration, asked: float | None) -> float:
 
 
 def verify(configuration: Configuration, torque: float, say: Callable[[str], None]) -> Verification:
-    """Do all trials; `say` gets a line for each. Raises BusError when the rig does not come up or gives no torque."""
+    """Do all trials.
+
+    `say` receives a line for each. Raises BusError when the rig does not come up or gives no torque.
+    """
     outcomes: list[Outcome] = []
     nodes: Nodes = {}
     wrong = ""
@@ -98,7 +101,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
         finally:
             try:
                 nodes = leave_in_order(configuration, say)
-            except TsaError as error:  # the trial that went wrong is the one to tell
+            except TsaError as error:  # the failed trial is the one to report
                 if str(error) not in wrong:
                     say(f"the drives could not be left in order: {error}")
     return Verification(

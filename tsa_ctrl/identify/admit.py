@@ -19,7 +19,7 @@ def admit(dataset: Dataset, model: Model, *columns: str) -> None:
     if isinstance(model, TendonSheath):
         recorded = {name: values for name, values in dataset.columns.items() if name not in dataset.derived}
         check_joint(dataset.label or dataset.name, recorded)
-        both = {"omega_j", "omega_m"} <= dataset.derived  # they say what their angles say, with more noise
+        both = {"omega_j", "omega_m"} <= dataset.derived  # they repeat their angles with more noise
         ends = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
         check_ratios(dataset.label, ends, model.motor_pulley_radius, model.joint_pulley_radius)
         check_ends(dataset.label, ends, dataset.period, model.joint_pulley_radius / model.motor_pulley_radius)

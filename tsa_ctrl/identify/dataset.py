@@ -1,6 +1,6 @@
 """A log made fit for simulation and diagnosis: checked, on a uniform grid, with its velocity; SI units.
 
-Whatever a log lacks is said in one line that names file, column and row; whatever is added to it is said in `notes`.
+Each defect of a log is reported in one line with file, column and row; each addition is listed in `notes`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ UNUSED_TORQUE = (
     "column tau_j is not used: a rigid_drive predicts tau_m; for a joint torque sensor behind a gear give [actuator] "
     'kind = "geared_drive"'
 )
-FEWEST = 10  # rows, below which a table is no log but a heading of one
+FEWEST = 10  # rows, below which a table is not a log but its heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 
@@ -53,9 +53,9 @@ class Dataset(Displayed):
     """One log on a uniform grid.
 
     `columns` are float64 arrays of shape (n,), SI units, without nan; `derived` names those that the file did not have;
-    `motion` smooths them; `read` says in words what was done when the file was read; `left_out` are columns of the file
-    that nothing here needs.
-    `jitter` is the largest deviation from the uniform grid in the file, as a fraction of the period.
+    `motion` smooths them; `read` lists in words the repairs made while the file was read; `left_out` are columns of the
+    file that nothing here needs. `jitter` is the largest deviation from the uniform grid in the file, as a fraction of
+    the period.
     """
 
     name: str
@@ -115,7 +115,7 @@ class Dataset(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the data, in words, so far: accelerations are derived when a model asks for the signals."""
+        """Return the repairs of the data so far, in words: accelerations are derived when a model needs them."""
         return notes_of([self])
 
     @property
@@ -224,7 +224,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
 
 
 def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
-    """Read logs as `load_log` does, with all pieces between their holes: those of run.csv are run.csv#1, run.csv#2."""
+    """Read logs like `load_log`, with all pieces between their holes: the parts of run.csv are run.csv#1, run.csv#2."""
     return [
         dataset
         for path in paths
@@ -233,7 +233,7 @@ def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float |
 
 
 def matches(name: str, pattern: str) -> bool:
-    """Whether a pattern of the command line means this dataset; the name of a file means all of its pieces."""
+    """Return True if a pattern of the command line matches this dataset; the name of a file means all of its pieces."""
     return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.partition("#")[0], pattern)
 
 
@@ -281,7 +281,7 @@ def _longest(pieces: list[Dataset]) -> Dataset:
 
 
 def notes_of(logs: Sequence[Dataset]) -> tuple[str, ...]:
-    """What was done to the data, said once for all logs."""
+    """Return the repairs of the data, once for all logs."""
     read = dict.fromkeys(note for log in logs for note in log.read)
     return (*read, *in_words(made for log in logs for made in log.motion.made()))
 
@@ -334,7 +334,7 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
 
 
 def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
-    """What of a daemon's own log can be used, where devices were silent or the loop stood still; its first row."""
+    """Return the usable parts of a daemon's log, if devices were silent or the loop was interrupted; its first row."""
     present = {name: np.isfinite(values) for name, values in columns.items() if is_input(name)}
     for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
         notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
@@ -359,7 +359,7 @@ def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Ar
 def stretches(t: Array) -> list[tuple[int, int]]:
     """First and end index of the stretches of a daemon's log between gaps that no straight line may fill.
 
-    Such a gap is longer than LONGEST_SKIP, or no whole number of periods: the clock of the loop began anew.
+    Such a gap is longer than LONGEST_SKIP, or no whole number of periods: the clock of the loop restarted.
     """
     steps = np.diff(t)
     periods = steps / float(np.median(steps))

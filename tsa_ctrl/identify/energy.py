@@ -6,9 +6,9 @@ always points against the motion:
     R tau_M = a tau_J + F sigma + k q + J domega/dt + c,    R = r_J / r_M,    a > 0,    F > 0
 
 Springs, weights and inertia give back what they take and are fitted beside it (q, sin q, cos q, domega/dt, 1), so that
-only friction is left to judge, which may change with bending and temperature. Reversing tau_M turns the signs of a and
-F, reversing tau_J that of a, reversing omega that of F. A log is refused only where a sign is beyond doubt: block by
-block, and by more than the residual explains.
+only friction is left to judge, which may change with bending and temperature. A reversed tau_M changes the signs of a
+and F, a reversed tau_J the sign of a, a reversed omega the sign of F. A log is refused only where a sign is beyond
+doubt: block by block, and by more than the residual explains.
 """
 
 from __future__ import annotations
@@ -35,15 +35,13 @@ Array = NDArray[np.float64]
 BLOCKS = 12  # of time, the clusters of the standard errors: t of 11 degrees of freedom is 2.2
 # Standard errors: a sign turned or columns swapped is an accusation; of 12 blocks one good log in 2,500 has as much
 CERTAIN = 5.0
-CLEAR = 0.5  # of the residual's RMS: a smaller term may be the work of what the fit lacks
-CARRIES = (
-    0.2  # of the motor torque's standard deviation: what the joint's torque must explain for its sign to be judged
-)
-APART = 0.2  # of ln(ratio^2): pulleys so different tell swapped torques from a reversed velocity
+CLEAR = 0.5  # of the residual's RMS: a smaller term may be an error of the fit
+CARRIES = 0.2  # of the motor torque's deviation: the joint torque must explain this share before its sign is judged
+APART = 0.2  # of ln(ratio^2): pulleys of such different radii distinguish swapped torques from a reversed velocity
 MOVES = 0.01  # rad, standard deviation of an angle beyond what noise of a velocity integrates to
-RELATED = 0.5  # correlation of an angle with the integral of its own velocity, at least
-# Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. Of an hour at 1 kHz the
-# fit of all would be the most memory that a diagnosis needs, 0.6 GB
+RELATED = 0.5  # correlation of an angle with the integral of its velocity, at least
+# Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. For an hour at 1 kHz
+# the fit of all would be the most memory that a diagnosis needs, 0.6 GB
 MOST = 600_000
 BAND = 10.0  # Hz, in which measured and simulated torque are compared
 FOLLOWS = 0.5  # correlation of measured and simulated torque, at least; 0.9 and more where they belong together
@@ -75,7 +73,7 @@ class _Signs:
 def check_energy(dataset: Dataset, model: Model) -> None:
     """Raise UsageError, naming the channel, when a sign in the log makes its transmission create energy.
 
-    Says nothing about logs that are too short, too still or too uniform to tell.
+    Logs that are too short, too still or too uniform pass without a result.
     """
     if isinstance(model, TendonSheath):
         _check_kinematics(dataset)
@@ -103,7 +101,7 @@ def _check_kinematics(dataset: Dataset) -> None:
 
 
 def _unrelated(angle: Array, velocity: Array, period: float) -> bool:
-    """Whether an angle that moves and the integral of a velocity that moves it are clearly not one motion."""
+    """Return True if an angle and the integral of its velocity clearly are not the same motion."""
     line = np.linspace(-1.0, 1.0, len(angle))
     turned, integral = (y - np.mean(y) for y in (angle, np.cumsum(velocity) * period))
     turned, integral = (y - line * float(line @ y) / float(line @ line) for y in (turned, integral))
@@ -276,7 +274,7 @@ def _has_direction(omega: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _opposed(x: Array, y: Array) -> bool:
-    """Whether two velocities are clearly one motion with opposite signs."""
+    """Return True if two velocities clearly are the same motion with opposite signs."""
     scale = float(np.linalg.norm(x)) * float(np.linalg.norm(y))
     return scale > 0.0 and float(x @ y) < -0.8 * scale
 
@@ -284,7 +282,7 @@ def _opposed(x: Array, y: Array) -> bool:
 def _signs(
     dataset: Dataset, tau_m: Array, omega: Array, sliding: NDArray[np.bool_], tau_j: Array | None
 ) -> _Signs | None:
-    """Of a and F; None where the log cannot tell anything."""
+    """Of a and F; None if the log does not determine them."""
     thin = max(1, len(omega) // MOST)
     sigma, tau_m, sliding = np.sign(omega)[::thin], tau_m[::thin], sliding[::thin]
     if sliding.sum() < 100 or abs(float(np.mean(sigma[sliding]))) > 0.9:

@@ -1,8 +1,8 @@
 """Velocities and accelerations of a log: recorded, or from what was counted by one smoother for every verb.
 
 A velocity that is not recorded comes from its angle; an acceleration from the velocity where that is recorded, since a
-velocity that is late shows only beside its own derivative, else from the angle. How sharp follows from the data
-(`smoothing`), and what it costs is said.
+velocity that is late shows only beside its own derivative, else from the angle. The cut-off follows from the data
+(`smoothing`), and its cost is reported.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Motion:
         return out
 
     def made(self) -> tuple[Made, ...]:
-        """What the smoother was asked for so far."""
+        """The results of the smoother so far."""
         out = []
         for angle, velocity, acceleration in SHAFTS:
             if angle in self.known and velocity not in self.columns:
@@ -87,7 +87,7 @@ class Made:
 
 
 def in_words(made: Iterable[Made]) -> tuple[str, ...]:
-    """One line for each kind of derived column, over all logs: how, and what it costs."""
+    """One line for each kind of derived column, over all logs: the method and its cost."""
     kinds: dict[tuple[str, str], list[Made]] = {}
     for each in made:
         kinds.setdefault((each.name, each.source), []).append(each)
@@ -114,7 +114,7 @@ def _span(values: Sequence[float]) -> str:
 def directed(found: Smoothed) -> Array:
     """The velocity of a smoothed angle, with the sign of the motion around wherever its own is not sure.
 
-    Slower than a count in STANDING a sign is noise or the filter's ringing, and the encoder stands.
+    Below one count in STANDING a sign is noise or the filter's ringing, and the encoder is at rest.
     """
     steps = np.abs(np.diff(found.raw))
     moved = steps[steps > 0.0]
@@ -123,7 +123,7 @@ def directed(found: Smoothed) -> Array:
 
 
 def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, near: float) -> Array:
-    """`velocity` (n,) rad/s, its sign that of the motion around wherever it is within SURE `error` of 0.
+    """`velocity` (n,) rad/s, with the sign of the surrounding motion within SURE `error` of 0.
 
     Between two stretches of one direction the motion has that direction too, and up to `still` rad/s the velocity is 0;
     between opposite ones it turns once, at the extremum of `angle` (n,): in the middle of the samples that may be it

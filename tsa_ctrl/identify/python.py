@@ -1,7 +1,7 @@
 """The functions that `from tsa_ctrl import ...` offers: models and logs as objects, mappings, data frames or files.
 
 A log is a Dataset, a mapping from column to array, a pandas or polars frame, or the path of a file. Columns and units
-are those of the log table.
+as in the log table.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tsa_ctrl.model.parameters import Model, TendonSheath, load_model
 
 
 def dataset(log: Any, name: str = "log") -> Dataset:
-    """Return one log as a Dataset; raise UsageError if it is none or lacks a column."""
+    """Return one log as a Dataset; raise UsageError if it is not one or lacks a column."""
     if isinstance(log, Dataset):
         return log
     if isinstance(log, (str, Path)):

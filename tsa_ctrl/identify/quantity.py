@@ -9,13 +9,13 @@ from scipy.special import stdtrit  # scipy.stats is slow to import
 
 # Student's t: half widths of intervals whose variance was estimated, in units of the standard deviation.
 
-LEVEL = 0.95  # of every interval that is told: the usual one
+LEVEL = 0.95  # of every reported interval: the usual one
 # Degrees of freedom of the noise's density where it matters: a band of its spectrum has 10 (FEWEST_WAVES pairs) or more
 NOISE = 12.0
 
 
 def half_width(freedom: float, level: float = LEVEL) -> float:
-    """Of the two-sided interval at `level`, with `freedom` degrees of freedom, over the standard deviation."""
+    """Return half width over deviation of the two-sided interval at `level` with `freedom` degrees of freedom."""
     return float(stdtrit(freedom, 0.5 + 0.5 * level))
 
 
@@ -35,7 +35,7 @@ class Quantity:
 
     @property
     def told(self) -> bool:
-        """Whether it has an interval: an infinite one is of what the logs leave open."""
+        """Return True if it has a finite interval: an infinite one marks a quantity that the logs do not determine."""
         return math.isfinite(self.high - self.low)
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What a model predicts for a log, and how far that is from what was measured."""
+"""Predict a log by a model, and measure the error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tsa_ctrl.model.predict import beyond_slack, predict
 
 Array = NDArray[np.float64]
 
-COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # of which one has to vary for an error to say something
+COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # of which one must vary for a meaningful error
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Simulation:
 
     `quantity` is the column predicted: tau_j, or tau_m for a plain drive. `predicted` and `residual` (measured minus
     predicted; None where the log has no such column) have shape (n,). `beyond_slack` is the fraction of samples at
-    which one tendon is slack; `slack_modelled` says that the model has an effect for it.
+    which one tendon is slack; `slack_modelled`: True if the model has an effect for it.
     """
 
     name: str
@@ -103,12 +103,12 @@ def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[
 
 
 def unmoved(dataset: Dataset) -> str | None:
-    """What to say of a log in which nothing changes: its error, small or not, is that of one point."""
+    """Return the remark on a log in which nothing changes: its error, small or not, belongs to one point."""
     constant = [name for name in COURSES if name in dataset and np.ptp(dataset[name]) == 0.0]
     if any(name in dataset and name not in constant for name in COURSES):
         return None
     change = "changes" if len(constant) == 1 else "change"
-    return f"{', '.join(constant)} never {change}: an error of this log is that of one point"
+    return f"{', '.join(constant)} never {change}: an error of this log belongs to one point"
 
 
 def labels(paths: Sequence[str]) -> list[str]:
@@ -119,7 +119,10 @@ def labels(paths: Sequence[str]) -> list[str]:
 
 
 def write_csv(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
-    """Columns t, tau_j, tau_j_sim, residual (numbered for several models); what was not measured is left out."""
+    """Columns t, tau_j, tau_j_sim, residual (numbered for several models).
+
+    Quantities without a measurement are left out.
+    """
     quantity = simulations[0].quantity
     columns = {"t": dataset["t"]}
     if quantity in dataset:

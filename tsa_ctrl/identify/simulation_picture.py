@@ -22,7 +22,7 @@ MOST_POINTS = 6000  # per line; more cannot be seen
 
 
 def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
-    """Write the picture of `simulations` of one log as PNG (or what the ending says). Raises UsageError."""
+    """Write the picture of `simulations` of one log as PNG (or as the suffix requires). Raises UsageError."""
     import matplotlib
 
     matplotlib.use("Agg")

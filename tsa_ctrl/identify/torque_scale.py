@@ -4,8 +4,8 @@ While sliding, (3.55) bounds the torque at the joint by that at the motor and by
 
     |tau_J| <= R cosh(x) |tau_M| + F,    R = r_J / r_M,    F = 2 T_p r_J sinh x
 
-with friction angle and pretension at the upper end of [uncertainty]. What follows the joint's acceleration is inertia
-and left out. A model cannot tell units nearer to each other than its own uncertainty, so all that fit are named.
+with friction angle and pretension at the upper end of [uncertainty]. The part that follows the joint's acceleration is
+inertia and left out. A model cannot distinguish units that are nearer than its uncertainty, so all that fit are listed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ BAND = 10.0  # Hz, in which torques are compared
 # A rough guess of a drive's friction is wrong by less than this factor; the smallest unit's factor is 8.85
 ROUGH = 5.0
 GUESS = 30.0  # of a file with friction alone: an order of magnitude and a half
-RECOGNISED = 1.25  # factor either way within which the ratio of two torques of one shape is that of a unit
+RECOGNISED = 1.25  # factor either way within which the ratio of two torques of one shape matches a unit
 
 
 def most_friction(model: TendonSheath) -> float:
@@ -96,7 +96,7 @@ def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
 def drive_scale(given: RigidDrive, found: RigidDrive) -> str:
     """Return why a plain drive's log has another unit: the numbers `found` are those `given` times the unit's factor.
 
-    The inertia is known from data sheets and decides, with the friction beside it; friction alone may be a first guess.
+    The inertia is known from data sheets and decides together with the friction; friction alone may be a first guess.
     """
     inertia = _ratio(found.inertia, given.inertia)
     friction = _ratio(found.coulomb_friction, given.coulomb_friction)

@@ -1,9 +1,9 @@
 """A rig's health over its runs: half loop, stiffness, lever and zero of each log with intervals, and what changed.
 
-A change is told by the largest two-sample t statistic over all places at which the runs, in their order, may be cut in
-two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise drawn
-here; so the rate of false alarms is the one that is stated, `ALARM` for each quantity of a folder. What is less than
-the runs' own intervals leave open, or than `LEAST` of the value, is none.
+A change is detected by the largest two-sample t statistic over all places at which the runs, in their order, may be cut
+in two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise
+drawn here; so the rate of false alarms is the one that is stated, `ALARM` for each quantity of a folder. A change
+within the runs' intervals, or below `LEAST` of the value, does not count.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from tsa_ctrl.outputs import json_types
 
 ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
 FEWEST = 6  # runs from which a change is looked for, two on either side of it at least
-LEAST = 0.02  # 1, of the value: less matters to nobody
+LEAST = 0.02  # 1, of the value: smaller changes do not matter in practice
 WARMTH = 2.0  # K that the runs' temperatures must span for the friction to be taken against them
 DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
 SIDE = 2  # runs on either side of a change
-SWING = 0.05  # 1, of the bending angle, that a log must span to tell the lever
+SWING = 0.05  # 1, of the bending angle, that a log must span to determine the lever
 SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
 PARTS = 10  # of a log, each left out once for the lever's interval
 T_OF_PARTS = 2.262  # Student's t of 95 % at 9 degrees of freedom, as there are PARTS parts
@@ -50,13 +50,13 @@ WORDS = {  # of a change up and down
         "the pretension follows the bending less: a softer tendon, or the tensioner gives way",
     ),
     "axial_stiffness": ("stiffer tendons: another tendon, or a series spring is blocked", "softer tendons: one frays"),
-    "zero": ("a pulley slipped, a tendon crept, or an encoder begins anew at every start",) * 2,
+    "zero": ("a pulley slipped, a tendon crept, or an encoder restarts at every start",) * 2,
 }
 
 
 @dataclass(frozen=True)
 class Run:
-    """One log: when, how warm (°C, nan where it was not measured), what was found, and why something was not."""
+    """One log: when, how warm (°C, nan where it was not measured), the results, and the reasons for missing ones."""
 
     log: str
     started: str  # ISO 8601, of the log, else of the file
@@ -105,26 +105,26 @@ class Trend:
 
 
 def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
-    """Measure every log of a folder and look for changes. Raises UsageError where there is no log that tells anything.
+    """Measure every log of a folder and look for changes. Raises UsageError if no log has a result.
 
-    A log that cannot be read, or that says too little, stays in the list with the reason.
+    A log that cannot be read, or that shows too little, stays in the list with the reason.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder; give the one that holds the logs of one axis, a run each")
     paths = sorted(path for path in folder.iterdir() if path.name.lower().endswith(ENDINGS))
     if not paths:
-        raise UsageError(f"{folder}: holds no log; wanted are files that end with {', '.join(ENDINGS)}")
+        raise UsageError(f"{folder}: holds no log; expected are files that end with {', '.join(ENDINGS)}")
     runs = []
     for number, path in enumerate(paths):
         tick(number / len(paths))
         runs.append(measured(path, model))
     if not any(run.quantities for run in runs):
-        raise UsageError(f"{folder}: none of {len(runs)} logs tells half loop or stiffness; {runs[0].notes[0]}")
+        raise UsageError(f"{folder}: none of {len(runs)} logs shows friction torque or stiffness; {runs[0].notes[0]}")
     return judged(sorted(runs, key=lambda run: (run.started, run.log)))
 
 
 def measured(path: Path, model: TendonSheath) -> Run:
-    """What one log says by itself."""
+    """Return the results of one log alone."""
     started = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
     try:
         started = str(inspect(path).about.get("started") or started)
@@ -151,7 +151,7 @@ def _by_sensor(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantit
 def _by_bending(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
     """The lever k_t of (3.56), N/m, at the file's friction coefficient: (3.55) with T_p0 + k_t (p + d/2) dTheta.
 
-    Its interval is that of the log; an error of mu is one of all runs alike.
+    Its interval comes from the log; an error of mu is one of all runs alike.
     """
     if not {"tau_j", "theta", "omega_j"} <= log.columns.keys() or not model.lever > 0.0:
         return
@@ -210,7 +210,7 @@ def _at_one_temperature(
 ) -> tuple[NDArray[np.float64], float | None]:
     """Values at the mean temperature, and their slope; as they are where the runs were alike, or it was not measured.
 
-    The slope is that of neighbours: a lasting change between two runs is in one of the differences alone.
+    The slope is between neighbours: a lasting change between two runs is in one of the differences alone.
     """
     if not np.isfinite(warmth).all() or np.ptp(warmth) < WARMTH:
         return values, None
@@ -241,13 +241,13 @@ def _statistics(series: NDArray[np.float64]) -> tuple[list[int], NDArray[np.floa
 
 @cache
 def by_chance(count: int) -> float:
-    """What the statistic of `count` runs of plain noise exceeds with a chance of `ALARM`."""
+    """Return the value that the statistic of `count` runs of noise exceeds with probability `ALARM`."""
     noise = np.random.default_rng(count).standard_normal((DRAWS, count))
     return float(np.quantile(_statistics(noise)[1].max(axis=1), 1.0 - ALARM))
 
 
 def draw(path: Path, found: Trend) -> None:
-    """Write it as PNG (or what the ending says). Raises UsageError."""
+    """Write it as PNG (or as the suffix requires). Raises UsageError."""
     import matplotlib
 
     matplotlib.use("Agg")

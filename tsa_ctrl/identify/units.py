@@ -1,7 +1,7 @@
 """A log whose units cannot be right: milliseconds, newton-millimetres, degrees, kelvin.
 
 Each check fires only where no drive of this kind could have produced the numbers; the limits are generous by a factor
-of ten and more. What two columns say of each other (an angle and its own velocity) is sharper than any limit.
+of ten and more. A comparison of two columns (an angle and its velocity) is sharper than any limit.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from tsa_ctrl.errors import UsageError
 
 Array = NDArray[np.float64]
 
-FASTEST = 50e3  # Hz, sampling rate: faster are no logs of a drive but times in the wrong unit
+FASTEST = 50e3  # Hz, sampling rate: a faster log has its time in the wrong unit
 SLOWEST = 2.0  # Hz: a 1 or 2 kHz log looks like this or slower with time in ms
 SLOW = 12.0  # Hz: a 10 kHz log looks like this with time in ms; a steady motion may well be logged at such a rate,
-LONGEST_SLOW = 3000.0  # s: but no longer than the 3 s that anything can be told from look like with time in ms
-LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a larger value hints at
+LONGEST_SLOW = 3000.0  # s: but shorter than a usable log of 3 s with its time in ms
+LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable reason of a larger value
     "tau_m": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "tau_j": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "tau_j_des": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
@@ -33,7 +33,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
 # Limit for joints that tendons move; a joint behind a gear may turn faster
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
-DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by
+DEGREES = 180.0 / np.pi  # per radian: factor by which an angle in degrees is too large
 INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
 TORQUES = (  # how many of a unit are one N*m
     (1000.0, "N*mm, mN*m or per mille of the rated torque"),
@@ -43,7 +43,8 @@ TORQUES = (  # how many of a unit are one N*m
     (8.851, "lbf*in"),
     (0.10197, "kgf*m"),
 )
-# By how much the ratio of two torques exceeds that of the pulleys (cosh of a friction angle of 1.3), or falls short
+# By how much the ratio of two torques exceeds the ratio of the pulleys (cosh of a friction angle of 1.3), or falls
+# short
 CAPSTAN, ATTENUATED = 2.0, 0.8
 MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 

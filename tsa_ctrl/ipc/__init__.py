@@ -1,1 +1,1 @@
-"""The local socket: a server in a process of its own, and shared memory between it and the loop."""
+"""The local socket: a server in a separate process, and shared memory between it and the loop."""

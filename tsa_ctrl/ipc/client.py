@@ -88,7 +88,7 @@ class Client:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`path`: the daemon's socket, by default that of this user; `timeout`: s for an answer; `clock`, `sleep`: s.
+        """`path`: the daemon's socket, by default this user's; `timeout`: s for an answer; `clock`, `sleep`: s.
 
         Raises BusError when no daemon answers there.
         """
@@ -231,7 +231,7 @@ class Client:
         try:
             return msgspec.convert(found, kind)
         except msgspec.ValidationError as error:
-            raise BusError(f"{self._path}: the daemon is of another version ({error}); start it anew") from None
+            raise BusError(f"{self._path}: the daemon is of another version ({error}); start it again") from None
 
     def _ended(self, why: str) -> BusError:
         """Return the error to raise when the connection has ended."""
@@ -262,7 +262,7 @@ class Client:
         except OSError:
             data = b""
         if not data or len(self._received) > LONGEST_ANSWER:
-            raise self._ended("the daemon closed the connection; see what it printed")
+            raise self._ended("the daemon closed the connection; see its output")
         self._received += data
 
     def _messages(self) -> Iterator[dict[str, Any]]:
@@ -280,7 +280,7 @@ class Client:
 
 
 class Lease:
-    """The right to give set-points, until the end of its `with`, or a LeaseLostError, which says why."""
+    """The right to send set-points, until the end of its `with`, or a LeaseLostError with the reason."""
 
     def __init__(self, client: Client, seconds: float) -> None:
         self.seconds = seconds
@@ -322,7 +322,7 @@ class Lease:
         now = client.clock()
         for axis, value in values.items():
             if not math.isfinite(value):
-                raise UsageError(f"axis '{axis}': a set-point of {value}; a finite number is wanted")
+                raise UsageError(f"axis '{axis}': a set-point of {value}; not a finite number")
         if self.held:
             time = now if wanted is None else wanted
             requests = (protocol.SetPointValue(axis, value, time, True) for axis, value in values.items())

@@ -21,7 +21,7 @@ BACKLOG = 256  # connections that wait until the server accepts them
 def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
     """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
 
-    A file has one group: where there are two, anybody may connect (0666), and `peers.role_of` says who stays.
+    A file has one group: where there are two, every user may connect (0666), and `peers.role_of` decides who stays.
     """
     place = Path(path)
     if str(place.parent) == private_folder():
@@ -96,7 +96,7 @@ def accepted(
 
 
 def group_number(name: str, key: str) -> int:
-    """Of a group by its name; `key` of the configuration is named in the UsageError where there is none."""
+    """Of a group by its name; The UsageError for an unknown group names `key` of the configuration."""
     try:
         return grp.getgrnam(name).gr_gid
     except KeyError:
@@ -104,7 +104,7 @@ def group_number(name: str, key: str) -> int:
 
 
 def _replace(place: Path) -> None:
-    """Remove a socket that nobody listens on any longer."""
+    """Remove a socket without a listening process."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             probe.connect(str(place))

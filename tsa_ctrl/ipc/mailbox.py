@@ -1,7 +1,7 @@
 """Shared memory between the loop and the socket server: commands in, status out. Neither side waits for the other.
 
-Commands are queued in a bounded number of places. Of set-points, status and events only the newest complete value is
-kept (see `system.shared_memory`), so a set-point never waits behind an earlier one.
+Commands are queued in a bounded number of places. Set-points, status and events keep only the newest complete value
+(see `system.shared_memory`), so a set-point never waits behind an earlier one.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ HISTORY = 60  # values in a sparkline
 STEP = 0.02  # of a parameter's range per key press
 DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
 SHARE = 0.1
-BANDS = 72  # columns of a terminal from which there is room for bands, and for parameters beside the values
+BANDS = 72  # columns of a terminal from which there is room for bands, and for parameters next to the values
 WIDE = 100  # columns of a terminal from which there is room for the recent past
 STALE = 0.5  # s without news from the loop
 VALUES = ("", "value", "unit")
@@ -50,7 +50,7 @@ Cell: TypeAlias = str | Text
 
 
 class Page:
-    """What was heard so far, and which parameter the keys move."""
+    """Hold the received status, and the parameter that the keys move."""
 
     def __init__(self) -> None:
         self.message = ""
@@ -76,7 +76,7 @@ class Page:
         ]
 
     def key(self, key: str) -> Set | None:
-        """What a key asks for: j and k choose a parameter, + and - move it."""
+        """Return the request of a key: j and k choose a parameter, + and - move it."""
         known = self.parameters()
         if key in "jk" and known:
             self._chosen = (self._chosen + (1 if key == "j" else -1)) % len(known)
@@ -108,7 +108,7 @@ class Page:
             head.append(f"   since {status['waiting']:.1f} s: {status['waiting_for']}", style="bold yellow")
         elif status["age"] > STALE:
             head.append(f"   no news for {status['age']:.1f} s: the loop hangs or is gone", style="bold red")
-        parts: list[RenderableType] = [head]  # what is below the end of a screen of 24 lines is not seen: this first
+        parts: list[RenderableType] = [head]  # a screen has 24 lines: the urgent ones first
         if status["faults"] and status["faults"][0].get("cure"):
             parts.append(Text(f"do: {status['faults'][0]['cure']}", style="bold red"))
         if self.message:
@@ -122,7 +122,7 @@ class Page:
         return Group(*parts)
 
     def _axis(self, axis: dict[str, Any]) -> RenderableType:
-        """Values beside parameters; below each other where the terminal is narrow: no name is cut."""
+        """Return values next to parameters; below each other on a narrow terminal, so that no name is cut."""
         kind = f" ({axis['estimator'].partition(' (')[0]})" if axis.get("estimator") else ""
         title = (
             f"{axis['name']}: {axis['state'] or '-'}, limiter {axis['limit_reason'] or '-'}, "
@@ -176,12 +176,12 @@ def _number(value: float | None, form: str) -> str:
 
 
 def _value(found: float | dict[str, Any] | None) -> float | None:
-    """Of a number, or of one that has a band."""
+    """Return the value of a number with or without a band."""
     return found["value"] if isinstance(found, dict) else found
 
 
 def _half(found: float | dict[str, Any] | None) -> str:
-    """The band, as what it is either way."""
+    """Return the half width of the band as text."""
     return f" ± {0.5 * (found['high'] - found['low']):.2g}" if isinstance(found, dict) else ""
 
 

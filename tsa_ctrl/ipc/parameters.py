@@ -21,7 +21,7 @@ def change(
     """
     axis, dot, parameter = name.rpartition(".")
     if not dot and len(description.axes) > 1:
-        raise UsageError(f"'{name}': say of which axis: {', '.join(f'{axis}.{name}' for axis in description.axes)}")
+        raise UsageError(f"'{name}': give the axis: {', '.join(f'{axis}.{name}' for axis in description.axes)}")
     index = axis_index(description, axis) if dot else 0
     ranges = description.parameters[index]
     for number, known in enumerate(ranges):
@@ -98,5 +98,5 @@ def clamped(value: float, limit: float) -> float:
 
 
 def of_unit(unit: str) -> str:
-    """What stands behind a number: a space and its unit; nothing where it is a pure number ("1" in the tables)."""
+    """Return the suffix of a number: a space and its unit; nothing where it is a pure number ("1" in the tables)."""
     return "" if unit == "1" else f" {unit}"

@@ -1,7 +1,7 @@
-"""The daemon's process beside its socket, in `SOCKET.pid`: who stops it when nobody answers there any longer.
+"""The daemon's process next to its socket, in `SOCKET.pid`: so that it can be stopped without an answer of the socket.
 
 The file has the process' number and its start, in clock ticks since the boot (proc(5), stat, field 22): a number that
-another process got meanwhile is told from the daemon's.
+another process got meanwhile is distinguished from the daemon's.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 from tsa_ctrl.errors import BusError, UsageError
 
 _START = 21  # of the fields of stat, counted from 0
-_AFTER_NAME = 2  # fields before that of the name's end
+_AFTER_NAME = 2  # fields between the name and the start time
 
 
 def place(socket: str) -> Path:
@@ -26,7 +26,7 @@ def place(socket: str) -> Path:
 
 
 def write(socket: str, process: int) -> None:
-    """Write down the daemon's process. Where that cannot be written, only `tsa stop` beside a dead server is lost."""
+    """Write down the daemon's process. Where that cannot be written, only `tsa stop` with a dead server is lost."""
     path = place(socket)
     fresh = path.with_name(f"{path.name}.new")
     with contextlib.suppress(OSError):
@@ -46,7 +46,7 @@ def remove(socket: str, process: int) -> None:
 def running(socket: str) -> int | None:
     """The process of the daemon behind a socket, None where none runs or the file cannot be trusted.
 
-    Trusted is a plain file of this user's or of root's that nobody else may write.
+    A file is trusted if it is plain, belongs to this user or root, and no other user may write it.
     """
     path = place(socket)
     try:
@@ -124,7 +124,7 @@ def suspended(process: int) -> bool:
 
 
 def _started(process: int) -> int:
-    """Raises OSError when there is no such process."""
+    """Raises OSError if the process does not exist."""
     fields = _fields(process)
     if fields[0] in "ZX":
         raise ProcessLookupError(process)

@@ -25,7 +25,7 @@ MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring
 
 
 def waits_for(mailbox: Mailbox, now: float) -> tuple[float, str]:
-    """Return the begin (s) and the name of what the loop waits for; empty while it runs."""
+    """Return the begin (s) and the name of the stage that the loop waits for; empty while it runs."""
     since, stage = mailbox.stage()
     if not stage and mailbox.status()[0].time == 0.0:  # nothing was published yet: the loop is not late
         return now, "the first cycle"

@@ -38,11 +38,13 @@ from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way
-LOOK = 0.02  # s between looks at events and cycles while somebody holds the lease
+LOOK = 0.02  # s between looks at events and cycles while a client holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
-REST = 2.0  # times what another client's request took, until the next is looked at while somebody gives set-points
+REST = (
+    2.0  # times the duration of another client's request, until the next one is handled while a client sends set-points
+)
 NICE = -10  # before what else runs on a crowded machine, so that set-points come in time; the loop is before it
-HANGS = 0.5  # s without a cycle, after which nobody is followed
+HANGS = 0.5  # s without a cycle, after which no cycle is followed
 AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
 REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
 ENDING = ("stopping", "ended")  # phases
@@ -136,7 +138,7 @@ class Server:
         description: Description,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """What a server before this one was told is withdrawn: its clients are gone. Raises UsageError."""
+        """Withdraw the set-points of an earlier server: its clients are gone. Raises UsageError."""
         groups = (("group", description.group), ("watch_group", description.watch_group))
         self._command, self._watch = ({group_number(name, key)} if name else set() for key, name in groups)
         self._clock = clock
@@ -160,7 +162,7 @@ class Server:
         self._selector.register(descriptor, selectors.EVENT_READ)
 
     def step(self, timeout: float) -> list[int]:
-        """Handle what is there within `timeout` s; returns the watched descriptors that became readable."""
+        """Handle the pending requests within `timeout` s; returns the watched descriptors that became readable."""
         others: list[int] = []
         connecting = False
         for key, _ in self._selector.select(self._patience(timeout)):
@@ -188,7 +190,7 @@ class Server:
         return others
 
     def close(self) -> None:
-        """The daemon has ended: who holds the lease is told so."""
+        """The daemon has ended: the holder of the lease is informed."""
         if self._lease.listener is not None:
             self._lease.end("the daemon has ended")
         for client in list(self._clients.values()):
@@ -198,7 +200,7 @@ class Server:
         self._listener.close()
 
     def _patience(self, timeout: float) -> float:
-        """s for which nothing has to be done unless somebody speaks."""
+        """s for which nothing is due unless a client sends something."""
         clients, now = self._clients.values(), self._clock()
         if any(client.lines for client in clients):
             return max(0.0, self._rests - now) if self._lease.holder is not None else 0.0
@@ -338,7 +340,7 @@ class Server:
             )
         self._lease.use(client, timeout, now)
         if wanted < self._newest[index]:
-            raise UsageError("the set-point was wanted before the one that is there; send them in the order of time")
+            raise UsageError("the set-point is older than the present one; send them in the order of time")
         self._newest[index] = wanted
         self._mailbox.want(index, value, wanted)
         self._lease.confirm(wanted, now)
@@ -349,12 +351,12 @@ class Server:
         return flag
 
     def _withdraw(self) -> None:
-        self._newest = [-math.inf] * len(self._description.axes)  # s, when what is wanted of each axis was
+        self._newest = [-math.inf] * len(self._description.axes)  # s, time stamp of each axis' set-point
         self._clamped = [False] * len(self._description.axes)
         self._mailbox.withdraw()
 
     def _look(self, now: float) -> None:
-        """After the loop, and events, for who holds the lease."""
+        """Follow the loop, and send events to the holder of the lease."""
         lease = self._lease
         if lease.listener is None or now - self._looked < LOOK:
             return
@@ -391,7 +393,7 @@ def main(argv: list[str]) -> int:
     mailbox = Mailbox(axes, parameters, fd)
     try:
         with listening(description.path, description.group, description.watch_group) as listener:
-            with contextlib.suppress(BrokenPipeError):  # then stdin says the same
+            with contextlib.suppress(BrokenPipeError):  # then stdin reports the same
                 os.write(sys.stdout.fileno(), READY)
 
             def work(before: int) -> int:

@@ -115,8 +115,9 @@ class _Sink(Protocol):
 def convert(log: str | Path, out: Path, progress: Progress = lambda share: None) -> list[Written]:
     """Write every axis of `log` and return the files: `out` itself for one axis, OUT_AXIS for several.
 
-    `out` ends with .csv, .csv.gz or .parquet, or is a folder (then CSV). A file is written beside and renamed, so that
-    it is whole or not there. `progress` is told the share done. Raises UsageError for a log or place that is unusable.
+    `out` ends with .csv, .csv.gz or .parquet, or is a folder (then CSV). A file is written under another name and
+    renamed, so that it is complete or absent. `progress` receives the share done. Raises UsageError for a log or place
+    that is unusable.
     """
     sources = _sources(log)
     file, _ = split_axis(log)
@@ -171,7 +172,7 @@ def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int
 def _of_table(table: Table) -> _Source:
     names = list(table.columns)
     text = ", ".join(table.left_out)
-    notes = (f"columns that are no numbers are left out: {text}",) if text else ()
+    notes = (f"columns without numbers are left out: {text}",) if text else ()
 
     def blocks() -> Blocks:
         return in_blocks(table.columns)

@@ -147,7 +147,7 @@ def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) 
             break
         last = buffer.rindex(b"\n")
         if len(buffer) - last > LONGEST:
-            raise UsageError(f"{path}: a line is longer than {LONGEST >> 20} MiB; this is no table of numbers")
+            raise UsageError(f"{path}: a line is longer than {LONGEST >> 20} MiB; this is not a table of numbers")
         rows, start = rows + buffer.count(b"\n", 0, last), start + last
         buffer = buffer[last:] + block
     if found is None:
@@ -244,7 +244,7 @@ class _Source:
         text = str(error)
         line = _LINE.search(text)
         if line is None:
-            return f"{self.path}: is no table of numbers ({said(error)}); write it again"
+            return f"{self.path}: is not a table of numbers ({said(error)}); write it again"
         row = f"row {int(line[1]) - self.above} (line {line[1]})"
         if length := _LENGTH.search(text):
             hint = " (a decimal comma: only the point is allowed)" if int(length[1]) >= 2 * len(self.names) - 1 else ""
@@ -256,7 +256,7 @@ class _Source:
             return f"{self.path}: column {self.names[int(entry[1])]}, {row}: {found}; correct it"
         if "not utf-8" in text:
             return f"{self.path}: {row} is not UTF-8 text; save the file as UTF-8"
-        found = "has a quote that is not closed" if "unterminated quote" in text else "is no row of a table"
+        found = "has a quote that is not closed" if "unterminated quote" in text else "is not a row of a table"
         return f"{self.path}: {row} {found}; correct or remove it"
 
 
@@ -296,7 +296,7 @@ def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
         raise UsageError(f"{path}: line {above}: the column name {odd[:40]!r} cannot be printed; rename it")
     twice = next((name for name in names if name and names.count(name) > 1), None)
     if twice is not None:
-        raise UsageError(f"{path}: column {twice} stands twice in the header; rename or remove one")
+        raise UsageError(f"{path}: column {twice} appears twice in the header; rename or remove one")
     return names, delimiter, above
 
 

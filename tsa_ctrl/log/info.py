@@ -26,7 +26,7 @@ Codes = dict[str, dict[int, str]]
 class ColumnRange:
     """One column: unit ("" when unknown), smallest and largest value (None without any), rows without a value.
 
-    `names` are those of the codes that occur, for a coded column.
+    `names` of the codes that occur, for a coded column.
     """
 
     name: str
@@ -53,7 +53,7 @@ class AxisInfo:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """A log file: its axes (one without a name for a table), hash and what its head says; `problems` in words.
+    """A log file: its axes (one without a name for a table), hash and contents of its head; `problems` in words.
 
     `notes`: what happened, faults with their cause.
     """
@@ -66,7 +66,7 @@ class LogInfo:
     notes: list[Note] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON object of `tsa log info`; the rate and the columns are those of all axes together."""
+        """The JSON object of `tsa log info`; rate and columns of all axes together."""
         names = dict.fromkeys(column.name for axis in self.axes for column in axis.columns)
         names |= dict.fromkeys(name for axis in self.axes for name in axis.text_columns)
         return {
@@ -164,7 +164,7 @@ def _repairs(table: Table) -> list[str]:
 def _axis_info(table: Table, columns: _Columns, longest_skip: float, empty: bool) -> AxisInfo:
     t = columns.t
     if len(t) < 2:
-        raise UsageError(f"{table.label}: holds {len(t)} rows; at least 2 are needed to tell a rate: give a longer log")
+        raise UsageError(f"{table.label}: holds {len(t)} rows; a rate needs at least 2: give a longer log")
     check_increasing(table, t, doubled=True)
     grid = fit_grid(np.unique(t), longest_skip) if np.ptp(t) > 0.0 else fit_grid(t)
     ranges = columns.ranges(empty)

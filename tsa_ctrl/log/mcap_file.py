@@ -230,7 +230,7 @@ class McapFile:
         self._indices.append(index)
 
     def sync(self) -> None:
-        """Wait until the disk holds what was written. Raises OSError."""
+        """Wait until the written data is on the disk. Raises OSError."""
         os.fsync(self._file.fileno())
 
     def finish(self) -> None:

@@ -140,7 +140,7 @@ class LogFile:
         return problems
 
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Yield axis and records of each chunk, shape (k, len(wanted)), with the fields in the order of `wanted`."""
+        """Yield axis and records of each chunk, shape (k, fields), with the fields in the given order."""
         pick = [self.fields.index(name) for name in wanted]
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
@@ -173,7 +173,7 @@ class LogFile:
                 yield self._channels[number], np.ascontiguousarray(messages["values"][channel == number][:, pick])
 
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
-        """Return the `wanted` fields of one axis over the whole log."""
+        """Return the chosen fields of one axis over the whole log."""
         names = list(wanted)
         found = [bytearray() for _ in names]  # they grow in place: a list of parts would leave holes all over the heap
         for name, block in self.blocks(names):

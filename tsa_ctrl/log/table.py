@@ -27,7 +27,7 @@ class Table:
 
     `label` names the file (and axis) in messages, `above` is the number of lines above the first row of a text file
     (None otherwise), `left_out` the columns not loaded, `recorded` true for the daemon's own log. `rows` (n) are the
-    file's rows of those here (None: all of them), `notes` what was done to them in words.
+    file's rows of those here (None: all of them), `notes` the repairs in words.
     """
 
     label: str
@@ -139,7 +139,7 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
             names = [name for name, _ in kinds]
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
-                raise UsageError(f"{path}: column {twice} stands twice; rename or remove one")
+                raise UsageError(f"{path}: column {twice} appears twice; rename or remove one")
             numeric = [name for name, kind in kinds if _NUMERIC.match(kind)]
             for name, kind in kinds:
                 if wanted is not None and is_selected(name, wanted) and name not in numeric:
@@ -150,7 +150,7 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
                     query = f"SELECT CAST({quoted(name)} AS DOUBLE) AS x FROM read_parquet('{file}')"
                     columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
     except duckdb.Error as error:
-        raise UsageError(f"{path}: is no readable Parquet file ({said(error)}); write it again") from None
+        raise UsageError(f"{path}: is not a readable Parquet file ({said(error)}); write it again") from None
     recorded = {"cycle", "state"} <= set(names)
     return Table(str(path), columns, tuple(n for n in names if n not in columns), recorded=recorded)
 

@@ -1,4 +1,4 @@
-"""The time of a log: its period, how far samples lie off a uniform grid, and where time stands still or is missing."""
+"""The time of a log: its period, the deviation of samples from a uniform grid, and repeated or missing times."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class TimeGrid:
 
 
 def longest_step(typical: float, longest_skip: float) -> float:
-    """The longest step in s between two rows that is no hole: a skip, at a slow rate one sample, and its lateness."""
+    """Return the longest step (s) between two rows that is not a hole: a skip or one slow sample, and its lateness."""
     return max(longest_skip, typical) + 1.5 * typical
 
 
@@ -93,9 +93,9 @@ def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
 
 
 def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
-    """Raise UsageError where time is no number, stands still or runs back; `first` is the table's row of t[0].
+    """Raise UsageError if a time is not a number, repeats or decreases; `first` is the table's row of t[0].
 
-    `doubled`: a stamp may be that of the row before.
+    `doubled`: a stamp may repeat the row before.
     """
     good = np.isfinite(t)
     if not good.all():

@@ -27,10 +27,10 @@ from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.process_supervisor import ignore, supervise
 
 POLL = 0.05  # s between looks at the ring
-CHUNK = 0.5  # s of records in one chunk: what a kill can cost
+CHUNK = 0.5  # s of records in one chunk: the loss of a kill
 SYNCED = 1.0  # s between two fsync calls: a power failure loses the records since the last one
 RETRY = 1.0  # s between attempts after a trouble
-HANGS = 4.0  # s without a sign of life until another one takes over: half of what the ring holds at 1 kHz
+HANGS = 4.0  # s without a sign of life until another one takes over: half of the ring's content at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
 IN_USE = 10.0  # s since its last change, within which a log may belong to another daemon and is not deleted
 MOST_NOTES = 1000  # kept while the disk is in trouble
@@ -67,7 +67,10 @@ class LogWriter:
         self._disk = ThreadPoolExecutor(1)
 
     def step(self, now: float, last: bool = False) -> None:
-        """Take what the ring has; write a chunk when it is due, or at once when `last`. `now` in s, any clock."""
+        """Take the contents of the ring.
+
+        Write a chunk when it is due, or at once when `last`. `now` in s, any clock.
+        """
         for axis, pending in enumerate(self._pending):
             block = self._ring.read(axis)
             if len(block):
@@ -86,7 +89,7 @@ class LogWriter:
         self._report(WriterState.TROUBLED if self._trouble else WriterState.WRITING)
 
     def end(self, orphaned: bool = False) -> None:
-        """Write what is left and complete the file. `orphaned`: the loop is gone and said nothing, which is noted."""
+        """Write the rest and complete the file. `orphaned`: the loop is gone without a word, which is noted."""
         self.step(0.0, last=True)
         if orphaned:
             self._notes.append(Note(self._newest, "", DEAD, fault=True))

@@ -1,7 +1,7 @@
 """The catalogue of effects by name, and the check of the `[effects.NAME]` tables that model files give.
 
-Source: the catalogue of effects by which measured data differ from (3.55)-(3.56). What is said of one effect stands on
-its class, in `tsa_ctrl.model.effects`.
+Source: the catalogue of effects by which measured data differ from (3.55)-(3.56). The facts of one effect are on its
+class, in `tsa_ctrl.model.effects`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PARAMETER_ERROR = "parameter_error"  # no effect: the name of the rival that rec
 
 
 def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:
-    """Of the effects that only the tendons' stretch shows: those among `names`, and the others."""
+    """The effects that only the tendon elongation shows: those among `names`, and the others."""
     every = [spec.name for spec in CATALOGUE.values() if spec.stage is Stage.STRETCH]
     return [name for name in every if name in names], [name for name in every if name not in names]
 
@@ -40,7 +40,7 @@ def twins_of(name: str) -> frozenset[str]:
 def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Setting]]:
     """Validate `[effects.NAME]` tables and fill in constant defaults, in the order of composition.
 
-    Raises UsageError naming the effect, the parameter, what was found and what is allowed.
+    Raises UsageError with the effect, the parameter, the value found and the allowed range.
     """
     for name in effects:
         if name not in CATALOGUE:
@@ -82,14 +82,14 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
             raise UsageError(f"{where}: {parameter.name} = {value!r}; allowed is {parameter.describe()}")
         values[parameter.name] = parameter.taken(value)
     if "expression" in values:
-        _ = spec.build(values).program  # what is no formula is said before it is used
+        _ = spec.build(values).program  # a wrong formula is reported before it is used
     return values
 
 
 def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
-    """Steps of a checked `[effects.custom]`, for a machine of one's own: an operation, its number, and two more.
+    """Steps of a checked `[effects.custom]`, for another machine: an operation, its number, and two more.
 
-    Of a function with a memory the number is that of the memory, and its constants follow.
+    For a function with a memory, the number is the index of the memory, and its constants follow.
     """
     program = CATALOGUE["custom"].build(parameters).program
     constants = [

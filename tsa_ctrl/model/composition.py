@@ -70,14 +70,14 @@ class SensorEffect(Protocol):
 
 
 class StretchEffect(Protocol):
-    """Gives the length that it adds to the tendons' stretch, m, beside what T3 - T1 and T4 - T2 (`ends`, N) do."""
+    """Return the length that it adds to the tendon elongation, m, in addition to T3 - T1 and T4 - T2 (`ends`, N)."""
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F: ...
 
 
 @dataclass(frozen=True)
 class Stack:
-    """The effects of one model, by stage; None or empty where there is none."""
+    """The effects of one model, by stage; None or empty without one."""
 
     velocity_lag: VelocityLag | None
     motor_torque: tuple[MotorTorqueEffect, ...]
@@ -99,7 +99,7 @@ class Stack:
 
     @classmethod
     def of(cls, effects: Effects, source: str = "") -> Stack:
-        """Build from validated `[effects.NAME]` tables; UsageError when two of them cannot stand together."""
+        """Build from validated `[effects.NAME]` tables; UsageError if two of them exclude each other."""
         for name in effects:
             clash = [other for other in CATALOGUE[name].excludes if other in effects]
             if clash:
@@ -128,11 +128,11 @@ class Stack:
         )
 
     def custom_at(self, stage: str) -> Custom | None:
-        """The formula of the file where it stands at this side, "motor" or "joint"."""
+        """Return the formula of the file if it acts on this side, "motor" or "joint"."""
         return self.custom if self.custom is not None and self.custom.stage == stage else None
 
     def transmission(self, model: TendonSheath) -> Transmission:
-        """What stands between the motor's pulley and the joint's."""
+        """Return the elements between the motor's pulley and the joint's."""
         radii = (model.motor_pulley_radius, model.joint_pulley_radius)
         if self.elongation is not None:
             profile = Profile.of(self.elongation.curvature_profile)

@@ -75,7 +75,7 @@ def centred(profile: Profile, centre: float) -> Profile:
 
 
 def course_of(given: Points, where: str) -> Profile:
-    """[sheath] bending_course; raises UsageError for what is no course, and for one that bends at one end alone."""
+    """[sheath] bending_course; raises UsageError for an invalid profile, and for one that bends at one end alone."""
     points = as_points(given)
     if points is None:
         raise UsageError(f"{where}: [sheath] bending_course is {[list(pair) for pair in given]}; give {POINTS}")
@@ -89,7 +89,7 @@ def course_of(given: Points, where: str) -> Profile:
 
 
 def as_points(value: object) -> Points | None:
-    """A list of pairs as points; None when it is no course of a bending."""
+    """A list of pairs as points; None if it is not a curvature profile."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
         return None
     points = []
@@ -99,6 +99,6 @@ def as_points(value: object) -> Points | None:
         if not all(isinstance(part, int | float) and not isinstance(part, bool) for part in pair):
             return None
         points.append((float(pair[0]), float(pair[1])))
-    rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))  # false for nan, too
+    rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))  # also false for nan
     ends = points[0][0] == 0.0 and points[0][1] >= 0.0 and points[-1] == (1.0, 1.0)
     return tuple(points) if rising and ends else None

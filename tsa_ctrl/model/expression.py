@@ -26,12 +26,12 @@ from tsa_ctrl.model.functions import BLOCK, Array
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
 DEEPEST = 24  # values on the stack; the plant's machine has just so many places
-MOST_MEMORIES = 4  # each is a dimension of what a controller looks through before it trusts the inverse
+MOST_MEMORIES = 4  # each is a dimension of the grid on which the inverse is checked
 LARGEST = 700.0  # exp(709.8) is the largest double; beyond it a formula saturates instead of overflowing
 
 
 class Op(IntEnum):
-    """What one step does; those up to NEGATE take no argument from the table."""
+    """Operation of one step; the ones up to NEGATE take no argument from the table."""
 
     CONSTANT = 0  # push the step's number
     NAME = 1  # push the value of the step's name
@@ -69,7 +69,7 @@ _BINARY: dict[type[ast.operator], Op] = {
 class Program:
     """Steps in reverse Polish order: `operations` (k) and `arguments` (k), a constant or an index into `names`.
 
-    Of a function with a memory the argument is an index into `memories`.
+    The argument of a function with a memory is an index into `memories`.
     """
 
     text: str
@@ -79,7 +79,7 @@ class Program:
     memories: tuple[Memory, ...] = ()
 
     def uses(self, name: str) -> bool:
-        """Whether the formula's value may depend on `name`."""
+        """Return True if the formula's value may depend on `name`."""
         return any(
             op == Op.NAME and self.names[int(index)] == name
             for op, index in zip(self.operations, self.arguments, strict=True)
@@ -88,7 +88,7 @@ class Program:
     def value(self, values: Sequence[float], memories: Sequence[Live] = ()) -> float:
         """The formula at one instant, `values` in the order of `names`; nan where it has no value.
 
-        `memories`: those of the program in a loop.
+        `memories`: of the program, in a loop.
         """
         stack: list[float] = []
         for op, argument in zip(self.operations, self.arguments, strict=True):
@@ -146,7 +146,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         reason = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
-        raise UsageError(f"{where}: '{text}' is no formula ({reason}); write for example k*sin(2*q_j)") from None
+        raise UsageError(f"{where}: '{text}' is not a formula ({reason}); write for example k*sin(2*q_j)") from None
     operations: list[int] = []
     arguments: list[float] = []
     memories: list[Memory] = []
@@ -163,7 +163,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
                 raise _refused(text, node, where)
             case ast.Constant(value=int() | float() as value):
                 if not math.isfinite(float(value)):
-                    raise UsageError(f"{where}: {value} is no finite number")
+                    raise UsageError(f"{where}: {value} is not a finite number")
                 add(Op.CONSTANT, float(value))
             case ast.Name(id=name) if name in constants:
                 add(Op.CONSTANT, constants[name])
@@ -216,7 +216,7 @@ def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float]
     for allowed, node in zip(ranges, given[1:], strict=True):
         value = _constant(node, constants)
         if value is None:
-            raise UsageError(f"{where}: {allowed.name} is no constant; give a number or a key of the table")
+            raise UsageError(f"{where}: {allowed.name} is not a constant; give a number or a key of the table")
         if not allowed.low <= value <= allowed.high:
             raise UsageError(f"{where}: {allowed.name} = {value:g}; allowed is {allowed.describe()}")
         values.append(value)

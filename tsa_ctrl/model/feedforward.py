@@ -1,4 +1,4 @@
-"""The live inverse of the model: the motor torque that delivers a wanted joint torque, one instant at a time.
+"""The live inverse of the model: the motor torque that delivers a desired joint torque, one instant at a time.
 
 Source: the feedforward law of (3.55), tau_M = r_M/cosh(x) (tau_J*/r_J + 2 T_p sigma sinh(x)), with the effects undone
 in the reverse of their order of composition. SI units, plain floats; no clock and no I/O.
@@ -27,11 +27,11 @@ _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
 
 
 class Feedforward:
-    """tau_M for a wanted tau_J by the model and its effects.
+    """Return tau_M for a desired tau_J by the model and its effects.
 
     `signals`: names of the optional signals (q_j, q_m, temperature) that this axis measures, for `notes`; default all.
     A measurement that is nan keeps its last value; an effect whose measurement has never come is left out
-    (`left_out`). `notes` says which effects are not, or not exactly, compensated, and why.
+    (`left_out`). `notes` lists the effects that are not, or not exactly, compensated, with the reason.
     """
 
     def __init__(self, model: TendonSheath, period: float, signals: Collection[str] = _OPTIONAL) -> None:
@@ -51,7 +51,7 @@ class Feedforward:
         return self._model
 
     def reset(self) -> None:
-        """Forget everything measured: the friction state, what a formula remembers, the start of the time, the held
+        """Forget everything measured: the friction state, the memories of a formula, the start of the time, the held
         values."""
         self._state = unmoved(self._model.bending_angle)
         self._started = False
@@ -200,7 +200,10 @@ class Feedforward:
         t: float,
         acceleration_j: float,
     ) -> float:
-        """Take what was measured into the state; what was not keeps its last value. Returns s since the last update."""
+        """Take the measured values into the state.
+
+        Missing ones keep their last value. Returns s since the last update.
+        """
         isfinite = math.isfinite
         first = False
         if isfinite(q_j):
@@ -285,7 +288,7 @@ def _without_friction(model: TendonSheath, tau_j_des: float) -> float:
 
 
 def _notes(model: TendonSheath, signals: Collection[str]) -> list[str]:
-    """What the feedforward cannot, or cannot exactly, compensate, in words."""
+    """Describe the effects that the feedforward cannot, or cannot exactly, compensate."""
     here = set(signals) | {"omega_j"}
     notes = []
     for name, parameters in model.effects.items():

@@ -1,4 +1,4 @@
-"""What a formula remembers: functions with a memory, over a log and cycle by cycle.
+"""Functions with a memory in a formula, over a log and cycle by cycle.
 
     lag(x, T)       T dy/dt + y = x
     ring(x, f, d)   y'' + 2 d w y' + w^2 y = w^2 x,  w = 2 pi f
@@ -23,7 +23,7 @@ from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl
 
 @dataclass(frozen=True)
 class Range:
-    """One constant of such a function: what it may be, both ends included."""
+    """One constant of such a function and its range, both ends included."""
 
     name: str
     low: float
@@ -35,7 +35,7 @@ class Range:
         return f"{self.low:g} to {self.high:g}{f' {self.unit}' if self.unit else ''}"
 
 
-# Wider than anything that a drive has; from a damping of 1 on nothing rings, and a lag says it
+# Wider than anything that a drive has; from a damping of 1 on nothing rings, and a lag describes it
 KINDS: dict[str, tuple[Range, ...]] = {
     "lag": (Range("T", 1e-6, 1e6, "s"),),
     "ring": (Range("f", 1e-3, 1e5, "Hz"), Range("d", 1e-6, 1.0, "")),
@@ -59,7 +59,7 @@ class Memory:
         """Its value along a log, (n,), for x and t (s) of (n,); the steps may be uneven."""
         if self.kind == "dahl":
             return dahl(MonotonicSegments.of(x), self.constants[0], 0.0)
-        from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
+        from tsa_ctrl.model.effects import kernels  # numba: its import takes long: only with a memory
 
         x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])
         return np.asarray(getattr(kernels, self.kind)(x, t, *self.constants))
@@ -93,7 +93,7 @@ class Memory:
 
 
 class Live:
-    """One memory cycle by cycle: `begin` a step, ask for values as often as wanted, `keep` one of them.
+    """One memory cycle by cycle: `begin` a step, ask for values as often as necessary, `keep` one of them.
 
     `asked`: the x of the last value asked for; `taken`: the one that was accepted.
     """
@@ -129,7 +129,7 @@ class Live:
 
 
 class _Linear(Live):
-    """What is free + direct x within a step; before the first it is at rest wherever the first x is."""
+    """A value free + direct x within a step; before the first one it is at rest at the first x."""
 
     __slots__ = ("_direct", "_elapsed", "_free")
 
@@ -260,8 +260,8 @@ class Dahl(Live):
 class Memories:
     """Those of one formula in a loop.
 
-    `begin` of a cycle moves the states to what the last cycle accepted; until `accept` any number of values may be
-    asked for. A cycle without a finite value accepts nothing: its time counts to the next.
+    `begin` of a cycle moves the states to the values that the last cycle accepted; until `accept` any number of values
+    may be asked for. A cycle without a finite value accepts nothing: its time counts to the next.
     """
 
     __slots__ = ("_accepted", "_since", "parts")
@@ -289,7 +289,7 @@ class Memories:
             part.begin(self._since)
 
     def accept(self) -> None:
-        """The values last asked for are those of this cycle."""
+        """Accept the last values as the values of this cycle."""
         for part in self.parts:
             if not math.isfinite(part.asked):
                 return

@@ -33,7 +33,7 @@ class MonotonicSegments:
 
     @staticmethod
     def of(path: Array) -> MonotonicSegments:
-        """The legs of a path: where it stands it goes the way that it went."""
+        """The legs of a path: at rest it keeps its direction."""
         steps = np.diff(path)
         moves = np.flatnonzero(steps)
         up = steps[moves] > 0.0
@@ -56,7 +56,7 @@ class MonotonicSegments:
 
     @property
     def nbytes(self) -> int:
-        """Memory that it takes, with what is computed of it."""
+        """Return the memory that it takes, with its cached results."""
         return self.leg.nbytes + 8 * len(self.path)
 
 
@@ -118,7 +118,7 @@ def last_reversal(legs: MonotonicSegments, threshold: float) -> Array:
 def _after_each(
     start: float, maps: Array, after: Callable[[Array, Array], Array], apply: Callable[[Array, Array], Array]
 ) -> Array:
-    """What `start` becomes before the first of m maps, after it, after the second and so on: (..., m + 1).
+    """Return `start` before the first of m maps, after it, after the second and so on: (..., m + 1).
 
     maps: the numbers of each, (k, ..., m). `after` composes one with the one before it.
     """

@@ -108,7 +108,7 @@ class TendonSheath:
 
     @property
     def series_length(self) -> float:
-        """EA / k_s, m: what a series elastic element adds to alpha and beta; 0 without one."""
+        """EA / k_s, m: the share of a series elastic element in alpha and beta; 0 without one."""
         return 0.0 if self.series_stiffness is None else self.axial_stiffness / self.series_stiffness
 
     def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
@@ -131,7 +131,7 @@ class TendonSheath:
         )
 
     def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
-        """The same actuator with these effects instead of its own; validated against the catalogue."""
+        """Return the same actuator with these effects; validated against the catalogue."""
         return dataclasses.replace(self, effects=check_effects(effects, self.source or "model"))
 
 
@@ -310,7 +310,7 @@ def save_model(
     template: str | Path | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `dump_model` to a file, beside and renamed."""
+    """Write `dump_model` to a file under another name, and rename it."""
     settings.write_text(path, dump_model(model, template, provenance))
 
 
@@ -321,7 +321,7 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
     known = ("friction_angle", "pretension")
     uncertainty: dict[str, float | None] = {name: getattr(model, f"{name}_uncertainty") for name in known}
     place, usual, course = "joint" if model.series_at_joint else "motor", UncertaintySection(), model.bending_course
-    for name in ("axial_stiffness", "bending_centre"):  # only where somebody found them
+    for name in ("axial_stiffness", "bending_centre"):  # only if they were found
         value = getattr(model, f"{name}_uncertainty")
         uncertainty[name] = None if value == getattr(usual, name) else value
     return {

@@ -101,7 +101,7 @@ def _tendon_torque(
 
 
 def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
-    """What of the reported motor torque acts on the pulley, N*m."""
+    """Return the part of the reported motor torque that acts on the pulley, N*m."""
     for effect in stack.motor_torque:
         tau_m = effect.apply(ARRAYS, tau_m, state)
     if (custom := stack.custom_at("motor")) is not None:
@@ -110,10 +110,10 @@ def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
 
 
 def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
-    """What stretches the tendons: twice the change of tendon b's tension, at the motor and at the joint, N, (n,) each.
+    """Return twice the change of tendon b's tension at motor and joint, which elongates the tendons, N, (n,) each.
 
-    T3 - T1 and T4 - T2 while both tendons pull; of a tendon that pulls alone twice what it has over the pretension.
-    What enters behind the tendons (joint, load-dependent friction, play, delay) is not in them. Raises as `predict`.
+    T3 - T1 and T4 - T2 while both tendons pull; for a tendon that pulls alone twice its tension over the pretension.
+    Effects behind the tendons (joint, load-dependent friction, play, delay) are not in them. Raises as `predict`.
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -175,8 +175,8 @@ def missing_for(
 ) -> tuple[str, ...]:
     """The columns of which `effect` needs one and the log has none; empty when it can be computed.
 
-    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition. What a
-    formula needs depends on its `parameters`.
+    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition. The
+    columns of a formula depend on its `parameters`.
     """
     spec = CATALOGUE[effect]
     for alternatives in spec.columns if parameters is None or not spec.named else spec.needed_live(parameters):
@@ -254,7 +254,7 @@ def _growth(
 
 
 def _kept(signals: Signals, key: Hashable, compute: Callable[[], Array]) -> Array:
-    """What `compute` gives, (n,), from the log's memo where it was computed before."""
+    """Return the result of `compute`, (n,), from the log's memo if it was computed before."""
     known = signals.memo.get(key)
     if known is None:
         known = compute()
@@ -268,7 +268,7 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
     """tau_M = J domega/dt + tau_c sign(omega) + b omega + c; an effect tau_J -= f enters as tau_M += f.
 
     Effects on the reported torque (gain, ripple) are undone, since it is the reported one that is predicted. The
-    motor's motion stands for the joint's.
+    motor's motion replaces the joint's.
     """
     _require_columns(model, signals)
     state = _motor_state(model, stack, signals)
@@ -359,7 +359,7 @@ def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Arr
 
 
 def _part(state: State[Array], block: slice) -> State[Array]:
-    """The state over one block; what is the same for the whole log is 0-dimensional and stays."""
+    """The state over one block; a value that is constant over the log is 0-dimensional and stays."""
 
     def of(column: Array) -> Array:
         return column[block] if column.ndim else column

@@ -94,7 +94,7 @@ def nodes_table(nodes: Mapping[str, NodeIdentity]) -> dict[str, dict[str, int]]:
 
 
 def interval_low(provenance: Mapping[str, Any], name: str) -> float | None:
-    """Lower end of an interval that a calibration wrote; None where there is none that is one."""
+    """Lower end of an interval that a calibration wrote; None without a valid one."""
     intervals = provenance.get("intervals")
     ends = intervals.get(name) if isinstance(intervals, Mapping) else None
     if not isinstance(ends, list) or len(ends) != 2 or not all(isinstance(end, int | float) for end in ends):

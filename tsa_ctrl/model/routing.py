@@ -59,7 +59,7 @@ class RoutingSection(RouteSection, forbid_unknown_fields=True, frozen=True, kw_o
 
 @dataclass(frozen=True)
 class Route:
-    """What the joints add to the wrap angle of one tendon."""
+    """Return the contribution of the joints to the wrap angle of one tendon."""
 
     gains: Mapping[str, float]  # rad/rad
     tables: Mapping[str, Points]
@@ -174,7 +174,10 @@ class Routing:
         return self.a.added_over(angles), self.b.added_over(angles)
 
     def path_changes(self, lever: float, angles: Mapping[str, float]) -> tuple[float, float]:
-        """Return what the joints add to the path lengths of both tendons, m, by (3.52); `lever`: p + d/2, m."""
+        """Return the contribution of the joints to the path lengths of both tendons, m, by (3.52).
+
+        `lever`: p + d/2, m.
+        """
         return lever * self.a.added(angles), lever * self.b.added(angles)
 
     def section(self) -> dict[str, Any]:
@@ -183,7 +186,7 @@ class Routing:
         return table if self.alike else {**table, "tendon_b": _table(self.b)}
 
     def check_joints(self, known: Iterable[str], where: str) -> None:
-        """Raise UsageError for a joint that is no axis; `where` begins the message."""
+        """Raise UsageError for a joint that is not an axis; `where` begins the message."""
         names = tuple(known)
         for joint in self.joints:
             if joint not in names:

@@ -21,7 +21,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
-_RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; what is left of them is below 1e-5
+_RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; their remainder is below 1e-5
 _LARGEST = 8_000_000  # bytes of the legs of a path that are kept: an hour at 1 kHz must stay below a gigabyte
 _SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
 
@@ -86,11 +86,14 @@ class Signals:
 
     @cached_property
     def memo(self) -> dict[Hashable, Array]:
-        """What a prediction may want again, by what it depends on beside the signals."""
+        """Results that a prediction may need again, by their other arguments than the signals."""
         return {}
 
     def legs(self, path: Array) -> MonotonicSegments:
-        """A column's legs, which a search asks for with every distance that it tries: those of two short ones stay."""
+        """Return a column's monotonic segments, cached for the distances of a search.
+
+        The ones of two short logs stay.
+        """
         known = next((legs for legs in self._legs if legs.path is path), None)
         if known is None:
             known = MonotonicSegments.of(path)

@@ -1,4 +1,4 @@
-"""The transmission while it slides one way, as a line in the motor torque, and what the motor feels of the tendons.
+"""The transmission while it slides one way, as a line in the motor torque, and the friction at the motor.
 
     tau_J = a(sigma) tau_M - sigma b(sigma)                                                    (3.53), (3.55)
     a = r_J/r_M (alpha exp(-sigma x) + beta exp(sigma x)) / (alpha + beta)                     slope
@@ -8,8 +8,8 @@
 
 x = mu Theta; alpha and beta by (3.36), (3.39). A series spring adds EA/k_s to both, exp(+-sigma x) times that when it
 stands at the joint, where it carries T2 and T4; EA Delta l = T_p0 (l_us + EA/k_s). By the course of the bending f is
-tanh x (all at the joint, and (3.55)), x (uniform) or sinh x (all at the motor). K is what the motor's angle meets when
-the joint is held, friction apart. Of the effects only those of the transmission enter. SI units.
+tanh x (all at the joint, and (3.55)), x (uniform) or sinh x (all at the motor). K is the stiffness at the motor with a
+locked joint, without friction. Only the effects of the transmission enter. SI units.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Sliding(NamedTuple):
 
     @property
     def motor_half_loop(self) -> float:
-        """h = b/a, N*m: what the motor must give beside the load to keep the tendons sliding."""
+        """h = b/a, N*m: the torque in addition to the load that keeps the tendons sliding."""
         return self.half_loop / self.slope
 
 
@@ -86,7 +86,7 @@ def transmitted_by(model: TendonSheath) -> Callable[[float, float, float], tuple
 
 
 def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:
-    """f(x) = h / (2 T_p0 r_M): tanh x, x, sinh x, or what lies between, by where the sheath bends."""
+    """f(x) = h / (2 T_p0 r_M): tanh x, x, sinh x, or between, by where the sheath bends."""
     return sliding(model, 1.0, friction_angle, 1.0).motor_half_loop / (2.0 * model.motor_pulley_radius)
 
 
@@ -127,7 +127,7 @@ def sliding_stiffness(model: TendonSheath) -> float:
 def wound_by_friction(model: TendonSheath) -> float:
     """Rad at the motor by which friction stretches the tendons at most, from sliding one way to sliding the other way.
 
-    2 h/K, with the half loop h at the motor: that of all bends at the motor, where the whole tendon takes part.
+    2 h/K, with the friction torque h at the motor for all bends at the motor, where the whole tendon takes part.
     """
     half_loop = abs(sliding(model).half_loop) * model.motor_pulley_radius / model.joint_pulley_radius
     return 2.0 * half_loop / motor_stiffness(model)

@@ -13,7 +13,8 @@ T_p0 drops out, and what is left is the same line in both directions:
 
 To first order in x, Q = r_J/r_M s_c/(1 - s_c) and P = 2 k_t r_J/(1 - s_c), with s_c the share of the compliance between
 the motor and the centre of the bending: friction, pretension and direction do not matter, stiffness and shape do.
-Evenly bent P = 4 (EA/l) r_J (x/2)/tanh(x/2) exactly. All at the joint s_c = 1, and the stretch says nothing of tau_J.
+Evenly bent P = 4 (EA/l) r_J (x/2)/tanh(x/2) exactly. With all bends at the joint s_c = 1, and the elongation does not
+show tau_J.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class StretchLine:
 
 
 def stretch_line(model: TendonSheath) -> StretchLine:
-    """That of a model; raises UsageError where its bends sit too close to the joint for the stretch to say it."""
+    """That of a model; raises UsageError if its bends are too close to the joint."""
     reason = why_not(model)
     if reason:
         raise UsageError(f"{model.source or 'model'}: {reason}")
@@ -90,11 +91,15 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
 
 
 def why_not(model: TendonSheath) -> str:
-    """Why the stretch cannot tell the joint torque of this model; empty where it can."""
+    """Return the reason why the elongation does not show the joint torque of this model; empty where it can."""
     beside, _ = of_the_stretch(model.effects)
     if beside:
-        cure = "give it as [tendon] series_stiffness" if beside[0] == "series_spring" else "mend it, and remove it here"
-        return f"[effects.{beside[0]}] lies in the tendons' stretch, which then does not tell the joint torque; {cure}"
+        cure = (
+            "give it as [tendon] series_stiffness"
+            if beside[0] == "series_spring"
+            else "remove its cause, and remove it here"
+        )
+        return f"[effects.{beside[0]}] changes the tendon elongation, which then does not show the joint torque; {cure}"
     if "pulley_eccentricity" in model.effects:
         return (
             "[effects.pulley_eccentricity] winds up other lengths than r_J q_J, by which the tendons' stretch is taken"
@@ -104,13 +109,13 @@ def why_not(model: TendonSheath) -> str:
         return ""
     found = "the bends sit at the joint" if centre > 0.99 else f"the centre of the bends is at {centre:.2f}"
     return (
-        f"{found} (0 motor, 1 joint), so the tendons' stretch does not tell the joint torque; up to {MOST_CENTRE:g} it "
-        "does: measure it with a joint torque sensor, or give where the sheath bends ([effects.elongation_coupling])"
+        f"{found} (0 motor, 1 joint), so the tendon elongation does not show the joint torque; up to {MOST_CENTRE:g} "
+        "it does: measure it with a joint torque sensor, or give where the sheath bends ([effects.elongation_coupling])"
     )
 
 
 def profile_of(model: TendonSheath) -> Profile:
-    """Where the sheath of a model bends; evenly where it does not say, and about the centre that it gives."""
+    """Where the sheath of a model bends; evenly if it has no centre, otherwise about its centre."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if isinstance(transmission, Elongating):
         return transmission.profile

@@ -1,4 +1,4 @@
-"""Which sets there are: address, licence, whom to cite, files with their check sums."""
+"""The list of sets: address, licence, whom to cite, files with their check sums."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class File:
 
 @dataclass(frozen=True)
 class Published:
-    """A set. `address` names a commit: what lies there cannot change; `model`: name of the model file here."""
+    """A set. `address` names a commit: its content cannot change; `model`: name of the model file here."""
 
     name: str
     what: str
@@ -39,7 +39,7 @@ class Published:
 
     @property
     def files(self) -> tuple[File, ...]:
-        """Its logs, in the order of the list beside this module."""
+        """Return its logs in the order of the list next to this module."""
         lines = (HERE / "files.txt").read_text(encoding="ascii").splitlines()
         rows = [line.split() for line in lines if not line.startswith("#")]
         return tuple(File(*row[1:]) for row in rows if row[0] == self.name)
@@ -104,7 +104,7 @@ def find(name: str) -> Published:
 
 
 def folder() -> Path:
-    """Where sets lie unless somebody says otherwise: $TSA_DATA, else the user's cache."""
+    """The default folder of the sets: $TSA_DATA, else the user's cache."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named)

@@ -32,7 +32,7 @@ def _rows(text: str, first: int, separator: str, columns: tuple[int, ...], name:
             yield tuple(float(cells[column]) for column in columns)
         except (ValueError, IndexError):
             raise UsageError(
-                f"{name}, line {number + 1}: not what was published ('{line[:40]}'); fetch it anew"
+                f"{name}, line {number + 1}: not the published file ('{line[:40]}'); fetch it again"
             ) from None
 
 
@@ -69,7 +69,7 @@ def linear_axis(data: bytes, name: str) -> str:
         columns = [found[key].ravel() for key in ("t", "vir", "qm")]
         gain = float(found["gtau"].ravel()[0])
     except (MatReadError, ValueError, TypeError, KeyError, IndexError, NotImplementedError) as error:
-        raise UsageError(f"{name}: not what was published ({error}); fetch it anew") from None
+        raise UsageError(f"{name}: not the published file ({error}); fetch it again") from None
     rows = zip(columns[0], gain * columns[1], columns[2], strict=True)
     return "\n".join(["t,tau_m,q_m", *(",".join(f"{float(value):.9g}" for value in row) for row in rows), ""])
 
@@ -126,7 +126,7 @@ def _converted(wanted: Published, file: File, address: str) -> bytes:
     found = hashlib.sha256(text).hexdigest()
     if found != file.sha256:
         raise UsageError(
-            f"{source}: is not what was published (SHA-256 of its CSV {found[:12]}..., "
+            f"{source}: is not the published file (SHA-256 of its CSV {found[:12]}..., "
             f"expected {file.sha256[:12]}...); nothing of it was kept"
         )
     return text
@@ -142,7 +142,7 @@ def _download(source: str) -> bytes:
             f"{source}: not reached ({reason}); try again with a network, or give another address by --from"
         ) from None
     if len(data) > LARGEST:
-        raise UsageError(f"{source}: is larger than {LARGEST >> 20} MiB and not what was published; nothing was kept")
+        raise UsageError(f"{source}: is larger than {LARGEST >> 20} MiB and not the published file; nothing was kept")
     return data
 
 

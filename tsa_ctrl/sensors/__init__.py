@@ -1,1 +1,1 @@
-"""Sensors on a serial line (joint torque, tendon load cells), each read in a process of its own."""
+"""Sensors on a serial line (joint torque, tendon load cells), each read in a separate process."""

@@ -95,7 +95,7 @@ class SerialSensors:
         return Child("tsa_ctrl.sensors.reader", fd, count, index, text, reports=False, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
-        """SI value of a sensor at a monotonic time, nan when there is none younger than its time-out; about 1 us."""
+        """SI value of a sensor at a monotonic time, nan if the newest is older than its time-out; about 1 us."""
         return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:

@@ -1,4 +1,4 @@
-"""What a sensor on a serial line is: port, how a line is read, and when its value is too old or cannot be."""
+"""The settings of a sensor on a serial line: port, how a line is read, and when its value is too old or cannot be."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class SerialSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     quantity: Literal["tau_j", "t1", "t3", "theta", "temperature"]
     baud_rate: Annotated[int, Meta(ge=50, le=12_000_000)] = 115_200
     pattern: str = NUMBER  # regular expression with a group "value" (and optionally "unit")
-    unit: str = ""  # when given, the pattern's group "unit" must say this
+    unit: str = ""  # if given, the pattern's group "unit" must match it
     scale: float = 1.0  # SI per unit of the line; negative turns the sign
     offset: float = 0.0  # SI, added
     low: float = -1e4  # SI: a value outside is a fault of the line, dropped and counted
     high: float = 1e4
     request: str = ""  # sent for each value, for sensors that are asked
-    rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 100.0  # Hz of requests, and what is expected
+    rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 100.0  # rate of requests and of expected answers, Hz
     timeout: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # s; an older value counts as not there
 
 
@@ -38,7 +38,7 @@ def check(settings: SerialSensorSettings, where: str) -> None:
         groups = re.compile(settings.pattern).groupindex
     except re.error as error:
         raise UsageError(
-            f"{where}: pattern '{settings.pattern}' is no regular expression ({error}); correct it"
+            f"{where}: pattern '{settings.pattern}' is not a regular expression ({error}); correct it"
         ) from None
     if "value" not in groups:
         raise UsageError(

@@ -1,7 +1,7 @@
 """Where compiled functions are kept between runs: a folder that this user can write, wherever the package lies.
 
 numba asks for `NUMBA_CACHE_DIR` when it is imported, and ends in a traceback where it finds no place to write; so the
-package sets it before anything of it is imported. What the user has set stays.
+package sets it before anything of it is imported. A value of the user stays.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def choose() -> None:
-    """Set `NUMBA_CACHE_DIR` unless it is set: ~/.cache/tsa-ctrl, else a temporary folder, which is said once."""
+    """Set `NUMBA_CACHE_DIR` unless it is set: ~/.cache/tsa-ctrl, else a temporary folder, which is reported once."""
     if os.environ.get(VARIABLE):
         return
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 (a Path without a home raises)
@@ -34,7 +34,7 @@ def _usable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """This user's own folder among the temporary ones; never one that somebody else may have made."""
+    """This user's own folder among the temporary ones; never one that another user may have made."""
     import tempfile  # 8 ms in which Ctrl-C is still a traceback: only here is it needed
 
     folder = Path(tempfile.gettempdir(), f"tsa-ctrl-numba-{os.getuid()}")

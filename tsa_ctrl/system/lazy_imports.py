@@ -1,4 +1,4 @@
-"""To be imported before scipy by a program that is waited for: parts of numpy that nobody asked for are not loaded.
+"""To be imported before scipy by a program that is waited for: unused parts of numpy are not loaded.
 
 scipy copies all names of numpy, and so loads what generates Fortran interfaces and what tests arrays: a quarter of the
 time that a diagnosis takes to load. They are loaded when something of them is used (importlib.util.LazyLoader).

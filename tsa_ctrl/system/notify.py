@@ -1,6 +1,6 @@
 """The service manager's protocol (sd_notify(3)): ready, alive, stopping, as datagrams to the socket in NOTIFY_SOCKET.
 
-The loop itself says that it is alive, so that a loop that hangs is found out; a datagram is never waited for. When the
+The loop itself sends the sign of life, so that a hanging loop is detected; a datagram is never waited for. When the
 manager then kills the process, the drive's own watchdog has long taken the torque away.
 """
 
@@ -16,7 +16,7 @@ LONGEST = 60.0  # s that a new bring-up, or the end of a run, may take without a
 
 
 class Notifier:
-    """Says what changed; does nothing where nobody asked for it."""
+    """Says what changed; does nothing without a service manager."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
@@ -45,7 +45,10 @@ class Notifier:
 
     @contextlib.contextmanager
     def no_loop(self) -> Iterator[None]:
-        """There is no loop inside the block, but a bring-up, which takes longer than a sign of life may."""
+        """Inside the block a bring-up runs instead of the loop.
+
+        It takes longer than the allowed time of a sign of life.
+        """
         self._allow(LONGEST)
         try:
             yield
@@ -58,13 +61,13 @@ class Notifier:
             self._socket = None
 
     def _allow(self, seconds: float) -> None:
-        """From now on the manager waits this long for a sign of life, and never less than it was told to."""
+        """Let the manager wait this long for a sign of life, but never less than configured."""
         if self._interval is not None:
             self._say(f"WATCHDOG_USEC={round(1e6 * max(seconds, self._interval))}\nWATCHDOG=1")
 
     def _say(self, text: str) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # nobody there, or too busy: the loop has other things to do
+            with contextlib.suppress(OSError):  # no receiver, or too busy: the loop has other things to do
                 self._socket.sendto(text.encode(), self._address)
 
 

@@ -134,7 +134,7 @@ def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
 LOOK = 0.1  # s between two checks of the worker
 REST = 1.0  # s between two starts, so that a worker that fails at once takes no processor time from the loop
 LONGEST_REST = 10.0  # s; REST doubles up to it while workers fail, so that their starts take little processor time
-MOST = 10  # replacements in a row once the supervisor's parent has ended: the worker still has to store what is left
+MOST = 10  # replacements in a row once the supervisor's parent has ended: the worker still has to store the rest
 
 
 def supervise(

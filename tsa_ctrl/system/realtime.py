@@ -1,7 +1,7 @@
 """Real time on Linux: absolute deadlines, whole periods skipped and counted, and rights that are read back.
 
 A right that is asked for and not in force is an error unless the settings allow running without. Garbage collection is
-frozen: what exists is never scanned again, and the loop makes no cycles of its own.
+frozen: existing objects are never scanned again, and the loop makes no reference cycles.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ class RealtimeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
 
 @dataclass(frozen=True)
 class Rights:
-    """What is in force for this process, read back from the kernel."""
+    """The real-time state of this process, read back from the kernel."""
 
     fifo: bool
     priority: int
     locked_bytes: int
-    missing: tuple[str, ...]  # one line each: what was asked, what was found, what to do
+    missing: tuple[str, ...]  # one line each: request, result, remedy
 
     def __str__(self) -> str:
         policy = f"SCHED_FIFO {self.priority}" if self.fifo else "no real-time scheduling"
@@ -80,7 +80,7 @@ def acquire(settings: RealtimeSettings) -> Rights:
 
 
 def freeze_garbage() -> None:
-    """What exists is never scanned again, and no collection starts; called right before the loop."""
+    """Existing objects are never scanned again, and no collection starts; called right before the loop."""
     gc.collect()
     gc.freeze()
     gc.disable()

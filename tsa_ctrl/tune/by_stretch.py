@@ -1,7 +1,7 @@
 """Tuning by the tendons' stretch, which two encoders and the motor's torque show, with and without a torque sensor.
 
 Without a joint torque sensor stiffness and friction come from the stretch, where the sheath bends from the file: the
-two are not parted then. The verifying runs are judged by the stretch, too. With a sensor the stretch knows where the
+two are not parted then. The verifying runs are also judged by the elongation. With a sensor the stretch knows where the
 tendons slide all along, which the joint's motion alone does not show.
 """
 
@@ -27,16 +27,16 @@ ROUNDS = 4  # of two parameters of which only the product shows: 1e-6 after thre
 
 
 def why_not_told(model: TendonSheath, has_encoder: bool) -> str:
-    """What stands against a joint torque by stretch, with the cure; empty where nothing does."""
+    """Return the reason against a joint torque by elongation, with the remedy; empty if there is none."""
     if not has_encoder:
         return "no [axis.encoder], so that the tendons' stretch is not known either; give one"
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
-        return "the model file does not say where the sheath bends; give [sheath] bending_centre"
+        return "the model file does not give the place of the bends; give [sheath] bending_centre"
     return why_not(model)
 
 
 def moved_by_hand(torque: float) -> str:
-    """What to do where a joint that only its own torque moves shows too little; `torque`: N*m, the most of it."""
+    """Return the advice for a joint that moves too little by its own torque; `torque`: N*m, the most of it."""
     return (
         "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
         f"fro all the while, against up to {torque:.2g} N*m"
@@ -109,7 +109,7 @@ def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate
             calibration=dataclasses.replace(found.calibration, friction_angle=x, pretension=tension, model=model),
         )
     calibration = dataclasses.replace(found.calibration, half_loop_torque=half)
-    note = "without a joint torque sensor: the joint torque is that of the tendons' stretch, in the verification, too"
+    note = "without a joint torque sensor: the joint torque comes from the tendon elongation, also in the verification"
     return dataclasses.replace(
         found,
         calibration=calibration,
@@ -122,8 +122,8 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     """`found` by a joint torque sensor, with the stretch's half loop where it contradicts the regression's.
 
     A limb that creeps between its strokes moves while its tendons slide only in part: regressed there, friction comes
-    out too small. The tendons led through the log know better. As it was where the stretch does not tell, where x and
-    T_p0 were parted, or where effects take torque, of which the stretch knows nothing.
+    out too small. The tendons led through the log know better. The file's value stays if the elongation does not
+    determine it, if x and T_p0 were separated, or if effects take torque, which the elongation does not show.
     """
     if found.calibration.split or set(model.effects) - {COUPLING}:
         return found

@@ -1,4 +1,4 @@
-"""Which of two parameter sets follows the wanted joint torque better: alternating blocks, paired, with an interval.
+"""Find which of two parameter sets follows the desired joint torque better, by pairs of blocks, with an interval.
 
 Blocks go A B B A A B B A ..., so that a slow drift (warming, relaxation) meets both alike. Each neighbouring pair gives
 one difference of the blocks' RMS errors; their mean has Student's t interval with pairs - 1 degrees of freedom.
@@ -51,7 +51,7 @@ class LiveBlocks:
             for axis in axes:
                 known = axis["parameters"].get(name)
                 if where not in ("", axis["name"]) or known is None or known["low"] is None:
-                    continue  # the daemon says why it refuses
+                    continue  # the daemon reports the reason of a rejection
                 for values in self._sets.values():
                     check_bounds(parameter, values[parameter], known["low"], known["high"], known["unit"])
 
@@ -73,7 +73,7 @@ class LiveBlocks:
         time.sleep(SETTLE)
 
     def measure(self) -> float:
-        """RMS of delivered minus wanted joint torque over a block, N*m; raises BusError when the torque stops."""
+        """RMS of delivered minus desired joint torque over a block, N*m; raises BusError when the torque stops."""
         squares: dict[float, float] = {}
         end = time.monotonic() + self._seconds
         while time.monotonic() < end:
@@ -91,7 +91,7 @@ class LiveBlocks:
         return math.sqrt(math.fsum(squares.values()) / len(squares))
 
     def restore(self) -> None:
-        """Put back what was set before the first block."""
+        """Restore the values of before the first block."""
         for parameter, value in self._before.items():
             self._client.ask(protocol.Set(parameter, value))
 
@@ -180,7 +180,7 @@ def compare(errors: Sequence[tuple[str, float]]) -> Comparison:
 def alternate(
     blocks: int, apply: Callable[[str], None], measure: Callable[[], float], tell: Callable[[int, str, float], None]
 ) -> Comparison:
-    """Apply "a" or "b", measure the RMS error of the block, tell it, and so on; the caller restores what was before."""
+    """Alternate "a" and "b", measure and report the RMS error of each block; the caller restores the old values."""
     errors = []
     for number, name in enumerate(order(max(blocks, 2 * FEWEST_PAIRS))):
         apply(name)

@@ -31,16 +31,18 @@ from tsa_ctrl.model.predict import predict
 
 FloatArray = NDArray[np.float64]
 
-MOST = 12  # periods; a drive that is later is no drive for a torque loop
+MOST = 12  # periods; a later drive is unsuitable for a torque loop
 LAGS = (*(0.05 * n for n in range(1, 14)), 0.75, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)  # periods, tried
 TRANSPORT_STEP = 0.02  # periods between those that are tried
-AROUND = 2.5  # periods beside the one of the largest correlation
+AROUND = 2.5  # periods on each side of the one of largest correlation
 AS_GOOD = 9.0  # times the variance: the 99 % quantile of chi^2 with two degrees of freedom
-RESOLUTION = 0.05  # of a period: narrower is no interval, for the instant of a drive's own cycle is not known better
-EXPLAINED = 0.8  # share of the reported torque's variance, at least: less is no answer to the command
+RESOLUTION = (
+    0.05  # of a period: an interval is never narrower, because the instant of the drive's cycle is not known better
+)
+EXPLAINED = 0.8  # share of the reported torque's variance, at least: with less the torque does not follow the command
 EFFECT = "velocity_lag"
 LAG_STEP = 0.25e-3  # s between the lags that are tried
-MOST_LAG = 0.02  # s; an encoder that is later is no encoder for a torque loop
+MOST_LAG = 0.02  # s; a later encoder is unsuitable for a torque loop
 BLOCKS = 8
 CLEARLY_BETTER = 0.8  # of the error without a lag; with one it must be below
 
@@ -69,7 +71,7 @@ def command_delay(logs: Sequence[Dataset]) -> Delay | None:
     """From logs with tau_m_cmd and tau_m, best of one whose command changes fast; None where one does not follow.
 
     The interval holds every sum of D and lag that explains the torque as well as the best. A torque loop so fast that
-    it has settled when the torque is measured leaves the instant within the period open, and the interval says so.
+    it has settled when the torque is measured leaves the instant within the period open, and the interval contains it.
     """
     pairs = [(log["tau_m_cmd"], log["tau_m"]) for log in logs]
     period = logs[0].period

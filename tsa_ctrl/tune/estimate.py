@@ -49,7 +49,7 @@ FloatArray = NDArray[np.float64]
 
 BLOCKS = 10  # of time, for the interval
 DIGITS = 3  # of a point's share of the length
-FLOOR = 0.01  # of s_c: narrower is no interval, for pulleys and encoders are not known better
+FLOOR = 0.01  # of s_c: an interval is never narrower, because pulleys and encoders are not known better
 NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres that have a name
 
 
@@ -83,10 +83,10 @@ def lost(profile: Profile, x: float) -> float:
 
 
 def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
-    """From logs with q_m and q_j beside the torques; `model` gives x and the radii. None without those angles.
+    """From logs with q_m and q_j in addition to the torques; `model` gives x and the radii. None without those angles.
 
-    A series spring is of the length, not of the sheath: with one in the model nothing is said. Raises UsageError when
-    the joint slides too little.
+    A series spring is of the length, not of the sheath: with one in the model the result is empty. Raises UsageError
+    when the joint slides too little.
     """
     if model.series_stiffness is not None or not all({"q_m", "q_j"} <= set(log.columns) for log in logs):
         return None
@@ -111,7 +111,7 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
 def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[FloatArray, FloatArray]:
     """What both lines are made of while sliding, (n, 4): 1, tau_M, sigma, q_J; and what they give, (n, 2): e, tau_J.
 
-    The joint's angle takes what a ratio of the radii that is not quite true, and the motor's inertia, leave.
+    The joint's angle absorbs the errors of the ratio of the radii and of the motor's inertia.
     """
     mask = prepared.mask
     angle = log["q_j"][mask]
@@ -142,7 +142,7 @@ def _centre(ratio: float, x: float) -> float:
     return 1.0 if beyond(1.0) >= 0.0 else float(brentq(beyond, 0.0, 1.0, xtol=1e-3))
 
 
-CLEARLY_BETTER = 0.9  # of the error of what is there; another form must be below
+CLEARLY_BETTER = 0.9  # of the present error; another form must be below
 KEPT = 0.95  # of the samples count when forms are compared
 LEAST_GAIN = 0.5  # 1, share of what can be gained on held-out data that an extension must gain
 PERIOD = 1e-3  # s, of the controller that must be able to use an extension; any will do
@@ -150,7 +150,7 @@ COUPLING = "elongation_coupling"
 
 
 class Form(Enum):
-    """How the transmission is described; the values are said to people."""
+    """How the transmission is described; the values are printed."""
 
     GIVEN = "as the file gives it"
     UNIFORM = "full model (3.53), evenly bent sheath"
@@ -168,7 +168,8 @@ class Estimate:
 
     `calibration` is that of the form that was kept, `errors` each form's RMS error while sliding (N*m; all have the
     same two free parameters), `effects` what was added with certainty and `parameters` their numbers, by
-    "effect.parameter". `plain`: of the same logs, without what the diagnosis added; None where it added nothing.
+    "effect.parameter". `plain`: of the same logs, without the effects that the diagnosis added; None where it added
+    nothing.
     """
 
     model: TendonSheath
@@ -184,7 +185,7 @@ class Estimate:
 def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
     """Calibrate `model`; with `forms` also by where the sheath bends, and how late the velocity is.
 
-    The angles of motor and joint tell where it bends, if the logs have both; else an evenly and a motor-side bent
+    The angles of motor and joint show where it bends, if the logs have both; else an evenly and a motor-side bent
     sheath are tried. Raises UsageError when the logs do not show enough.
     """
     excluded = set(CATALOGUE[COUPLING].excludes) & set(model.effects)
@@ -222,7 +223,7 @@ def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_
     """The model bent as the angles show; as it was given where that agrees.
 
     All bends at the joint transmit as (3.55) does; but a model without a course of the bending leaves open how a
-    reversal travels through the sheath, and the law then takes it for evenly bent. So that one is written, too.
+    reversal travels through the sheath, and the law then takes it for evenly bent. So this one is also written.
     """
     form, bent = Form.GIVEN, model
     if COUPLING not in model.effects or not found.centre.low <= bending_centre(model) <= found.centre.high:
@@ -320,7 +321,7 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
 
 
 def _as_extended(without: Calibration, found: Diagnosis, model: TendonSheath) -> Calibration:
-    """What the diagnosis found of the base model beside its effects; x and T_p stay as open as they were."""
+    """The base model's parameters by the diagnosis, without its effects; x and T_p stay as open as they were."""
     errors = {name: error.found for name, error in found.parameter_errors.items()}
 
     def still_open(before: Quantity, value: float) -> Quantity:

@@ -1,9 +1,9 @@
-"""Gentle excitation: which joint torque shows what is not yet known, within the limits given.
+"""Gentle excitation: a joint torque that shows the unknown parameters within the given limits.
 
 Friction angle and pretension show in tau_J = slope tau_M - half_loop sigma while the joint slides both ways and the
-load varies within each direction. A joint that others move (a wearer, a test bench) needs a torque at frequencies that
-are none of that motion's; a joint that the drive moves must move both ways without leaving its speed and travel. A
-probe with little torque tells which of the two it is.
+load varies within each direction. A joint that others move (a wearer, a test bench) needs a torque at frequencies
+outside this motion; a joint that the drive moves must move both ways without leaving its speed and travel. A probe with
+little torque shows which of the two it is.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
 PROBE_SHARES = (0.2, 0.5, 0.9)  # of the most torque, one after the other until the joint moves
 FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sensor delays, several periods in 15 s
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
-VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside what was learned from
+VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside the range of the excitation
 OFF = 0.2  # 1, of friction angle and pretension, by which the file may be off while both tendons must pull
 PULLING = 0.8  # of the joint torque at which a tendon then goes slack
 SHAKE_SECONDS = 8.0
@@ -43,7 +43,7 @@ APART = 0.12  # relative distance of a frequency from the motion's own and its h
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the excitation may do: joint torque (N*m), joint speed (rad/s), joint travel (rad, or None)."""
+    """The limits of the excitation: joint torque (N*m), joint speed (rad/s), joint travel (rad, or None)."""
 
     torque: float
     speed: float
@@ -80,7 +80,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Design:
-    """An excitation, the motion that verifies what is learned from it, and why they are as they are."""
+    """An excitation, the motion that verifies its result, and the reasons for both."""
 
     excitation: Waveform
     verification: Waveform
@@ -108,7 +108,7 @@ def most_torque(model: TendonSheath, limit: float) -> float:
 
 
 def probe(bounds: Bounds, share: float, seconds: float) -> Waveform:
-    """A slow torque of `share` of what is allowed."""
+    """Return a slow torque of `share` of the limit."""
     return multi_sine(PROBE_FREQUENCIES, share * bounds.torque, seconds)
 
 

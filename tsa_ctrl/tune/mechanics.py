@@ -158,8 +158,9 @@ def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
     found = swing(logs, radii, motor_stiffness(model), delay)
     if found is None:
         note = (
-            "the joint slides too little beside the motor's swing: motor inertia and stiffness are not measured, and "
-            "the swing is not damped unless [axis.law] has motor_inertia; move the joint farther and faster"
+            "the joint slides too little compared with the motor's swing: motor inertia and stiffness are not "
+            "measured, and the swing is not damped unless [axis.law] has motor_inertia; "
+            "move the joint farther and faster"
         )
         return Mechanics(delay, None, (note,))
     return Mechanics(delay, found)

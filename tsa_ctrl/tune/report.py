@@ -101,7 +101,7 @@ def notes(outcome: Outcome) -> list[str]:
 
 
 def show(outcome: Outcome, difference: str, page: Path | None) -> None:
-    """Print the diff, and below it tables and notes: what a person reads before the question."""
+    """Print the diff, and below it tables and notes: the text before the question."""
     console = Console()
     console.print(difference or "the file would not change", markup=False, highlight=False, soft_wrap=True)
     table = Table("quantity", "given", "new", "95 % interval", "unit", title="estimated", title_justify="left")

@@ -182,7 +182,7 @@ class RigRunner:
         if str(drive.get("profile", "")).endswith(".toml"):
             drive["profile"] = str((folder / drive["profile"]).resolve())
         estimator = axis.get("estimator", {})
-        if estimator.get("kind") != "map":  # what the file says is what is verified
+        if estimator.get("kind") != "map":  # the verification uses the file's values
             axis["estimator"] = {**estimator, "use": False}
         if axis["name"] != self._axis.name:
             return

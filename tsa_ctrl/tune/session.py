@@ -183,7 +183,7 @@ def last(path: Path, *others: Path) -> dict[Path, Path]:
     """
     old = backups(path)
     if not old:
-        raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is beside it")
+        raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is next to it")
     number = max(old)
     found = {path: old[number]}
     for other in others:
@@ -293,7 +293,7 @@ class Session:
     def undo(self) -> dict[Path, Path]:
         """Restore the files that the last tuning replaced, and return their backups.
 
-        Raises UsageError if there are no backups, or if the controller's file was edited since.
+        Raises UsageError without backups, or if the controller's file was edited since.
         """
         controller = self._configuration.path
         kept = last(self.path, controller)
@@ -449,7 +449,9 @@ class Session:
 
     def worth_writing(self, outcome: Outcome) -> bool:
         """Return True if the new file has the smaller error; raises UsageError if the loop cannot use it."""
-        Feedforward(outcome.estimate.model, self._configuration.period)  # raises UsageError for what it cannot invert
+        Feedforward(
+            outcome.estimate.model, self._configuration.period
+        )  # raises UsageError for effects that it cannot invert
         return outcome.better
 
     def finish(self, outcome: Outcome) -> None:

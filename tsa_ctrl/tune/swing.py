@@ -30,7 +30,7 @@ from tsa_ctrl.tune.delay import Delay
 
 FloatArray = NDArray[np.float64]
 
-WINDOW = 0.15  # s: some periods of any ringing, short beside a gait
+WINDOW = 0.15  # s: some periods of any ringing, short compared with a gait
 TRAVEL = 0.1  # rad of the joint since its reversal, after which every part of the tendons slides
 FEWEST = 6  # windows
 CUBIC = 4  # coefficients of the slow part
@@ -45,7 +45,7 @@ LATE = 4.0  # periods that the motor's answer may be later than its torque
 class Swing:
     """`inertia` J_M (kg*m^2), `stiffness` of sliding tendons (N*m/rad), `ringing` (Hz), `decay` (1/s) of that swing.
 
-    `late`: s by which the motor's angle and speed say it later than the torque that the drive reports.
+    `late`: s by which the motor's angle and speed are later than the reported torque.
     """
 
     inertia: Quantity
@@ -68,8 +68,8 @@ class _Piece:
 def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float, delay: Delay) -> Swing | None:
     """From logs with tau_m_cmd and angles and velocities of motor and joint.
 
-    `radii`: r_M, r_J in m; `stiffness`: a first guess, N*m/rad. None where the joint slides too little
-    beside the motor's swing.
+    `radii`: r_M, r_J in m; `stiffness`: a first guess, N*m/rad. None if the joint slides too little compared with the
+    motor's swing.
     """
     period = logs[0].period
     pieces = [_piece(log, radii) for log in logs]

@@ -3,8 +3,8 @@
 Sliding shows the centre of the bends alone. A turn shows the rest: its slip front runs from the motor through the
 bends one by one, and how far it has come decides what stretch and joint torque are in the meantime. So the places of
 `PLACES` equal shares of the bending are found, together with stiffness, friction and motor inertia, that make both
-differ least (Gauss-Newton); the places are held to where they were, an even bend, as far as the log says nothing of
-them. Two bends with a straight piece between, taken for an even one, cost up to 20 mN*m RMS of 300 on simulated rigs.
+differ least (Gauss-Newton); without information in the log the places stay at an even bend. Two bends with a straight
+piece between, taken for an even one, cost up to 20 mN*m RMS of 300 on simulated rigs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 PLACES = 6  # with 8 nothing is gained on simulated rigs
 SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, in the middles of equal parts
 SPREAD = 0.1  # of the length, standard deviation of a place beforehand
-ALIKE_FOR = 0.1  # s, for which what the tendons leave out stays alike: so much of a log counts once
+ALIKE_FOR = 0.1  # s, for which the model error of the tendons stays similar: so much of a log counts once
 ROUNDS = 12  # of Gauss-Newton at most; ENOUGH ends them
 ENOUGH = 2e-3  # of the length: smaller steps of a place end the search
 STEPS = (0.01, 0.02, 1e-5, 0.01)  # of ln k, ln x, J_M and a place, for derivatives

@@ -269,7 +269,7 @@ def calibrate(
     within [uncertainty] where the data cannot part them, instead of keeping the file's proportion; so does a slope
     below r_J/r_M, which (3.55) cannot have whatever the proportion.
 
-    Raises UsageError when the logs do not show enough (naming what is lacking), or a column is missing.
+    Raises UsageError if the logs do not show enough (the message has the reason), or a column is missing.
     """
     if model.friction_angle == 0.0 or model.pretension == 0.0:
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
@@ -324,7 +324,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     if impossible:
         notes.append(
             f"the slope {slope} lies below r_J/r_M = {ratio:.4g}, which no friction angle gives: "
-            "an effect is missing or a gain is wrong; `tsa diagnose` tells which"
+            "an effect is missing or a gain is wrong; `tsa diagnose` identifies it"
         )
     if found is not None and is_split:
         x, tension = found
@@ -333,7 +333,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
             notes.append("the data part x and T_p less well than [uncertainty] does: the file's proportion is kept")
         x, tension = least_error(logs, model) if split == "fit" or impossible else keep_split(model, half_loop, notes)
         if impossible and split == "keep":
-            notes.append("so x and T_p are those of least simulation error within [uncertainty]")
+            notes.append("so x and T_p are the values of least simulation error within [uncertainty]")
     for name, quantity, (low, high) in zip(("friction angle", "pretension"), (x, tension), bounds(model), strict=True):
         if not low * 0.999 <= quantity.value <= high * 1.001:
             notes.append(f"the {name} {quantity} lies outside the file's [uncertainty], {low:.4g} to {high:.4g}")

@@ -24,7 +24,7 @@ def bounds(model: TendonSheath) -> tuple[tuple[float, float], tuple[float, float
 
 
 def narrower(found: tuple[Quantity, Quantity], model: TendonSheath) -> bool:
-    """Whether both intervals from the data are narrower than what the nominal file claims."""
+    """Return True if both intervals from the data are narrower than the uncertainty of the nominal file."""
     for quantity, (low, high) in zip(found, bounds(model), strict=True):
         if not (quantity.low > 0.0 and math.isfinite(quantity.high)):
             return False
@@ -36,8 +36,8 @@ def narrower(found: tuple[Quantity, Quantity], model: TendonSheath) -> bool:
 def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tuple[Quantity, Quantity]:
     """Move x and T_p0 together, in proportion to their uncertainties, until 2 T_p r_J sinh x is the half loop.
 
-    The intervals are what the known product leaves open within the bounds of both. Adds to `notes` when the half loop
-    cannot be reached.
+    The intervals are the remaining ranges for the known product within the bounds of both. Adds to `notes` when the
+    half loop cannot be reached.
     """
     (low_x, high_x), (low_t, high_t) = bounds(model)
     wx, wt = math.log(high_x / low_x) / 2.0, math.log(high_t / low_t) / 2.0
@@ -76,8 +76,8 @@ def _root(rising: Callable[[float], float]) -> float:
 def least_error(logs: list[PreparedLog], model: TendonSheath) -> tuple[Quantity, Quantity]:
     """x and T_p0 within [uncertainty] by least simulation error; the bounds are their intervals.
 
-    Over the admitted samples: at rest friction is anything up to the half loop, and the sign of a velocity that is
-    noise would make the least friction the best (a weight that stands between strokes: 0.38 instead of 0.61 N*m).
+    Over the admitted samples: at rest friction is anything up to the friction torque, and the sign of a velocity that
+    is noise would make the least friction the best (a weight that stands between strokes: 0.38 instead of 0.61 N*m).
     """
     from scipy.optimize import least_squares  # slow to import
 

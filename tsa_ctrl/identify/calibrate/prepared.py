@@ -17,7 +17,7 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
 
-# Which samples a calibration may learn from: data admission, apart from the fit.
+# Select the samples for a calibration: data admission, apart from the fit.
 #
 # Learned from: sliding in a known direction. Refused: standstill, and the neighbourhood of each reversal, where sigma
 # is not known from a noisy velocity and the friction has not yet built up (presliding).
@@ -28,7 +28,7 @@ BoolArray = NDArray[np.bool_]
 NOISE_FACTOR = 5.0  # a speed below so many times the velocity noise has no sure sign
 SPEED_FRACTION = 0.05  # of the fast motion's speed: slower is called standstill
 STROKE_FRACTION = 0.15  # of the stroke after a reversal: friction may still be building up
-GUARD_TIME = 0.03  # s beside each reversal: sensor delays
+GUARD_TIME = 0.03  # s on each side of a reversal: sensor delays
 MIN_SECONDS = 1.0  # admitted motion in each direction: twice the time within which noise is alike (prepared.LAG_LIMIT)
 # Spread of the motor torque within a direction over its noise: below, noise bends the slope by more than a fifth
 MIN_LOAD_TO_NOISE = 2.0
@@ -36,7 +36,7 @@ MIN_LOAD_TO_NOISE = 2.0
 
 @dataclass(frozen=True)
 class Admission:
-    """`mask` (n) of admitted samples, `direction` sigma (n), and what was found lacking or refused."""
+    """`mask` (n) of admitted samples, `direction` sigma (n), and the reasons for rejected samples."""
 
     mask: BoolArray
     direction: FloatArray
@@ -103,7 +103,10 @@ def _hold(direction: FloatArray) -> FloatArray:
 
 
 def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) -> None:
-    """Refuse data that cannot identify the half loop and the slope; raises TooStillError naming what is too little."""
+    """Refuse data that cannot identify the half loop and the slope.
+
+    Raises TooStillError with the quantity that varies too little.
+    """
     forward = sum(a.seconds_forward for a in admissions)
     backward = sum(a.seconds_backward for a in admissions)
     if forward + backward == 0.0:
@@ -158,7 +161,10 @@ class PreparedLog:
 
 
 def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str, float]) -> list[PreparedLog]:
-    """Each log with what is admitted of it; `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError."""
+    """Return each log with its admitted samples.
+
+    `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError.
+    """
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
     for pattern in tensioner:
@@ -202,7 +208,7 @@ def _check_different(logs: Sequence[Dataset]) -> None:
 
 
 def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
-    """Whether bending angle or pretension varied, and by known amounts."""
+    """Return True if wrap angle or pretension varied by known amounts."""
     changes = [log.tensioner for log in logs]
     if max(changes) - min(changes) > VARIED_FRACTION * model.pretension:
         return True

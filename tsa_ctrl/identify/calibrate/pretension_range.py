@@ -1,7 +1,7 @@
 """The range in which a pretension is appropriate: no tendon goes slack, and the motor has torque left for the joint.
 
-Both tendons pull while |tau_M| < 2 T_p0 r_M, and friction at the motor is h = 2 T_p0 r_M f(x), which grows with the
-pretension, too. So for a torque of tau at the motor
+Both tendons pull while |tau_M| < 2 T_p0 r_M, and friction at the motor is h = 2 T_p0 r_M f(x), which also grows with
+the pretension. So for a torque of tau at the motor
 
     tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x)),     f by where the sheath bends (`tsa_ctrl.model.sliding`)
 """
@@ -18,7 +18,7 @@ from tsa_ctrl.model.sliding import sliding
 
 FloatArray = NDArray[np.float64]
 
-REACHED = 0.999  # of the samples, of the motor torque: what it reaches, a spike apart
+REACHED = 0.999  # of the samples, of the motor torque: its peak without spikes
 NEAR = 1.1  # of the lesser end: below it sensors that are off by a tenth hide whether a tendon pulls
 
 

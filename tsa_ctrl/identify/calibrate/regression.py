@@ -29,7 +29,7 @@ NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has die
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients (k), their covariance (k, k) from B blocks of time, and what tells how well that is known.
+    """Coefficients (k), their covariance (k, k) from B blocks of time, and the basis of its own uncertainty.
 
     With k-vectors of scores, `influence` (B, k, k) takes the residuals' score of a block to its share of the error of
     `value`, `leverage` (B, k, k) is the part of a block's score that the fit took up, `weight` (B, k, k) what white
@@ -147,7 +147,7 @@ def solve(regressors: FloatArray, instruments: FloatArray, target: FloatArray, l
 
 
 def _inverse_root(matrices: FloatArray) -> FloatArray:
-    """Inverse square roots (B, k, k); what a block alone determines (a root of 0) leaves no residual to be scaled."""
+    """Inverse square roots (B, k, k); a direction that a block alone determines (a root of 0) has no residual."""
     values, vectors = np.linalg.eig(matrices)
     alone = values.real < ALONE
     roots = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, values.astype(np.complex128))))

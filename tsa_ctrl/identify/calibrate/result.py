@@ -32,7 +32,7 @@ class Calibration(Displayed):
     file's proportion and their intervals are what [uncertainty] and the half loop leave open.
 
     RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
-    `rms_given` and `rms_written` (`model`, which is what a file gets) on all data, which `model` has learned from.
+    `rms_given` and `rms_written` (`model`, which is written to the file) on all data, which `model` has learned from.
     `errors`: of `model` on all samples, with reversals and standstill, equal to the output of `simulate`.
     """
 
@@ -65,7 +65,7 @@ class Calibration(Displayed):
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """What was estimated, by its public name."""
+        """Return the estimated quantities by their public names."""
         names = ("friction_angle", "pretension", "half_loop_torque", "slope")
         return {name: getattr(self, name) for name in names}
 
@@ -85,7 +85,7 @@ class Calibration(Displayed):
         return bars(errors, "RMS error (N·m)", f"Friction torque {self.half_loop_torque}")
 
     def written(self, model: TendonSheath) -> TendonSheath:
-        """The model with as many digits of what was estimated as the narrowest interval is worth: the half loop's."""
+        """Return the model; the estimates have as many digits as the narrowest interval justifies: the half loop's."""
         share = min(found.share for found in self.quantities.values() if found.share >= 0.0)
         return replace(
             model,

@@ -45,14 +45,14 @@ MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
 # contain the true values on rigs with errors of up to 20 % in friction, pretension and stiffness (bench/stretch).
 MODEL = (0.006, 0.006, 0.03, 5e-6)
 COURSE_FOUND = 0.002  # 1, of s_c, instead, where the log has shown the course of the bends: 0.0013 at most
-WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log cannot tell
+WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log does not determine it
 LEAST_SLID = 1.0  # s after the tendons have slid all along
 CENTRES = (0.01, 0.97)  # of the bends: at an end itself one of the two softnesses is 0, and its logarithm none
 
 
 @dataclass(frozen=True)
 class StretchFit:
-    """What the stretch tells; `centre` is None without a joint torque sensor. `model` has it all."""
+    """The results of the tendon elongation; `centre` is None without a joint torque sensor. `model` has it all."""
 
     axial_stiffness: Quantity  # N; a series spring moves with it
     centre: Quantity | None  # s_c of the sheath's bends, 1
@@ -60,13 +60,13 @@ class StretchFit:
     half_loop_torque: Quantity  # N*m at the joint: what both make
     motor_inertia: Quantity  # kg*m^2
     zeros: dict[str, Quantity]  # m of r_M q_M - r_J q_J, by log
-    rms: float  # m, of the stretch foretold
+    rms: float  # m, of the predicted elongation
     notes: tuple[str, ...]
     model: TendonSheath
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """What was estimated, by its public name."""
+        """Return the estimated quantities by their public names."""
         found = {
             "axial_stiffness": self.axial_stiffness,
             "motor_inertia": self.motor_inertia,
@@ -92,7 +92,7 @@ _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # rows, rests, blocks
 
 
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
-    """Fit them to all logs at once. Raises UsageError, with the cure, for what these logs cannot tell."""
+    """Fit them to all logs at once. Raises UsageError, with the remedy, if these logs do not determine a parameter."""
     if not (model.friction_angle > 0.0 and model.pretension > 0.0):
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
     seen = [taken(log, model) for log in logs]
@@ -139,7 +139,7 @@ def _search(
 
 
 def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
-    """The logs with the joint torque that the tendons' stretch tells as tau_j (N*m), from where it is known on."""
+    """Return the logs with the joint torque by the tendon elongation as tau_j (N*m), from its first known sample."""
     p = np.array([0.0, profile_of(found.model).centre, 0.0, found.motor_inertia.value])
     out = []
     for log in logs:
@@ -153,7 +153,7 @@ def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
 
 
 _CURE = (
-    "the tendons' stretch does not tell their stiffness here; record motion in both directions, with reversals, under "
+    "the tendon elongation does not show their stiffness here; record motion in both directions, with reversals, under "
     "a load that varies, and with a torque sensor for the place of the bends"
 )
 
@@ -180,7 +180,7 @@ def _linear(
     sensor: bool,
     labels: list[NDArray[np.int64]],
 ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], float]:
-    """Rows, rests and blocks of a round, each channel over its own deviation; and that of the stretch, m."""
+    """Rows, rests and blocks of a round, each channel over its own deviation; and of the elongation, m."""
     count = len(logs)
     parts: tuple[list[_Part], list[_Part]] = ([], [])  # of the stretch, of the joint torque
     for n, log in enumerate(logs):

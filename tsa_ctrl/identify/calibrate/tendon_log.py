@@ -1,4 +1,4 @@
-"""A log as the tendons take it, and what the observer's tendons, led through it, foretell of it."""
+"""A log as input of the observer's tendons, and their prediction of it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
         row, size = jumped
         raise UsageError(
             f"{label}: r_M q_M - r_J q_J of the columns q_m and q_j jumps by {size:.3g} m at {log['t'][row]:.4g} s: a "
-            "pulley slipped, or an encoder lost counts or began anew; give the log up to there, or from there on"
+            "pulley slipped, or an encoder lost counts or restarted; give the log up to there, or from there on"
         )
     if np.ptp(way) > 10.0 * model.pretension / model.tendon_stiffness:
         turned = float(np.polyfit(way, r_m * q_m, 1)[0])
@@ -85,7 +85,7 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
 
 
 def jump(stretch: FloatArray, least: float) -> tuple[int, float] | None:
-    """Row and size (m) of a step of the zero that lasts; `least`: m, of such a step. None where there is none."""
+    """Row and size (m) of a step of the zero that lasts; `least`: m, of such a step. None without one."""
     steps = np.diff(stretch)
     if steps.size < 2 * AROUND:
         return None

@@ -1,4 +1,4 @@
-"""Fleets of logs: each diagnosed by itself, on all cores or on a scheduler, resumable, with one table of verdicts."""
+"""Fleets of logs: each diagnosed separately, on all cores or on a scheduler, resumable, with one table of verdicts."""
 
 from tsa_ctrl.identify.fleet.ledger import Row
 from tsa_ctrl.identify.fleet.sweep import logs_in, sweep

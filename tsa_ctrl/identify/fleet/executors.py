@@ -1,4 +1,4 @@
-"""Where the work of a fleet is done: processes of this machine, or a Dask scheduler that somebody runs already."""
+"""Where the work of a fleet is done: processes of this machine, or a Dask scheduler that is already running."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep
     try:
         yield Workers(pool, count, same_disk=True)
     except BaseException:
-        processes = list((pool._processes or {}).values())  # its public end waits for what is being worked on
+        processes = list((pool._processes or {}).values())  # its public shutdown waits for the running jobs
         pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
@@ -51,7 +51,7 @@ def _begin() -> None:
 def dask(scheduler: str) -> Iterator[Workers]:
     """The workers of a running Dask scheduler ("tcp://host:8786"); they need this package, but none of the files.
 
-    Raises UsageError when the extra is not installed, BusError when nobody answers there.
+    Raises UsageError when the extra is not installed, BusError if no scheduler answers.
     """
     try:
         from distributed import Client

@@ -1,4 +1,4 @@
-"""What a fleet has answered so far: a file of lines that an interruption cannot spoil, and the table made from it."""
+"""The answers of a fleet so far: a file of lines that an interruption cannot spoil, and the table made from it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LEDGER, TABLE = "fleet.jsonl", "verdicts.csv"
 
 @dataclass(frozen=True)
 class Named:
-    """Hold an identified cause and the effects that this log cannot tell from it."""
+    """Hold an identified cause and the effects that this log cannot distinguish from it."""
 
     effect: str
     alternatives: tuple[str, ...]
@@ -34,8 +34,8 @@ class Named:
 class Row:
     """The answer on one log. `verdict`: as in diagnosis.json, or "error" with the reason in `error`.
 
-    `rms` in N*m as in diagnosis.json; `key` stands for log, model, seed
-    and version, so that an answer is taken again only for the same question.
+    `rms` in N*m as in diagnosis.json; `key` identifies log, model, seed and version, so that an answer is taken again
+    only for the same question.
     """
 
     log: str
@@ -50,7 +50,7 @@ class Row:
 
     @property
     def told(self) -> str:
-        """The causes in one line: names, with what they cannot be told from."""
+        """The causes in one line: names, with their indistinguishable effects."""
         return "; ".join(
             each.effect + (f" (or {', '.join(each.alternatives)})" if each.alternatives else "") for each in self.causes
         )

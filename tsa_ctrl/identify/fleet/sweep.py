@@ -26,7 +26,7 @@ Progress = Callable[[int, int, Row | None], None]
 
 @dataclass(frozen=True)
 class Job:
-    """A log and the model to diagnose it with. `key` stands for all of it.
+    """A log and the model to diagnose it with. `key` identifies all of it.
 
     `log`: where it lies, for a worker that sees the same disk; for any other its contents.
     """
@@ -49,7 +49,7 @@ class Done:
 
 
 def carry_out(job: Job) -> Done:
-    """Diagnose one log. Never raises: a fleet goes on, and what was wrong with this log stands in its row."""
+    """Diagnose one log. Never raises: a fleet continues, and the row of this log has its error."""
     with tempfile.TemporaryDirectory(prefix="tsa-fleet-") as name:
         folder = Path(name)
         model = _laid(folder / "model" / job.model_name, job.model)
@@ -74,7 +74,7 @@ def _laid(path: Path, content: bytes) -> Path:
 
 
 def _plain(error: Exception, *files: Path) -> str:
-    """The message in one line, without folders: they may be ones that nobody knows."""
+    """The message in one line, without folders: they may be temporary ones."""
     text = " ".join(str(error).split())
     for path in files:
         text = text.replace(str(path), path.name)
@@ -82,7 +82,7 @@ def _plain(error: Exception, *files: Path) -> str:
 
 
 def logs_in(folder: Path) -> list[Path]:
-    """The logs that lie in a folder itself, by name. Raises UsageError when there is none."""
+    """The logs that lie in a folder itself, by name. Raises UsageError if there is no log."""
     try:
         found = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(ENDINGS))
     except OSError as error:
@@ -103,10 +103,10 @@ def sweep(
     strict: bool = False,
     progress: Progress = lambda done, total, row: None,
 ) -> list[Row]:
-    """Diagnose each log by itself with `model`; returns the rows of the table by name.
+    """Diagnose each log separately with `model`; returns the rows of the table by name.
 
     Each report goes to out/NAME, each answer to out/fleet.jsonl at once, the table to out/verdicts.csv at the end or at
-    an interruption. What fleet.jsonl answers already for the same log, model, seed and version is not asked again.
+    an interruption. Answers in fleet.jsonl for the same log, model, seed and version are reused.
     progress(done, total, row) is called at the start (row None) and after each answer. Raises UsageError when a file
     cannot be read or written, BusError when a worker dies.
     """
@@ -167,12 +167,12 @@ def _unreadable(path: Path, error: OSError) -> UsageError:
 
 
 def _reported(out: Path, row: Row) -> bool:
-    """Whether the report that belongs to an answer is still there."""
+    """Return True if the report of an answer still exists."""
     return row.verdict == "error" or (out / row.log / "diagnosis.json").is_file()
 
 
 def _file(folder: Path, done: Done) -> None:
-    """Write a report's files; diagnosis.json, which says that the others are there, last."""
+    """Write a report's files; diagnosis.json last: it marks the others as complete."""
     try:
         for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
             folder.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Position, velocity and acceleration from what an encoder counted: one zero-phase smoother, its bandwidth by the data.
+"""Position, velocity and acceleration from the counts of an encoder: a zero-phase smoother, its bandwidth by the data.
 
 Every verb that derives a velocity or an acceleration does it by this one (`identify.motion`).
 """

@@ -91,7 +91,7 @@ POINTS = 16  # in a band, over which a shape's mean is taken: the zeros of a mea
 DEEPEST = 1e-3  # of a shape: rounding and white noise after the mean fill its zeros
 FLAT = 2.0  # times the level or a FLATth of it: a band off by less is noise, as neighbours in a shape differ by less
 MISSED = 2  # bands in a row off by more that end the plateau: a line or a zero alone does not
-SUNK = 0.1  # of a shape: in its zeros the noise is what is measured there, rounding and all
+SUNK = 0.1  # of a shape: in its zeros all of the measured power is noise, including rounding
 FURTHER = 1.4  # times as far down (half an octave) a shape must reach to be believed instead of white noise
 
 

@@ -99,7 +99,7 @@ def fast_size(n: int) -> int:
 ORDERS = (2, 3, 4, 6)  # of the Butterworth filters: from one that hardly rings to one that ends with the motion
 PER_DECADE = 40  # cut-offs tried: 6 % apart, which costs less than 1 % of the least error
 HIGHEST = 0.35  # of the rate, of a cut-off: with a gain that is not 0 at half the rate a derivative rings without end
-CERTAIN = 3.0  # standard errors by which a band stands out of the noise: by chance one in 700
+CERTAIN = 3.0  # standard errors by which a band exceeds the noise: by chance one in 700
 STANDS_OUT = 0.3  # of the noise's density: a weaker motion is not worth its noise
 GAP = 4  # bands: half an octave without motion ends it (a zero in a motion's spectrum is narrower)
 LINE = 10.0  # times the noise: a line apart from the motion, no chance

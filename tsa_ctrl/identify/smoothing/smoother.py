@@ -1,9 +1,9 @@
 """One smoother for every verb: an angle or a velocity and its derivatives, as sharp as its noise allows.
 
-The low-pass follows from the data: from the density of the motion and that of the noise, by least expected error
-(`bandwidth`). Rounding to counts is no white noise where the motion is slower than a count per sample; so its density
+The low-pass follows from the data: from the densities of motion and noise, by least expected error
+(`bandwidth`). Rounding to counts is not white noise where the motion is slower than a count per sample; so its density
 is measured: a smooth motion near the one recorded is rounded again, at other positions between the counts, until the
-low-pass that follows is the one that it began with. What the highest frequencies hold beyond that is white noise.
+low-pass that follows is the one that it began with. The remaining power of the highest frequencies is white noise.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 4  # of positions between the counts: what the noise's density is the mean of; of short logs more
+DRAWS = 4  # of positions between the counts: samples in the mean of the noise density; of short logs more
 DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
 HELD = 2_000_000  # samples in all draws at most that are held at once: of an hour they would take 120 MB
 ROUNDS = 8  # of rounding again at most; two or three are enough but for encoders of a few counts
 MORE = 4.0  # times the noise that rounding can be, to begin with: from below, no stair is taken for motion
 FEWEST = 64  # samples: a shorter signal has no spectrum to speak of and stays as it is
-TOP = 0.3  # of the rate: above it there is no motion
-WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass that leaves more may bend more than it mends
-WORTH = 0.1  # of the rounding's density: less on top of it is no noise of another kind
+TOP = 0.3  # of the rate: motion ends below it
+WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass that leaves more may distort more than it improves
+WORTH = 0.1  # of the rounding's density: a smaller excess is not another kind of noise
 GRID = 1e-3  # of a count, by which steps may miss a whole number of counts (digits of a text file)
 ORDERS = {"angle": ((0, 1), (2,)), "velocity": ((0,), (1,))}  # derivatives that share a low-pass
 
@@ -34,7 +34,7 @@ ORDERS = {"angle": ((0, 1), (2,)), "velocity": ((0,), (1,))}  # derivatives that
 class Smoothed:
     """A signal (n,) sampled every `period` s, and what of it is motion.
 
-    `smooth` is the low-pass of an angle and its velocity, or of a velocity; `steep` that of the acceleration. `errors`
+    `smooth` is the low-pass of an angle and its velocity, or of a velocity; `steep` of the acceleration. `errors`
     are the RMS errors expected of value, first and (of an angle) second derivative, `noises` the noise's part of them.
     `count` is the step of the grid that the values lie on, 0 without one. Without low-passes (None) the signal is taken
     as exact and its derivatives are central differences.
@@ -74,8 +74,8 @@ class Smoothed:
     def within(self, cutoff: float) -> Smoothed:
         """The same angle with no motion above `cutoff` Hz in value and rate; the acceleration stays.
 
-        White noise passes a low-pass as its cut-off to the order of the derivative and a half. What the lower cut-off
-        takes of the motion is not in `errors`: who asks for it does not want that motion.
+        White noise passes a low-pass as its cut-off to the order of the derivative and a half. The motion that the
+        lower cut-off removes is not in `errors`: it was excluded on purpose.
         """
         if self.smooth is None or self.smooth.cutoff <= cutoff:
             return self
@@ -181,7 +181,7 @@ def _rounded_again(path: Array, step: float, deviation: float, rng: np.random.Ge
 
 
 def grid(y: Array) -> float:
-    """The step of the grid that all values lie on; 0 where there is none."""
+    """The step of the grid that all values lie on; 0 without one."""
     steps = np.abs(np.diff(y))
     steps = steps[steps > 0.0]
     if steps.size == 0:

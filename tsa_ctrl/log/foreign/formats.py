@@ -1,4 +1,4 @@
-"""Files of other programs that are no text: one function per format, which returns named columns.
+"""Binary files of other programs: one function per format, which returns named columns.
 
 A format is read by the library that its users use; the extra `formats` of pyproject.toml installs them.
 """
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 
 Columns = dict[str, NDArray[Any]]
-TIME = "time [s]"  # of a format whose samples carry their time beside the columns
-# A list of names beside lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS (name, ...)
+TIME = "time [s]"  # of a format whose samples have their time separate from the columns
+# A list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS (name, ...)
 LABELS = ("Name", "label", "name")
 
 
@@ -64,7 +64,7 @@ def _length(value: Any) -> int:
 
 
 def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
-    """Split matrices into columns and keep those of the most common length; raise UsageError if there are none."""
+    """Split matrices into columns and keep the ones of the most common length; raise UsageError without any."""
     every: Columns = {}
     for name, values in found:
         array = np.squeeze(np.asarray(values))
@@ -85,7 +85,7 @@ def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
 
 
 def on_one_clock(tables: Mapping[str, tuple[NDArray[np.float64], Columns]]) -> Columns:
-    """Interpolate tables with clocks of their own onto the densest clock; NaN outside a table's time."""
+    """Interpolate tables with separate clocks onto the densest clock; NaN outside a table's time."""
     clock = max((t for t, _ in tables.values()), key=len)
     clock = clock[np.concatenate([[True], np.diff(np.maximum.accumulate(clock)) > 0])]
     found: Columns = {TIME: clock - clock[0]}
@@ -229,7 +229,7 @@ def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
         return reader(path)
     except UsageError:
         raise
-    except Exception as error:  # each library has errors of its own, and a damaged file must not print a traceback
+    except Exception as error:  # each library raises its own errors, and a damaged file must not print a traceback
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise UsageError(
             f"{path}: is damaged or no {path.suffix or 'ROS 2'} file ({reason}); export it again"

@@ -1,4 +1,4 @@
-"""From foreign columns to ours: which one is which, in what unit; guessed from their names, or as a file says.
+"""From foreign columns to ours: which one is which, in what unit; guessed from their names, or given by a file.
 
 A mapping file (TOML) has `[table]` (encoding, separator, decimal, header) and one `[column.NAME]` for each of our
 columns with `from` (the foreign name), `unit`, and where the unit needs them `scale` (SI per unit) and `offset` (SI).
@@ -26,7 +26,7 @@ from tsa_ctrl.signals import COLUMNS, INPUTS
 
 DATE = "date"  # the unit of a column of dates and times
 
-# SI per unit, by the unit of our column. What depends on the device (A, %, counts) is not here: it needs `scale`.
+# SI per unit, by the unit of our column. Units that depend on the device (A, %, counts) are not here: it needs `scale`.
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, DATE: 1.0},
     "N*m": {
@@ -72,7 +72,7 @@ WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 
 class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[table] of a mapping file; what is not given is told from the table."""
+    """[table] of a mapping file; the rest is determined from the table."""
 
     encoding: str | None = None
     separator: str | None = None  # one character, or " " for any white space
@@ -107,14 +107,14 @@ class Mapped:
     offset: float
 
     def values(self, table: ForeignTable) -> NDArray[np.float64]:
-        """The column in SI; raises UsageError naming the line of what is no number."""
+        """The column in SI; raises UsageError with the line of a value that is not a number."""
         if self.unit == DATE:
             return table.times(self.source)
         return table.numbers(self.source) * self.scale + self.offset
 
 
 def shape_of(file: MapFile, told: Shape) -> Shape:
-    """What the mapping file says of the text, and what the text shows where it says nothing."""
+    """Return the shape of the text from the mapping file, and from the text itself for missing keys."""
     given = file.table
     return Shape(
         given.encoding or told.encoding,
@@ -154,7 +154,10 @@ def parse_column(text: str) -> tuple[str, ColumnSettings]:
 
 
 def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str) -> list[Mapped]:
-    """What is given, checked against the table; raises UsageError naming what is there and what is allowed."""
+    """Return the given columns, checked against the table.
+
+    Raises UsageError with the value found and the allowed ones.
+    """
     found = []
     for name, wanted in given.items():
         if name not in COLUMNS:
@@ -168,7 +171,7 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
 
 
 def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
-    """Return columns that their names determine, beside those in `taken`; unit "" if the file states none."""
+    """Return columns that their names determine, except the ones in `taken`; unit "" if the file states none."""
     used = {settings.source for settings in taken.values()}
     found: dict[str, ColumnSettings] = {}
     for source in table.names:

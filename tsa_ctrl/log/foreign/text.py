@@ -23,7 +23,7 @@ from tsa_ctrl.log.foreign import formats
 
 LARGEST = 1 << 30  # bytes of text; a foreign table is held in memory, and ours is not meant to be exhausted by one
 SEPARATORS = ";\t,|"  # in the order of trust: a comma may be a decimal sign
-LOOKED_AT = 200  # lines from which header and separator are told
+LOOKED_AT = 200  # lines from which header and separator are determined
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 
 
@@ -42,7 +42,7 @@ NO_TEXT = Shape("", "", "", 0)  # of a file that a library reads
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """Columns of text as they stand, all of one length; `first` is the line of the first row, counted from 1."""
+    """Columns of text as in the file, all of one length; `first` is the line of the first row, counted from 1."""
 
     path: Path
     shape: Shape
@@ -50,10 +50,13 @@ class ForeignTable:
     cells: dict[str, list[str]]
     first: int
     ignored: int  # lines below the header that have another number of fields (units, a last torn line)
-    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # columns of a file that is no text
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # columns of a binary file
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """One column as doubles, empty cells as nan; raises UsageError naming the line of what is no number."""
+        """One column as doubles, empty cells as nan.
+
+        Raises UsageError with the line of a value that is not a number.
+        """
         if name in self.arrays:
             return np.asarray(self.arrays[name], dtype=np.float64)
         decimal = self.shape.decimal
@@ -67,13 +70,16 @@ class ForeignTable:
                 out[row] = float(text.replace(",", ".") if decimal == "," else text)
             except ValueError:
                 raise UsageError(
-                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is no number with the decimal "
+                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a number with the decimal "
                     f"sign '{decimal}'; correct it, or give [table] decimal in a mapping file"
                 ) from None
         return out
 
     def times(self, name: str) -> NDArray[np.float64]:
-        """A column of dates and times as seconds from the first; raises UsageError naming the line of what is none."""
+        """A column of dates and times as seconds from the first.
+
+        Raises UsageError with the line of a value that is not one.
+        """
         if name in self.arrays:
             stamps = self.arrays[name].astype("datetime64[ns]")
             return np.asarray((stamps - stamps[0]).astype(np.float64) * 1e-9, dtype=np.float64)
@@ -83,7 +89,7 @@ class ForeignTable:
                 found.append(datetime.fromisoformat(cell.strip().strip('"').replace(",", ".")).timestamp())
             except ValueError:
                 raise UsageError(
-                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is no date and time as in "
+                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a date and time as in "
                     "2025-01-31 14:25:01.5; convert it"
                 ) from None
         return np.array(found) - (found[0] if found else 0.0)
@@ -100,7 +106,7 @@ _EMPTY = frozenset({"", "nan", "-nan", "na", "n/a", "null", "none", "-", "--", "
 
 
 def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
-    """Read a text table as the file itself suggests, or as `shape` says. Raises UsageError in one line."""
+    """Read a text table as the file itself suggests, or by `shape`. Raises UsageError in one line."""
     suffix = path.suffix.lower()
     if suffix in formats.ARRAYS and (suffix or path.is_dir()):
         arrays = formats.read_with(formats.ARRAYS[suffix], path)
@@ -174,7 +180,7 @@ def _text(path: Path, encoding: str | None) -> tuple[str, str]:
     if encoding is None:
         encoding = _encoding(data)
     if b"\0" in data[:4096] and not encoding.startswith("utf-16"):
-        raise UsageError(f"{path}: is no text; export it as CSV from the program that wrote it")
+        raise UsageError(f"{path}: is not text; export it as CSV from the program that wrote it")
     try:
         return data.decode(encoding), encoding
     except (UnicodeDecodeError, LookupError):
@@ -232,7 +238,7 @@ def _mostly_numbers(row: Sequence[str]) -> bool:
 
 
 def _is_units(row: Sequence[str], names: Sequence[str]) -> bool:
-    """Whether the line below the names is one of units: as many short cells, none of them a number."""
+    """Return True if the line below the names has units: as many short cells, none of them a number."""
     cells = [cell.strip() for cell in row]
     few = len(cells) == len(names) and any(cells) and all(len(cell) <= 10 for cell in cells)
     return few and not any(_is_number(cell) for cell in cells) and not any("[" in name for name in names)

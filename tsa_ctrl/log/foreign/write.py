@@ -1,4 +1,4 @@
-"""What an import leaves: canonical CSV, the mapping that was understood, a model-file skeleton and a picture."""
+"""The files of an import: canonical CSV, the mapping that was understood, a model-file skeleton and a picture."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from tsa_ctrl.signals import COLUMNS
 POINTS = 4000  # drawn per curve
 Columns = Mapping[str, NDArray[np.float64]]
 
-RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. What is not
-# given is a cause when found.
+RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. A key behind # may be a cause.
 [actuator]
 kind = "rigid_drive"
 coulomb_friction = {coulomb:.3g}{pad}# N*m: half of the torque's usual size in this log; your best guess instead
@@ -42,7 +41,7 @@ viscous_friction = 0.0           # b, N*m*s/rad
 
 @dataclass(frozen=True)
 class Imported:
-    """The files written, by what they are."""
+    """The written files by their kind."""
 
     log: Path
     mapping: Path
@@ -51,7 +50,10 @@ class Imported:
 
 
 def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.float64]]:
-    """The columns in SI, time from 0 at the first row; raises UsageError naming the line of what is no number."""
+    """The columns in SI, time from 0 at the first row.
+
+    Raises UsageError with the line of a value that is not a number.
+    """
     columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
     t = columns["t"]
     good = np.isfinite(t)

@@ -1,6 +1,6 @@
 """The effects by which measured data differ from (3.55)-(3.56), in their order of composition.
 
-An effect is a class with its formulas and its `specification`; to be known everywhere it stands in this tuple.
+An effect is a class with its formulas and its `specification`; a class in this tuple is known everywhere.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""A formula of the user's own in place of an effect that the catalogue lacks. Source: what a residual was found to be.
+"""A formula of the user's own in place of an effect that the catalogue lacks. Source: the explanation of a residual.
 
     stage "joint": tau_J -= f(..., tau = torque of the tendons at the joint, after backlash)
     stage "motor": tau_M -= f(..., tau = motor torque after the effects of the motor's side)
 
-It comes last of its side. Where f depends on tau the inverse is solved for, which needs tau - f to grow with tau. What
-f remembers (`filters`) begins anew with each log and each enable; while the inverse is solved it stays where it was.
+It comes last of its side. Where f depends on tau the inverse is solved for, which needs tau - f to grow with tau. The
+memory of f (`filters`) is reset for each log and at each enable; it stays constant while the inverse is solved.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tsa_ctrl.model.functions import Array, F
 
 NAMES = ("omega_j", "q_j", "q_m", "tau", "sigma", "t", "temperature")
 NEEDS = {"q_j": ("q_j",), "q_m": ("q_m",), "temperature": ("temperature",)}  # columns that a log may lack
-CLOSE = 1e-11  # N*m; what the inverse is solved to: as exact as the effects with an inverse of their own
+CLOSE = 1e-11  # N*m; tolerance of the inverse: as exact as the effects with a closed inverse
 MOST_DOUBLINGS, MOST_STEPS = (
     24,
     40,
@@ -50,7 +50,7 @@ class Custom:
         name="custom",
         stage=Stage.JOINT,
         summary="a formula of the model file",
-        search=lambda name, scales: (),  # the user's own formula is no hypothesis
+        search=lambda name, scales: (),  # the user's formula is not a hypothesis
         constants=Parameter(),
         hypothesis=False,
         live_columns=_columns,
@@ -65,7 +65,7 @@ class Custom:
         return parse(self.expression, NAMES, dict(self.constants), "[effects.custom] expression")
 
     def memories(self) -> Memories:
-        """What the formula remembers in a loop, at its beginning."""
+        """Return the memories of the formula at the beginning of a loop."""
         return Memories(self.program.memories)
 
     def taken(self, tau: Array, state: State[Array]) -> Array:
@@ -80,7 +80,7 @@ class Custom:
         return taken
 
     def invert(self, wanted: float, state: State[float], memories: Memories) -> float:
-        """tau with tau - f(tau) = wanted, N*m; nan where the formula has no value. What is remembered stays."""
+        """Return tau with tau - f(tau) = `wanted`, N*m; nan where the formula has no value. The memories stay."""
         if not math.isfinite(wanted):
             return wanted
         if not self.program.uses("tau"):
@@ -111,7 +111,7 @@ class Custom:
         return 0.5 * (low + high)
 
     def accept(self, tau: float, state: State[float], memories: Memories) -> None:
-        """This cycle's torque is `tau`, N*m: what is remembered follows it when the next one begins."""
+        """This cycle's torque is `tau`, N*m: the memories follow it when the next one begins."""
         if memories.parts and math.isfinite(tau):
             self._value(tau, state, memories)
             memories.accept()

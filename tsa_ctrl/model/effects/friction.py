@@ -1,4 +1,4 @@
-"""Friction in the sheath and in the joint: factors on the coefficient mu, and what the joint takes of its load.
+"""Friction in the sheath and in the joint: factors on the coefficient mu, and the friction of the joint under its load.
 
 Source: the catalogue of effects.
 """

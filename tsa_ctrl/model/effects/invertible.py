@@ -1,9 +1,9 @@
-"""Whether a controller may undo a formula: looked at before it runs, on a grid of the signals and of what f remembers.
+"""Check that a controller can invert a formula, before it runs, on a grid of the signals and of the memories of f.
 
-tau - f has to grow with tau: at once, in the one period after which the loop asks again, with what is remembered
-anywhere that it may be; and after ever so long, or the inverse runs away slowly. With a memory at least `LEAST` of a
-change has to come out at once (an inverse of less differentiates the set-point), and the inverse of small changes has
-to settle: no pole of it outside the unit circle.
+tau - f has to grow with tau: at once, in the one period after which the loop asks again, with every possible state of
+the memories; and after ever so long, or the inverse runs away slowly. With a memory at least `LEAST` of a change has to
+come out at once (an inverse of less differentiates the set-point), and the inverse of small changes has to settle: no
+pole of it outside the unit circle.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _levels(number: int) -> Array:
 
 
 def _passed(custom: Custom, tau: Array, known: Mapping[str, float], parts: Array, elapsed: float) -> Array:
-    """d(tau - f)/d tau at each tau; the memories where `parts` says, in a period of `elapsed` s (inf: after rest)."""
+    """d(tau - f)/d tau at each tau; the memories at `parts`, in a period of `elapsed` s (inf: after rest)."""
     program, first = custom.program, dict[int, tuple[Array, Array]]()
 
     def before(index: int, x: Array) -> Array:
@@ -99,7 +99,7 @@ def _passed(custom: Custom, tau: Array, known: Mapping[str, float], parts: Array
 def _settles(
     custom: Custom, torque: float, known: Mapping[str, float], sticks: bool, period: float, small: float
 ) -> bool:
-    """Whether the inverse about a torque (N*m) at rest is stable: eigenvalues of what a cycle does to the lags.
+    """Return True if the inverse about a torque (N*m) at rest is stable, by the eigenvalues of a cycle of the lags.
 
     A hysteresis is a spring to small changes while it sticks, and nothing while it slides.
     """

@@ -35,7 +35,7 @@ def ring(x: Array, t: Array, frequency: float, damping: float) -> Array:
     y = np.empty(x.size)
     omega = 2.0 * math.pi * frequency
     turn = omega * math.sqrt(max(1.0 - damping * damping, 0.0))
-    behind = 2.0 * damping / omega  # s that y is behind a ramp; what it is beside that swings freely
+    behind = 2.0 * damping / omega  # s that y is behind a ramp; the rest swings freely
     state, rate, elapsed = x[0], 0.0, -1.0
     wave = swing = 0.0
     y[0] = state

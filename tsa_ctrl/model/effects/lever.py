@@ -55,9 +55,7 @@ def unmoved(theta: float) -> State[float]:
     )
 
 
-MOST = (
-    0.5  # 1, e at which the longest lever is three times the shortest: beyond, it is no pulley, and a file is mistaken
-)
+MOST = 0.5  # 1, e at which the longest lever is three times the shortest: beyond it the file is wrong
 _SIDE = 0.35  # 1, of the square of cosine and sine within that circle, with room for the differences of a fit
 
 
@@ -93,7 +91,7 @@ class PulleyEccentricity:
     )
 
     def arm(self, functions: Functions[F], q_j: F) -> F:
-        """Lever arm over that of the file, 1."""
+        """Return the lever arm over the file's, 1."""
         return 1.0 + self.relative_eccentricity * functions.sin(q_j + self.phase)
 
     def apply(self, functions: Functions[F], torque: F, state: State[F]) -> F:
@@ -103,5 +101,5 @@ class PulleyEccentricity:
         return tau_j / self.arm(functions, state.q_j)
 
     def lengthens(self, functions: Functions[F], joint_radius: float, state: State[F]) -> F:
-        """What is wound up beside r_J q_J, m: the integral of the arm."""
+        """Return the wound-up length in addition to r_J q_J, m: the integral of the arm."""
         return -joint_radius * self.relative_eccentricity * functions.sin(state.q_j + self.phase + 0.5 * math.pi)

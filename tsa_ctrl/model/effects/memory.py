@@ -33,7 +33,7 @@ _GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whol
 _REVERSAL = 2.5  # counts: more than two, and safe against rounding
 _FIRST_MOMENT = 0.01  # s from the log's start in which a displacement shows whether it moves
 _STILL = 0.1  # of the RMS speed: slower is standstill
-_NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
+_NOISE_TO_STEP = 3.0  # counts with the effect of white noise of one standard deviation
 
 
 def _followed(parameters: Mapping[str, Setting]) -> Columns:
@@ -83,7 +83,7 @@ class PreslidingHysteresis:
     )
 
     def path(self, signals: Signals) -> Array:
-        """s, rad; from omega_j when the joint's angle is wanted and is not in the log."""
+        """s, rad; from omega_j if the log lacks the joint's angle."""
         if self.displacement != "joint" and signals.q_m is not None:
             return signals.q_m
         if signals.q_j is not None:
@@ -223,7 +223,7 @@ class TransportDelay:
 
 
 def _moves_at_start(displacement: Array, t: Array) -> bool:
-    """Whether the first moment is faster than _STILL of the log's RMS speed."""
+    """Return True if the first moment is faster than _STILL of the log's RMS speed."""
     if len(t) < 2:
         return True
     first = max(1, min(int(np.searchsorted(t, t[0] + _FIRST_MOMENT)), len(t) - 1))
@@ -239,7 +239,7 @@ def integrate(omega: Array, t: Array) -> Array:
 
 
 def resolution(q: Array) -> float:
-    """One encoder count, rad: the grid that the angles lie on, else what stands for it in a log without counts.
+    """One encoder count, rad: the grid of the angles, or its equivalent in a log without counts.
 
     Without a grid the noise (from second differences) takes its place, so that noise at standstill reverses nothing.
     """

@@ -25,7 +25,7 @@ from tsa_ctrl.model.effects.specification import (
 from tsa_ctrl.model.functions import Array, F, Functions
 from tsa_ctrl.model.routing import MOST_GAIN
 
-LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less says nothing of the stiffness
+LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less does not show the stiffness
 
 
 @dataclass(frozen=True)

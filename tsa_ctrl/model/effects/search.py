@@ -15,7 +15,7 @@ import numpy as np
 
 from tsa_ctrl.model.functions import Array
 
-Value: TypeAlias = float | int | str  # what a fit sets
+Value: TypeAlias = float | int | str  # the values that a fit sets
 Parameters: TypeAlias = Callable[[Array], dict[str, Value]]
 INF = math.inf
 FEW_SAMPLES = 1.5  # a lag or delay so short hides among the moments of unknown direction
@@ -35,8 +35,8 @@ class Coordinate:
 class Variant:
     """An effect with its discrete choices made.
 
-    `starts`: vectors over `coordinates`; those of `amplitude` (indices) are at 0 there, where the effect vanishes, and
-    its response is nearly linear in them. Without an amplitude a start is the whole effect.
+    `starts`: vectors over `coordinates`; the ones of `amplitude` (indices) are at 0 there, where the effect vanishes,
+    and its response is nearly linear in them. Without an amplitude a start is the whole effect.
     """
 
     effect: str
@@ -45,13 +45,13 @@ class Variant:
     amplitude: tuple[int, ...]
     parameters: Parameters
     label: str = ""
-    unidentifiable: tuple[str, ...] = ()  # parameters that no log of this base model tells
+    unidentifiable: tuple[str, ...] = ()  # parameters that no log of this base model determines
     full_strength: tuple[tuple[float, ...], ...] = ()  # further starts, of effects far from linear in their strength
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of the signals of some logs, to scale coordinates and to place grids, and what the logs lack."""
+    """Sizes of the signals of some logs, to scale coordinates and to place grids, and the missing columns."""
 
     torque: float  # RMS of the predicted torque's change, N*m
     motor_torque: float  # RMS of its change, N*m
@@ -126,5 +126,5 @@ def one(_: Scales) -> float:
 
 
 def geometric(low: float, high: float, count: int) -> list[float]:
-    """`count` values from low to high in equal ratios; none where there is no range."""
+    """`count` values from low to high in equal ratios; empty without a range."""
     return [float(v) for v in np.geomspace(low, high, count)] if high > low > 0.0 else []

@@ -18,7 +18,7 @@ import numpy as np
 from tsa_ctrl.model import curvature
 from tsa_ctrl.model.effects.search import Scales, Search, Value
 
-Setting: TypeAlias = Value | curvature.Points  # what a file gives
+Setting: TypeAlias = Value | curvature.Points  # the values of a file
 Columns: TypeAlias = tuple[tuple[str, ...], ...]  # of each inner tuple one column must be there
 
 
@@ -55,7 +55,7 @@ class Kind(Enum):
 
 
 class Motion(Enum):
-    """What a person must record to part effects that look alike; in the order of what it costs."""
+    """The recordings that separate effects that look alike, in the order of their cost."""
 
     SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
     BOTH_WAYS = f"{SPEEDS}, in both directions"
@@ -67,7 +67,7 @@ class Motion(Enum):
     JOINTS = "move each other joint alone over its range, then all together, and log their angles (columns q_j.NAME)"
     GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
     LONGER = "record the same motion for several times as long"
-    STIFFNESS = "measure the stiffness of a tendon by itself, with a known weight on a known length"
+    STIFFNESS = "measure the stiffness of a tendon separately, with a known weight on a known length"
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Twins:
 class Parameter:
     """One parameter of an effect, as `Annotated[float, Parameter(unit, bounds)]` of its class.
 
-    Name and default are those of the annotated field. Without a default it is required, unless `optional`.
+    Name and default come from the annotated field. Without a default it is required, unless `optional`.
     """
 
     unit: str = "1"
@@ -92,7 +92,7 @@ class Parameter:
     high_open: bool = False
     optional: bool = False  # may be absent: its default depends on the model or the log
     choices: tuple[str, ...] = ()
-    points: bool = False  # beside the choices, a course of the bending by points
+    points: bool = False  # in addition to the choices, a curvature profile by points
     integer: bool = False
     fitted: bool = True  # False: given, never estimated from a log
     text: bool = False  # a formula
@@ -204,7 +204,7 @@ class Specification:
 
     @classmethod
     def of(cls, effect: type[Any]) -> Specification:
-        """That of an effect's class, with the parameters that its fields say."""
+        """Return the specification of an effect's class, with the parameters of its fields."""
         own: Specification = effect.specification
         return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
 

@@ -1,6 +1,6 @@
 """Effects that the joint torque does not show: they act on the tendons' stretch s = r_M q_M - r_J q_J (m) alone.
 
-Each adds its own length to what the tensions at both ends make of it. `ends`: T3 - T1 and T4 - T2, N; what stands on
+Each adds its own length to the elongation by the tensions at both ends. `ends`: T3 - T1 and T4 - T2, N; an element on
 the joint's pulley moves the joint's angle. Source: the catalogue of effects.
 """
 
@@ -40,7 +40,7 @@ class SeriesSpring:
     specification: ClassVar = Specification(
         name="series_spring",
         stage=Stage.STRETCH,
-        summary="something beside the tendons gives way: a coupling, a pulley, a spring",
+        summary="something other than the tendons gives way: a coupling, a pulley, a spring",
         search=_springs,
         columns=_BOTH_ANGLES,
         twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),

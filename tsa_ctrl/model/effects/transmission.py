@@ -143,7 +143,7 @@ class FourTensions:
 
     @property
     def symmetric(self) -> bool:
-        """Whether both tendons' tensions grow by the same exp(sigma x)."""
+        """Return True if both tendons' tensions grow by the same exp(sigma x)."""
         return self.asymmetry is None and self.tension_dependence is None
 
     @property
@@ -250,7 +250,7 @@ class Elongating:
     radii: tuple[float, float]  # r_M, r_J, m
     profile: Profile
     series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
-    at_joint: bool = False  # where that stands: there it carries T2 and T4
+    at_joint: bool = False  # if it has one: there it carries T2 and T4
     _last: list[tuple[float, float, FullModel[float]]] = field(default_factory=list, compare=False, repr=False)
 
     @property
