@@ -20,7 +20,7 @@ from rich.console import Console
 
 from tests.daemon.serving import PATIENCE, Serving, description
 from tests.daemon.test_server import loop_taking
-from tsa_ctrl.cli import cli, set_
+from tsa_ctrl.cli import cli, running
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
@@ -113,7 +113,7 @@ def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple
 
 def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tsa set recover 1` asks for a new start; any other value is refused."""
-    monkeypatch.setattr(set_, "HELD", 0.0)
+    monkeypatch.setattr(running, "HELD", 0.0)
     result = call(serving, "set", "recover", "1")
     assert "no fault is latched, the phase is running" in str(result.exception)
     serving.publish(LoopPhase.FAULTED)
@@ -135,7 +135,12 @@ class Phases:
             return {}
         failed = self._failed if len(self._phases) == 1 else 0
         phase = self._phases.pop(0) if len(self._phases) > 1 else self._phases[0]
-        return {"phase": phase, "faults": [{"text": "over-speed"}], "events": [], "recovery": {"failed": failed}}
+        return {
+            "phase": phase,
+            "faults": [{"number": 0, "text": "over-speed"}],
+            "events": [],
+            "recovery": {"failed": failed},
+        }
 
 
 @pytest.mark.parametrize(
@@ -143,25 +148,25 @@ class Phases:
     [
         (
             ("faulted", "starting", "running", "running", "faulted"),
-            "not for long, phase faulted: over-speed; mend",
+            "not for long, phase faulted: over-speed; remove its reason",
         ),
-        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; mend that"),
+        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; remove its reason"),
     ],
 )
 def test_a_recovery_that_does_not_last_is_told(
     phases: tuple[str, ...], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A torn tendon lets the rig start, and stops it when it moves: the verb waits for that."""
-    monkeypatch.setattr(set_, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
+    monkeypatch.setattr(running, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
     with pytest.raises(BusError, match=words):
-        set_._recovered(Phases(*phases))  # type: ignore[arg-type]
+        running._recovered(Phases(*phases))  # type: ignore[arg-type]
 
 
 def test_a_recovery_that_fails_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command does not wait for its time-out."""
-    monkeypatch.setattr(set_, "RECOVERY", 60.0)
+    monkeypatch.setattr(running, "RECOVERY", 60.0)
     with pytest.raises(BusError, match="the recovery failed, phase faulted: over-speed"):
-        set_._recovered(Phases("faulted", "resetting", "faulted", failed=1))  # type: ignore[arg-type]
+        running._recovered(Phases("faulted", "resetting", "faulted", failed=1))  # type: ignore[arg-type]
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:

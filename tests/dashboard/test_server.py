@@ -298,6 +298,6 @@ def test_port_that_is_taken_is_one_line() -> None:
 @pytest.mark.slow
 def test_loop_and_command_do_not_need_the_extra() -> None:
     """The page's libraries are loaded by `tsa dashboard` alone."""
-    code = "import sys, tsa_ctrl.daemon.run, tsa_ctrl.cli.dashboard; print({'starlette', 'uvicorn'} & set(sys.modules))"
+    code = "import sys, tsa_ctrl.daemon.run, tsa_ctrl.cli.running; print({'starlette', 'uvicorn'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"

@@ -51,9 +51,12 @@ VERBS: dict[str, str] = {
 }
 
 
+RUNNING = ("status", "set", "stop", "dashboard", "live")  # commands to a running daemon, which share a module
+
+
 def module_of(verb: str) -> str:
-    """The module that a verb lies in."""
-    return "tsa_ctrl.cli." + verb.replace("-", "_") + ("_" if verb in {"set"} else "")
+    """Return the name of the module that contains a command."""
+    return "tsa_ctrl.cli." + ("running" if verb in RUNNING else verb.replace("-", "_"))
 
 
 class LazyGroup(click.Group):
@@ -65,7 +68,8 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in self.list_commands(ctx):
             return None
-        command = importlib.import_module(module_of(cmd_name)).command
+        name = f"{cmd_name}_command" if cmd_name in RUNNING else "command"
+        command = getattr(importlib.import_module(module_of(cmd_name)), name)
         assert isinstance(command, click.Command)
         return command
 
