@@ -52,7 +52,7 @@ class TensionEstimator:
         self._half_loop = sliding(model).half_loop
         self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
         x = model.friction_angle
-        self._lengths = (elongations(model, x), elongations(model, -x))
+        self._lengths = elongations(model, x)
         self._per_radius = 1.0 / model.motor_pulley_radius
         self._mean = period / (MEAN * settings.memory)
         self._forget = period / BALANCED_FOR

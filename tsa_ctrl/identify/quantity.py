@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit  # scipy.stats is slow to import
 
 # Student's t: half widths of intervals whose variance was estimated, in units of the standard deviation.
@@ -17,6 +20,14 @@ NOISE = 12.0
 def half_width(freedom: float, level: float = LEVEL) -> float:
     """Return half width over deviation of the two-sided interval at `level` with `freedom` degrees of freedom."""
     return float(stdtrit(freedom, 0.5 + 0.5 * level))
+
+
+def jackknife_half_width(without: Sequence[float] | NDArray[np.float64]) -> float:
+    """Return the half width of the interval of an estimate by the (blocks,) estimates without one block each."""
+    estimates = np.asarray(without, dtype=np.float64)
+    count = estimates.size
+    deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(estimates - estimates.mean()))))
+    return half_width(count - 1) * deviation
 
 
 @dataclass(frozen=True)

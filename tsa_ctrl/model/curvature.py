@@ -56,6 +56,10 @@ class Profile:
             total = total + (part if rise == 0.0 else part * functions.expm1_ratio(rho * rise))
         return total
 
+    def elongations(self, functions: Functions[F], x: F) -> tuple[F, F]:
+        """Return alpha and beta over l_us at the signed friction angle x, (3.36) and (3.39)."""
+        return self.mean_exponential(functions, x), self.mean_exponential(functions, -x)
+
     @cached_property
     def centre(self) -> float:
         """s_c, 1: centre of the bending as a fraction of the length from the motor end; 1/2 when uniform."""

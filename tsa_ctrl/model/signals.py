@@ -165,7 +165,7 @@ def low_pass(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Arra
     run_in = min(n - 1, math.ceil(_RUN_IN / (cutoff * period)))
     padded = np.concatenate([2.0 * y[0] - y[run_in:0:-1], y, 2.0 * y[-1] - y[-2 : -run_in - 2 : -1]])
     line = np.linspace(padded[0], padded[-1], len(padded))  # without it the ends would not meet
-    size = _fast_size(len(padded))
+    size = fast_size(len(padded))
     padded -= line
     line = line[run_in : run_in + n].copy()
     spectrum = np.fft.rfft(padded, size)
@@ -175,8 +175,8 @@ def low_pass(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Arra
     return line
 
 
-def _fast_size(n: int) -> int:
-    """The smallest 2^a, 3*2^a or 5*2^a that is at least n: lengths that the FFT is quick at."""
+def fast_size(n: int) -> int:
+    """Return the smallest 2^a, 3*2^a or 5*2^a that is at least n, for which the FFT is fast."""
     return min(factor << max(0, math.ceil(math.log2(n / factor))) for factor in (1, 3, 5))
 
 

@@ -59,18 +59,9 @@ def stretch_line(model: TendonSheath) -> StretchLine:
     reason = why_not(model)
     if reason:
         raise UsageError(f"{model.source or 'model'}: {reason}")
-    centre = compliance_centre(model)
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
-    x = model.friction_angle
-    if x < _SMALL:
-        ratio = centre / (1.0 - centre)
-        share = 2.0 / (1.0 - centre)
-    else:
-        alpha, beta = elongations(model, x), elongations(model, -x)
-        grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
-        ratio = (grown - decayed) / (1.0 / beta - 1.0 / alpha)
-        share = decayed + grown + ratio * (1.0 / beta + 1.0 / alpha)
-    return StretchLine(r_j * model.tendon_stiffness * share, ratio * r_j / r_m, r_m, r_j, centre)
+    at_motor, at_joint = compliances(model)
+    return StretchLine(r_j / at_joint, at_motor / at_joint * r_j / r_m, r_m, r_j, compliance_centre(model))
 
 
 def compliances(model: TendonSheath) -> tuple[float, float]:
@@ -83,7 +74,7 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
     if x < _SMALL:
         centre = compliance_centre(model)
         return 0.5 * softness * centre, 0.5 * softness * (1.0 - centre)
-    alpha, beta = elongations(model, x), elongations(model, -x)
+    alpha, beta = elongations(model, x)
     grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
     motor, joint = grown - decayed, 1.0 / beta - 1.0 / alpha
     whole = (grown + decayed) * joint + motor * (1.0 / alpha + 1.0 / beta)
@@ -131,8 +122,9 @@ def compliance_centre(model: TendonSheath) -> float:
     return 1.0 - joint_side_compliance(model) * model.tendon_stiffness
 
 
-def elongations(model: TendonSheath, rho: float) -> float:
-    """alpha at rho = sigma x, beta at -sigma x, with the series spring, over the length of tendon and spring."""
+def elongations(model: TendonSheath, x: float) -> tuple[float, float]:
+    """Return alpha and beta at the signed angle x, with the series spring, over the length of tendon and spring."""
     series = model.series_length / model.unstrained_length
-    spring = series * (math.exp(rho) if model.series_at_joint else 1.0)
-    return (profile_of(model).mean_exponential(SCALARS, rho) + spring) / (1.0 + series)
+    radii = (model.motor_pulley_radius, model.joint_pulley_radius)
+    alpha, beta = Elongating(radii, profile_of(model), series, model.series_at_joint).lengths(SCALARS, x)
+    return alpha / (1.0 + series), beta / (1.0 + series)

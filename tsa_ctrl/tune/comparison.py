@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, half_width
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.parameters import check_bounds
@@ -168,7 +167,7 @@ def compare(errors: Sequence[tuple[str, float]]) -> Comparison:
     pairs = difference.size
     mean = float(np.mean(difference))
     error = float(np.std(difference, ddof=1) / np.sqrt(pairs))
-    half = float(stats.t.ppf(0.975, pairs - 1)) * error
+    half = half_width(pairs - 1) * error
     return Comparison(
         a=float(np.sqrt(np.mean(np.square(a)))),
         b=float(np.sqrt(np.mean(np.square(b)))),

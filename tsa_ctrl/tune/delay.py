@@ -21,11 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.signal import lfilter
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 
@@ -128,9 +127,7 @@ def velocity_lag(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
     if best in (0, lags.size - 1) or total[best] > CLEARLY_BETTER**2 * total[0]:
         return None
     without = lags[np.argmin(total[:, None] - squares, axis=0)]
-    count = without.size
-    deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(without - without.mean()))))
-    half = max(LAG_STEP, float(stats.t.ppf(0.975, count - 1)) * deviation)
+    half = max(LAG_STEP, jackknife_half_width(without))
     value = float(lags[best])
     return Quantity(value, max(0.0, value - half), value + half, "s")
 

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.optimize import brentq
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, prepare
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width
 from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
 from tsa_ctrl.model.curvature import NAMED, Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
@@ -72,13 +71,13 @@ def course(centre: float) -> Points:
 
 def wound(profile: Profile, x: float) -> float:
     """g / (2 T_p r_M)."""
-    alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
+    alpha, beta = profile.elongations(SCALARS, x)
     return 0.5 * (alpha - beta) / (alpha * beta)
 
 
 def lost(profile: Profile, x: float) -> float:
     """f(x) = h / (2 T_p r_M), h the half loop at the motor: tanh x, x or sinh x."""
-    alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
+    alpha, beta = profile.elongations(SCALARS, x)
     return 2.0 * math.sinh(x) / (alpha * math.exp(-x) + beta * math.exp(x))
 
 
@@ -96,9 +95,7 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
     whole = np.sum([a for a, _ in squares], axis=0), np.sum([b for _, b in squares], axis=0)
     ratio = _ratio(*whole)
     without = np.array([_ratio(whole[0] - a, whole[1] - b) for a, b in squares])
-    count = without.size
-    deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(without - without.mean()))))
-    half = float(stats.t.ppf(0.975, count - 1)) * deviation
+    half = jackknife_half_width(without)
     x = model.friction_angle
     centres = [_centre(share, x) for share in (ratio, ratio + half, ratio - half)]
     centre = Quantity(centres[0], max(0.0, min(centres) - FLOOR), min(1.0, max(centres) + FLOOR), "1")

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.calibrate import errors_of
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
-from tsa_ctrl.identify.quantity import Quantity, rounded
+from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width, rounded
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
@@ -90,8 +88,7 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
     whole, right = np.sum(squares, axis=0), np.sum(products, axis=0)
     value = _first(whole, right) / scale[0]
     without = [_first(whole - a, right - b) / scale[0] for a, b in zip(squares, products, strict=True)]
-    deviation = math.sqrt((BLOCKS - 1) * float(np.mean(np.square(np.array(without) - np.mean(without)))))
-    half = float(stats.t.ppf(0.975, BLOCKS - 1)) * deviation + doubt
+    half = jackknife_half_width(without) + doubt
     return Quantity(gear + value, gear + value - half, gear + value + half, "1")
 
 

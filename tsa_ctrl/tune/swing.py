@@ -19,13 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, half_width
 from tsa_ctrl.tune.delay import Delay
 
 FloatArray = NDArray[np.float64]
@@ -100,7 +99,7 @@ def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float,
     inertia, spring = GUESS * math.exp(best.x[0]), stiffness * math.exp(best.x[1])
     ringing = math.sqrt(spring / inertia) / (2.0 * math.pi)
     across = np.array([-0.5, 0.5, 0.0, 0.0])  # of log ringing by the parameters
-    factor = float(stats.t.ppf(0.975, count - len(best.x)))
+    factor = half_width(count - len(best.x))
     widths = [factor * math.sqrt(float(v @ spread @ v)) for v in (np.eye(4)[0], np.eye(4)[1], across)]
     if max(widths) > 0.5:  # nothing of it is known
         return None

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.smoothing.averaged import bands
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import fast_size
 
 RUN_IN = 4.0  # periods of the cut-off by which each end is extended: the slowest filter decays to 1e-3 within them
 AT_THE_END = 1.0  # period of the cut-off, over which the end's curvature is fitted
@@ -89,11 +90,6 @@ def _before(y: Array, period: float, cutoff: float, count: int) -> Array:
     past = np.arange(1, count + 1) / (length - 1)
     faded = np.exp(-((past * (length - 1) * period * cutoff / FADE) ** 4))
     return np.asarray((2.0 * value - y[1 : count + 1] + 2.0 * bend * past**2 * faded)[::-1])
-
-
-def fast_size(n: int) -> int:
-    """Return the smallest 2^a, 3*2^a or 5*2^a that is at least n, for which the FFT is fast."""
-    return min(factor << max(0, math.ceil(math.log2(n / factor))) for factor in (1, 3, 5))
 
 
 ORDERS = (2, 3, 4, 6)  # of the Butterworth filters: from one that hardly rings to one that ends with the motion

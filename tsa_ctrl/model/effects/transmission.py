@@ -265,7 +265,7 @@ class Elongating:
 
     def lengths(self, functions: Functions[F], x: F) -> tuple[F, F]:
         """alpha and beta over l_us at the signed angle x, the series element included."""
-        alpha, beta = self.profile.mean_exponential(functions, x), self.profile.mean_exponential(functions, -x)
+        alpha, beta = self.profile.elongations(functions, x)
         if self.at_joint:
             return alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
         return alpha + self.series, beta + self.series
