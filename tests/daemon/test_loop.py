@@ -123,35 +123,6 @@ def test_lost_heartbeat_stops(build: Build) -> None:
     assert not any(machine.drive.torques[-500:])
 
 
-def test_nothing_starts_again_by_itself(build: Build) -> None:
-    """A fault that goes away leaves the torque at 0."""
-    machine = build(CONSTANT)
-    machine.drive.at_sync[500] = lambda: machine.drive.silent.update({0x181})
-    machine.drive.at_sync[600] = machine.drive.silent.clear
-    machine.run(seconds=2.0)
-    assert not any(machine.drive.torques[505:])
-    assert "stale PDO" in str(machine.events.first_fault)
-
-
-def test_recovery_on_request(build: Build) -> None:
-    """After a drive fault a recovery resets it, settles, enables and fades in again."""
-    machine = build(CONSTANT, BARE)
-    machine.drive.at_sync[500] = machine.drive.fail
-    machine.drive.at_sync[1000] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
-    machine.run(seconds=3.0)
-    assert not any(machine.drive.torques[500:1000])
-    assert max(machine.drive.torques[1000:]) == pytest.approx(400, abs=2)
-    assert machine.loop.cause == "3 s are over"
-
-
-def test_recovery_without_a_fault_does_nothing(build: Build) -> None:
-    """A recovery asked for while all is well is ignored."""
-    machine = build(CONSTANT)
-    machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
-    machine.run(seconds=1.0)
-    assert all(machine.drive.torques[400:900])
-
-
 def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
     """A boot-up while running latches; a recovery then leaves the loop, so that the nodes are configured anew."""
     machine = build(CONSTANT)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.bus.fake import FakeClock
-from tests.daemon.machine import CONSTANT, ENABLED, Drive, Machine
+from tests.daemon.machine import CONSTANT, Drive, Machine
 from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.daemon.lifecycle import ramp_down
 
@@ -72,14 +72,6 @@ def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
     assert len(torques) == 100
 
 
-def test_enables_nothing(machine: Machine) -> None:
-    """A failure before any torque leaves the drive disabled."""
-    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
-    assert not any(machine.drive.torques)
-    assert machine.drive.statusword != ENABLED
-    assert all(word != 0x0F for word, _ in machine.drive.commands)
-
-
 def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
     """What the supervisor forbids is not sent on the way down either."""
     machine.drive.at_sync[800] = fail
@@ -110,20 +102,6 @@ def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine)
     assert all(word not in (0x07, 0x0F) for word, _ in machine.drive.commands)
 
 
-def test_falls_in_a_line_and_keeps_it_for_the_log(machine: Machine, drive: TimedDrive) -> None:
-    """Each step by the same amount, and the terms say what was sent."""
-    broken(machine, drive)
-    before = len(drive.commands)
-    full = machine.axis.terms.tau_m_cmd
-    kept: list[float] = []
-    first = drive.beats + 1
-    drive.at_sync.update({first + n: lambda: kept.append(machine.axis.terms.tau_m_cmd) for n in range(50)})
-    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
-    expected = [full * (1.0 - n / 50) for n in range(51)]
-    assert drive.torques[before:] == pytest.approx([1e3 * torque for torque in expected[1:]], abs=0.51)
-    assert [*kept, machine.axis.terms.tau_m_cmd] == pytest.approx(expected)
-
-
 def test_cycles_keep_their_period_and_the_whole_its_time(machine: Machine, drive: TimedDrive) -> None:
     """SYNC on a grid; an answer that is missing is waited for until six tenths of the period, and one is tolerated."""
     begin = broken(machine, drive)
@@ -146,13 +124,6 @@ def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
     drive.at_sync[drive.beats + 20] = stall
     ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     assert drive.times[0x201][-1] == pytest.approx(begin + 0.05, abs=1e-9)
-
-
-def test_heartbeat_goes_on(machine: Machine, drive: TimedDrive) -> None:
-    """Every 20 ms, so that no node's watchdog ends the ramp."""
-    broken(machine, drive)
-    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
-    assert len(drive.times[0x77F]) in (5, 6)
 
 
 def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> None:

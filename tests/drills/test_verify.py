@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import select
 import shutil
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,13 +16,8 @@ import pytest
 
 from tests.virtual.files import controller, merged, plant, write
 from tsa_ctrl.bus.wire.socketcan import SocketCan
-from tsa_ctrl.cli import main
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.drills import trials
-from tsa_ctrl.drills import verify as verifying
-from tsa_ctrl.drills.listener import Timing, Watchdog
 from tsa_ctrl.drills.loop import under_trial
-from tsa_ctrl.drills.pull import Pull
 from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.drills.verify import trial_torque, verify
 from tsa_ctrl.errors import BusError, UsageError
@@ -103,60 +96,6 @@ def test_a_folder_that_can_take_no_record_is_found_before_anything_moves(folder:
     assert "file/x: no record can be kept there" in done.stderr
 
 
-def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It would look like a watchdog's work; the loop's own last words are the reason.
-
-    The listener goes off guard once the loop has ended: on guard it asks the drives, and whoever is to leave them in
-    order would take it for another master.
-    """
-    torques = iter((0.1, 0.0))
-    asked: list[tuple[str, bool]] = []
-
-    class Listener:
-        def ask(self, word: str) -> object:
-            asked.append((word, bool(started) and started[0].poll() is None))
-            if word == "pull":
-                return {"knee": {"stretch": 0.9, "sensor": None, "gain": None, "geared": 1.25}}
-            return {"1": next(torques)} if word == "torque" else True
-
-    words = "0.0 s: knee: law.motor_inertia is not given\\n0.1 s: knee: stale PDO"
-    loop = f"import sys, time; print('{words}', file=sys.stderr, flush=True); time.sleep(60)"
-    start = subprocess.Popen
-    started: list[subprocess.Popen[bytes]] = []
-
-    def starts(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
-        process = start([sys.executable, "-c", loop], **options)
-        assert process.stderr is not None
-        select.select([process.stderr], [], [])
-        started.append(process)
-        return process
-
-    monkeypatch.setattr(trials, "SETTLED", 0.0)
-    monkeypatch.setattr(trials.subprocess, "Popen", starts)
-    configuration = load_configuration(folder / "controller.toml")
-    with pytest.raises(BusError, match=r"torque was lost before anything was done .* knee: stale PDO"):
-        trials.run_trial(configuration, Listener(), trials.Trial.KILL, 0.1)  # type: ignore[arg-type]
-    assert asked[-3:] == [("guard", True), ("torque", True), ("quiet", False)]
-
-
-def test_a_motor_that_pulls_the_wrong_way_is_said_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The loop stops it at the first enable, and waits: without a word of it the trial would wait for torque."""
-
-    class Listener:
-        def ask(self, word: str) -> object:
-            if word == "pull":
-                return {"knee": {"stretch": -0.9, "sensor": None, "gain": None, "geared": 1.25}}
-            return {"1": 0.0} if word == "torque" else True
-
-    start = subprocess.Popen
-    monkeypatch.setattr(
-        trials.subprocess, "Popen", lambda command, **options: start([sys.executable, "-c", "input()"], **options)
-    )
-    configuration = load_configuration(folder / "controller.toml")
-    with pytest.raises(BusError, match=r"axis 'knee': motor and joint answer the motor's torque the wrong way round"):
-        trials.run_trial(configuration, Listener(), trials.Trial.WITHHOLD, 0.1)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize(("given", "code"), [("0.1", 2), ("0.3", 0)])
 def test_a_limit_below_a_time_out_is_refused(folder: Path, given: str, code: int) -> None:
     edit(folder, "controller.toml", ("# zero_torque_within = 0.25 ", f"zero_torque_within = {given} "))
@@ -164,44 +103,6 @@ def test_a_limit_below_a_time_out_is_refused(folder: Path, given: str, code: int
     assert done.returncode == code
     if code:
         assert "zero_torque_within 0.1 s is not above axis 'knee'" in done.stderr
-
-
-@pytest.mark.parametrize(("zero_after", "code"), [(0.1, 0), (None, 1)])
-def test_a_drive_that_keeps_its_torque_is_exit_code_1(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    zero_after: float | None,
-    code: int,
-) -> None:
-    """On each of three trials; the record is kept either way."""
-
-    def tried(configuration: Configuration, listener: object, trial: Trial, torque: float) -> list[trials.Outcome]:
-        found = Timing(torque_before=torque, last_torque=0.0, zero_after=zero_after, source="tpdo")
-        safe = trial is not Trial.KILL or zero_after is not None
-        return [
-            trials.Outcome(
-                trial=trial.key,
-                axis="knee",
-                node=1,
-                limit=0.25,
-                safe=safe,
-                timing=found,
-                watchdog=Watchdog(acted=None, after=None, warning=""),
-                pull=Pull(stretch=0.9, sensor=None, gain=None, geared=1.25),
-                samples=[],
-            )
-        ]
-
-    monkeypatch.setattr(verifying, "check_alone", lambda configuration: None)
-    monkeypatch.setattr(verifying, "listening", lambda configuration: contextlib.nullcontext())
-    monkeypatch.setattr(verifying, "leave_in_order", lambda configuration, say: {})
-    monkeypatch.setattr(verifying, "run_trial", tried)
-    with pytest.raises(SystemExit) as stop:
-        main(["verify-safety", str(folder / "controller.toml"), "--yes", "--json"])
-    found = json.loads(capsys.readouterr().out)
-    assert (stop.value.code, found["safe"], len(found["trials"])) == (code, not code, 3)
-    assert json.loads(Path(found["record"]).read_text(encoding="utf-8"))["safe"] is found["safe"]
 
 
 class Rig:

@@ -205,8 +205,3 @@ def test_a_refused_calibration_writes_no_file(folder: Path, recorded) -> None:  
     write_csv(folder / "still.csv", {**recorded[1], "omega_j": 0.0 * recorded[1]["omega_j"]})
     assert tsa("still.csv", "--model", "a.toml", "--out", "new.toml") == 2
     assert not (folder / "new.toml").exists()
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tsa("--help") == 0
-    assert "Example: tsa calibrate" in capsys.readouterr().out

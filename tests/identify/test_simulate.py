@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -221,11 +220,6 @@ def test_a_mistake_is_one_line_and_code_2(
     assert output.out == ""
     assert said in output.err
     assert output.err.count("\n") == 1
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tsa("--help") == 0
-    assert "Example: tsa simulate" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
 
 @pytest.mark.slow

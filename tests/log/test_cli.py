@@ -91,9 +91,3 @@ def test_a_mistake_is_one_line_and_code_2(
     assert output.out == ""
     assert said in output.err
     assert output.err.count("\n") == 1
-
-
-@pytest.mark.parametrize("verb", ["info", "convert"])
-def test_help_has_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tsa("log", verb, "--help") == 0
-    assert "Example: tsa log" in capsys.readouterr().out

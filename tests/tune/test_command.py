@@ -263,8 +263,3 @@ def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
     assert said in captured.err
     assert captured.err.count("\n") == 1
     assert files(folder) == before
-
-
-def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tsa("--help") == 0
-    assert "Example: tsa tune" in capsys.readouterr().out

@@ -10,7 +10,6 @@ import pytest
 from tests.virtual.files import controller, plant, write
 from tests.virtual.test_two_axes import pair
 from tsa_ctrl import simulate_loop
-from tsa_ctrl.errors import UsageError
 from tsa_ctrl.virtual.result import Simulation
 
 CONSTANT = {"kind": "constant", "offset": 0.3}
@@ -62,16 +61,6 @@ def test_a_loop_that_skips_fewer_periods_goes_on_and_is_reported_from_one_in_a_h
     ] == ([True] if reported else [])
 
 
-def test_one_long_hold_up_is_reported_as_such(tmp_path: Path) -> None:
-    (text,) = skipping(run(tmp_path, "slow_loop value=0.015 duration=0.0005@0.5", seconds=1.6))
-    assert text.startswith("15 of 1000 periods within a second had no cycle: the computer held the loop up for 15 ms")
-
-
-def test_a_machine_that_is_slow_for_one_second_alone_is_a_fault(tmp_path: Path) -> None:
-    result = run(tmp_path, f"{SLOW} duration=1@0.5")
-    assert result.axes[0].faults[0].startswith("skipped periods: ")
-
-
 @pytest.mark.parametrize(("most", "fails"), [(0.1, True), (1.0, False)])
 def test_the_share_of_the_file_counts(tmp_path: Path, most: float, fails: bool) -> None:
     result = run(tmp_path, *spread(0.15), bus={"supervision": {"lost_share": most}})
@@ -85,25 +74,7 @@ def test_both_axes_stop_when_their_loop_skips_periods(tmp_path: Path) -> None:
         assert not axis.log["tau_m_cmd"][(axis.log["t"] > 1.0) & (axis.log["t"] < 1.4)].any()
 
 
-def test_a_loop_at_two_kilohertz_that_is_too_slow_names_one(tmp_path: Path) -> None:
-    axis = {"setpoint": CONSTANT, "encoder": None, "torque_sensor": None}
-    absent = {"present": False}
-    tables = (
-        controller(file={"controller": {"rate": 2000.0}}, **axis),
-        plant(joint={"load": "held"}, encoder=absent, torque_sensor=absent),
-    )
-    result = simulate_loop(*write(tmp_path, *tables), 1.5, faults=["slow_loop value=0.0007@0.5"])
-    fault = next(event for event in result.summary.events if event.fault)
-    assert fault.text.startswith("skipped periods: ")
-    assert "of 2000 periods had no cycle: a cycle takes 0.7 ms; set rate = 1000 in [controller]" in fault.text
-
-
 def test_the_rate_that_the_remedy_names_is_reached(tmp_path: Path) -> None:
     """The same slow computer at 500 Hz skips nothing."""
     result = run(tmp_path, f"{SLOW}@0.5", seconds=1.5, controller={"rate": 500.0})
     assert (result.summary.skipped, result.summary.failed) == (0, False)
-
-
-def test_a_slow_loop_of_an_axis_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="slow_loop: value 11; allowed is 0 to 10"):
-        run(tmp_path, "slow_loop value=11@0.5")
