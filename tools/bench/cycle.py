@@ -7,8 +7,6 @@ One run, one bus, and one process that answers each SYNC (as in `tsa bench`). Th
   raw socket        SYNC out, TPDOs in, RPDOs out: the minimum
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
   ours, all         the same with the work after the RPDO: estimate, record for the log, a command of the local socket
-  ours, flooded     "ours, all" while clients flood the local socket and hang on it
-  python-can        ours through python-can's Bus
 
 Needs a vcan; without one it runs under tools/vcan. --rate 0: 1000 Hz, or less where the bit rate carries less.
 """
@@ -45,12 +43,9 @@ def main() -> int:
         rights = str(realtime.acquire(RealtimeSettings(allow_without=True)))
         with nodes(configuration):
             table = {
-                "bare sleep": ways.bare_sleep,
                 "raw socket": lambda: ways.raw_socket(configuration),
                 "ours": lambda: ways.ours(configuration),
                 "ours, all": lambda: ways.ours_all(configuration),
-                "ours, flooded": lambda: ways.ours_all(configuration, flooded=True),
-                "python-can": lambda: ways.python_can(configuration),
             }
             found = measure(table, configuration.file.controller.rate, options.rounds, options.cycles)
     if options.json:

@@ -151,10 +151,10 @@ def measured_table(name: str) -> str:
 
 def of_rows(name: str) -> str:
     """Return the table of a benchmark of measured drives, from its kept rows."""
-    from tools.bench import measured, otherwise  # the diagnosis with them: slow to import
+    from tools.bench import measured  # the diagnosis with it: slow to import
     from tools.measured import diagnose
 
-    module = {"otherwise": otherwise, "folds": diagnose, "hidden-in-measured": measured}[name]
+    module = {"folds": diagnose, "hidden-in-measured": measured}[name]
     return table(*module.table(read_rows(module.FILE)))
 
 
@@ -190,5 +190,5 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "licences": licences,
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in measure.listed()["tables"]},
-    **{name: partial(of_rows, name) for name in ("otherwise", "folds", "hidden-in-measured")},
+    **{name: partial(of_rows, name) for name in ("folds", "hidden-in-measured")},
 }

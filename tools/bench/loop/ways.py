@@ -5,15 +5,12 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
-import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
@@ -28,25 +25,6 @@ FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")
 EXACTLY = 0xC00007FF
 PATIENCE = 0.05  # s for an answer
-CLIENTS = 8  # that hang, beside the one that floods
-
-FLOOD = """
-import socket, sys
-hanging = [socket.socket(socket.AF_UNIX) for _ in range(%d)]
-for connection in hanging:
-    connection.connect(sys.argv[1]); connection.send(b'{"verb":')
-flood = socket.socket(socket.AF_UNIX); flood.connect(sys.argv[1])
-print("ready", flush=True)
-line = b'{"verb":"set","name":"axis0.compensation","value":0.95}\\n{"verb":"status"}\\n' * 20
-flood.settimeout(0.05)
-while True:
-    try:
-        flood.send(line); flood.recv(1 << 20)
-    except TimeoutError:
-        pass
-    except OSError:
-        flood = socket.socket(socket.AF_UNIX); flood.connect(sys.argv[1]); flood.settimeout(0.05)
-"""
 
 
 @dataclass(frozen=True)
@@ -59,12 +37,6 @@ class Way:
     cycle: Callable[[float], bool]
     wait: Callable[[int], object] = sleep_until
     rest: Callable[[float], None] = lambda now: None
-
-
-@contextlib.contextmanager
-def bare_sleep() -> Iterator[Way]:
-    """Nothing but sleeping to absolute deadlines."""
-    yield Way(lambda now: True)
 
 
 @contextlib.contextmanager
@@ -97,17 +69,12 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
 
 
 @contextlib.contextmanager
-def ours(
-    configuration: Configuration,
-    bus: Bus | None = None,
-    prepare: Callable[[Sequence[ControlAxis]], None] = lambda axes: None,
-) -> Iterator[Way]:
-    """The control cycle of `tsa run`, torque permitted; `prepare` may put stamps on its axes."""
+def ours(configuration: Configuration) -> Iterator[Way]:
+    """The control cycle of `tsa run`, torque permitted."""
     file = configuration.file
-    bus = bus or SocketCan(file.bus.channel, file.bus.send_queue)
+    bus = SocketCan(file.bus.channel, file.bus.send_queue)
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
-    prepare(axes)
     rig.start()
     collect = file.controller.collect * configuration.period
     start: list[float] = []
@@ -130,10 +97,10 @@ def ours(
 
 
 @contextlib.contextmanager
-def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Way]:
+def ours_all(configuration: Configuration) -> Iterator[Way]:
     """With the record, the log writer's process, the socket server's process, and a command per cycle at most."""
     collect = configuration.file.controller.collect * configuration.period
-    with _with_children(configuration, flooded) as (rig, axes, tuners, mailbox, telemetry):
+    with _with_children(configuration) as (rig, axes, tuners, mailbox, telemetry):
         count = 0
 
         def cycle(now: float) -> bool:
@@ -156,7 +123,7 @@ def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Wa
 
 
 @contextlib.contextmanager
-def _with_children(configuration: Configuration, flooded: bool) -> Iterator[tuple[Any, ...]]:
+def _with_children(configuration: Configuration) -> Iterator[tuple[Any, ...]]:
     file = configuration.file
     bus = SocketCan(file.bus.channel, file.bus.send_queue)
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
@@ -166,8 +133,6 @@ def _with_children(configuration: Configuration, flooded: bool) -> Iterator[tupl
         stack.callback(bus.close)
         children = Children(configuration, tuners)
         stack.callback(children.end)
-        if flooded:
-            stack.enter_context(_flood(file.socket.path))
         telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, Events())
         rig.start()
         yield rig, axes, tuners, children.mailbox, telemetry
@@ -179,23 +144,3 @@ def _tell_faults(axes: Sequence[ControlAxis]) -> None:
     for axis in axes:
         for fault in axis.supervisor.faults:
             print(f"\nfault while measuring: {axis.name}: {fault}", file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _flood(path: str) -> Iterator[None]:
-    client = subprocess.Popen([sys.executable, "-c", FLOOD % CLIENTS, path], stdout=subprocess.PIPE)
-    assert client.stdout is not None
-    client.stdout.readline()
-    try:
-        yield
-    finally:
-        client.kill()
-        client.communicate()
-
-
-@contextlib.contextmanager
-def python_can(configuration: Configuration) -> Iterator[Way]:
-    """Ours through python-can's Bus on the same interface."""
-    settings = configuration.file.bus
-    with ours(configuration, PythonCan("socketcan", settings.channel, settings.bitrate, {})) as way:
-        yield way
