@@ -16,7 +16,7 @@ import pytest
 from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
 from tsa_ctrl.safety.causes import Cause, Finding
 
 Build = Callable[..., Machine]
@@ -364,3 +364,23 @@ def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytes
     machine.wake_late(300, 3.2e-3)
     machine.run(seconds=1.0)
     assert told == [3]
+
+
+def test_a_latched_guard_is_released_on_request_within_the_budget(build: Build) -> None:
+    """Not before it is latched, and not twice within two seconds."""
+    machine = build(CONSTANT)
+    guard = machine.axis.guard
+    released: list[bool] = []
+
+    def ask(latch: bool) -> None:
+        guard.latched = latch
+        machine.mailbox.put(Command(0, RELEASE, 1.0))
+
+    machine.drive.at_sync.update({300: partial(ask, False), 310: partial(ask, True), 400: partial(ask, True)})
+    machine.drive.at_sync.update(dict.fromkeys((320, 410), lambda: released.append(not guard.latched)))
+    machine.run(seconds=0.5)
+    assert released == [True, False]
+    assert [event.text.partition(";")[0] for event in machine.events.all if "latch" in event.text] == [
+        "release of the guard's latch number 1 on request",
+        "release of the guard's latch rejected: the next one is permitted in 1.91 s",
+    ]

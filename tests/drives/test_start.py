@@ -176,3 +176,14 @@ def test_what_the_start_waits_for_is_told(tmp_path: Path) -> None:
         "configuring axis 'knee' drive node 1",
         "waiting for axis 'knee' drive node 1 to become operational",
     ]
+
+
+def test_a_fault_found_at_the_start_says_what_becomes_of_it(tmp_path: Path) -> None:
+    for resets, words in ((False, "must be reset before it can enable: --reset-faults"), (True, "it is reset now")):
+        foreign = Foreign(tmp_path)
+        foreign.drive.fault(0x2310)
+        foreign.wait(0.1)
+        report = bring_up(
+            foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, resets_later=resets
+        )
+        assert [note for note in report.nodes[0].notes if note.startswith("in fault: error 0x2310") and words in note]

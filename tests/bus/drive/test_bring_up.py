@@ -259,3 +259,21 @@ def test_two_nodes_with_one_id_are_refused() -> None:
 def test_rpdo_timeout_below_two_periods_is_refused() -> None:
     with bench() as nodes, pytest.raises(UsageError, match="less than two periods"):
         start(nodes, axis_nodes(rpdo_timeout=0.001))
+
+
+def test_fault_found_at_the_start_is_reset_only_on_request() -> None:
+    """The rising edge of bit 7 by SDO; without the request nothing is written to the controlword."""
+    with bench(drive={(0x6041, 0): (6, 0x0218), (0x603F, 0): (6, 0x2310)}) as nodes:
+        node = nodes.nodes[1]
+
+        def leave(index: int, subindex: int, od: object, data: bytes) -> None:
+            if index == 0x6040 and data[0] & 0x80:
+                node.data_store.setdefault(0x6041, {})[0] = b"\x40\x02"
+
+        node.add_write_callback(leave)
+        assert any("--reset-faults" in note for note in start(nodes).nodes[0].notes)
+        assert not [entry for entry in nodes.written if entry[1] == 0x6040]
+        settings = BusSettings(interface="virtual")
+        report = bring_up(nodes.bus, settings, [axis_nodes()], [DriveProfile()], 0.001, reset_faults=True)
+        assert [entry[3][0] for entry in nodes.written if entry[1] == 0x6040] == [0x00, 0x80, 0x00]
+        assert any("was in fault: error 0x2310" in note for note in report.nodes[0].notes)
