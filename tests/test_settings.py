@@ -6,9 +6,10 @@ import re
 from pathlib import Path
 
 import pytest
+from msgspec import inspect
 
 from tsa_ctrl import settings
-from tsa_ctrl.bus.drive.profile import load_profile
+from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model
@@ -78,3 +79,34 @@ def test_a_suggestion_is_never_what_was_given() -> None:
             with pytest.raises(UsageError) as caught:
                 settings.convert({"axis": [{"name": "a", table: {key: 1.0}}]}, PlantSettings, "x.toml")
             assert f"did you mean '{key}'" not in str(caught.value)
+
+
+def bounds_of(kind: inspect.Type, found: dict[tuple[type, str, float], None]) -> None:
+    """Collect class and key of each number below a type of settings, with a value just outside of each bound."""
+    if isinstance(kind, inspect.StructType) and not any(cls is kind.cls for cls, *_ in found):
+        for field in kind.fields:
+            for part in (field.type, *getattr(field.type, "types", ())):
+                if isinstance(part, inspect.IntType | inspect.FloatType):
+                    step = 1.0 if isinstance(part, inspect.IntType) else 1e-6
+                    for bound, way in ((part.ge, -step), (part.gt, 0.0), (part.le, step), (part.lt, 0.0)):
+                        if bound is not None:
+                            value = bound + way * max(1.0, abs(bound) if step < 1.0 else 1.0)
+                            found[kind.cls, field.encode_name, type(bound)(value)] = None
+            bounds_of(field.type, found)
+    for name in ("types", "item_types"):
+        for part in getattr(kind, name, ()):
+            bounds_of(part, found)
+    for name in ("item_type", "value_type"):
+        if isinstance(part := getattr(kind, name, None), inspect.Type):
+            bounds_of(part, found)
+
+
+def test_a_number_outside_its_bounds_is_one_line_with_key_and_value() -> None:
+    """Every number of the controller's, the plant's and a profile's file, just outside of each bound."""
+    found: dict[tuple[type, str, float], None] = {}
+    for kind in (type(load_configuration(CONFIG / "controller.toml").file), PlantSettings, DriveProfile):
+        bounds_of(inspect.type_info(kind), found)
+    assert len(found) > 300
+    for kind, key, value in found:
+        with pytest.raises(UsageError, match=rf"^x.toml: {key}: expected .*, found {re.escape(f'{value:g}')}[^\n]*$"):
+            settings.convert({key: value}, kind, "x.toml")

@@ -38,7 +38,6 @@ def test_the_example_is_valid() -> None:
         ("[[axis]]\nname='a'\n[axis.effects.stribek_friction]\n", "did you mean 'stribeck_friction'"),
         ("[[axis]]\nname='a'\n[axis.tendon]\ncurvature=[[0.0,0.0],[0.5,0.2]]\n", "give points"),
         ("[[axis]]\nname='a'\n[[axis.fault]]\nname='torn'\n", "unknown fault"),
-        ("[physics]\nstep=0.001\n[[axis]]\nname='a'\n", "step"),
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, text: str, said: str) -> None:
