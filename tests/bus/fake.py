@@ -37,7 +37,7 @@ class FakeBus:
         self.full = False
         self.bell: int | None = None
         self.expected: float | None = None
-        self._answer = answer
+        self.answer = answer
 
     def send(self, can_id: int, data: bytes) -> bool:
         if self.full:
@@ -46,8 +46,8 @@ class FakeBus:
         frame = (can_id, bytes(data))
         self.sent.append(frame)
         self.counters.sent += 1
-        if self._answer is not None:
-            self.waiting.extend(self._answer(frame))
+        if self.answer is not None:
+            self.waiting.extend(self.answer(frame))
         return True
 
     def recv(self, timeout: float) -> Frame | None:

@@ -109,5 +109,5 @@ def test_the_time_outs_that_a_drive_holds_are_read(bench: Bench) -> None:
         text = answers.get((key[0], key[1]), "8016100311000906")
         return [(0x581, bytes.fromhex(text))] if frame[0] == 0x601 else []
 
-    bench.bus._answer = answer
+    bench.bus.answer = answer
     assert bench.listener.armed() == {"knee": {"rpdo": 20, "heartbeat": 100}}

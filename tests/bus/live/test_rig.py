@@ -58,7 +58,7 @@ def test_gear_and_signs_hold_both_ways() -> None:
 
 def test_velocity_in_counts_is_scaled_by_the_resolution() -> None:
     bus = FakeBus(FakeClock(), Responder())
-    bus._answer.velocity = 65536  # type: ignore[union-attr]
+    bus.answer.velocity = 65536  # type: ignore[union-attr]
     profile = DriveProfile(units=Units(velocity=VelocityUnit.COUNTS))
     rig = Rig(bus, BusSettings(), [axis_nodes()], [profile], bus.clock)
     rig.start()
@@ -190,7 +190,7 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
     rig, bus, nodes = one_axis_rig()
     assert bus.bell == 0x281
     last = nodes.frames()[0]
-    bus._answer = lambda frame: [*nodes.frames()[1:], last] if frame[0] == 0x80 else []
+    bus.answer = lambda frame: [*nodes.frames()[1:], last] if frame[0] == 0x80 else []
     for _ in range(10):
         cycle(rig, bus)
         assert rig.axes[0].image.fresh
@@ -299,7 +299,7 @@ def test_second_answer_in_one_cycle_is_ignored() -> None:
     nodes.torque = 100
     answers = nodes.frames()
     nodes.torque = 900
-    bus._answer = lambda frame: [answers[0], nodes.frames()[0], *answers[1:]] if frame[0] == 0x80 else []
+    bus.answer = lambda frame: [answers[0], nodes.frames()[0], *answers[1:]] if frame[0] == 0x80 else []
     cycle(rig, bus)
     image = rig.axes[0].image
     assert (image.tau_m, image.nodes[0].repeated, image.fresh) == (pytest.approx(0.1), 1, True)
@@ -309,7 +309,7 @@ def test_second_answer_in_one_cycle_is_ignored() -> None:
 def test_answer_of_a_wrong_length_is_counted_and_ignored(can_id: int, data: bytes) -> None:
     rig, bus, nodes = one_axis_rig()
     nodes.silent = {can_id}
-    bus._answer = lambda frame: [(can_id, data), *nodes.frames()] if frame[0] == 0x80 else []
+    bus.answer = lambda frame: [(can_id, data), *nodes.frames()] if frame[0] == 0x80 else []
     cycle(rig, bus)
     image = rig.axes[0].image
     assert (image.fresh, sum(node.malformed for node in image.nodes)) == (False, 1)
@@ -356,7 +356,7 @@ def test_flood_after_the_sync_does_not_hold_the_cycle_beyond_its_deadline() -> N
 )
 def test_any_frames_leave_a_usable_image(frames: list[tuple[int, bytes]]) -> None:
     rig, bus, nodes = one_axis_rig()
-    bus._answer = lambda frame: [*frames, *nodes.frames()] if frame[0] == 0x80 else []
+    bus.answer = lambda frame: [*frames, *nodes.frames()] if frame[0] == 0x80 else []
     for _ in range(3):
         cycle(rig, bus)
     image = rig.axes[0].image

@@ -30,7 +30,7 @@ def test_node_that_does_not_answer_is_named(silent: int, name: str) -> None:
 
 def test_node_that_answers_twice_is_refused() -> None:
     rig, bus, nodes = one_axis_rig()
-    bus._answer = lambda frame: nodes.frames() * 2 if frame[0] == 0x080 else []
+    bus.answer = lambda frame: nodes.frames() * 2 if frame[0] == 0x080 else []
     with pytest.raises(BusError, match="more PDOs than 50 SYNCs asked for; another node may have the same id"):
         check_startup(rig, 0.001, 50)
 
@@ -45,7 +45,7 @@ def test_node_that_stops_at_the_end_is_refused() -> None:
         answered.append(frame)
         return nodes.frames() if len(answered) < 45 else []
 
-    bus._answer = answer
+    bus.answer = answer
     with pytest.raises(BusError, match="answered 44 of 50"):
         check_startup(rig, 0.001, 50)
 
