@@ -45,8 +45,8 @@ from tsa_ctrl.model.plausible import (
     check_motion,
     check_set_point,
 )
-from tsa_ctrl.model.sliding import sliding
-from tsa_ctrl.model.stretch import why_not
+from tsa_ctrl.model.steady_sliding import sliding
+from tsa_ctrl.model.stretch import unsupported_reason
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
@@ -394,7 +394,7 @@ def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
             f'{where}: estimator.kind "stretch" without [axis.encoder]; stretch is what two angles differ by; '
             "give one, or another kind"
         )
-    reason = why_not(model)
+    reason = unsupported_reason(model)
     if reason:
         raise UsageError(f'{where}: estimator.kind "stretch": {reason}; or choose another kind')
 

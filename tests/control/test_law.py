@@ -18,7 +18,7 @@ from tests.control.sliding import actuator
 from tests.model.capstan import Pair
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.model.feedforward import Feedforward
-from tsa_ctrl.model.sliding import motor_stiffness, sliding
+from tsa_ctrl.model.steady_sliding import motor_stiffness, sliding
 
 RATIO = 0.8
 SHAPES = {  # the same in the model's words and for the capstan equation, as (share of length, share of bending)

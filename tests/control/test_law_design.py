@@ -17,7 +17,7 @@ from tsa_ctrl.control.reversal import Turn
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import motor_stiffness, sliding
+from tsa_ctrl.model.steady_sliding import motor_stiffness, sliding
 from tsa_ctrl.safety.limiter import LimiterSettings
 
 INERTIA = 1e-4

@@ -10,7 +10,7 @@ import pytest
 from tests.control.sliding import actuator
 from tsa_ctrl.control.reversal import Front, front_of
 from tsa_ctrl.model.curvature import NAMED, Points
-from tsa_ctrl.model.sliding import joint_side_compliance
+from tsa_ctrl.model.steady_sliding import joint_side_compliance
 
 S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
 

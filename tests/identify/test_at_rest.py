@@ -9,7 +9,7 @@ from tests.identify.test_calibrate import rig_and_model
 from tsa_ctrl.identify.calibrate.keep_split import least_error
 from tsa_ctrl.identify.calibrate.prepared import prepare
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 
 
 def test_a_joint_at_rest_does_not_make_the_least_friction_the_best() -> None:

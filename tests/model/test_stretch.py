@@ -14,7 +14,7 @@ from tsa_ctrl.model.curvature import NAMED, Points
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict, stretching
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.model.stretch import compliance_centre, compliances, stretch_line, why_not
+from tsa_ctrl.model.stretch import compliance_centre, compliances, stretch_line, unsupported_reason
 
 S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
 
@@ -60,7 +60,7 @@ def test_friction_hardly_matters() -> None:
 def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
     """Where they are singular, and already where they are nearly so; a model that does not say is evenly bent."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
-    assert why_not(actuator()) == ""
+    assert unsupported_reason(actuator()) == ""
     with pytest.raises(UsageError, match=r"the bends sit at the joint .* measure it with a joint torque sensor"):
         stretch_line(model_of(NAMED["joint_end"], 0.26))
     with pytest.raises(UsageError, match=r"centre of the bends is at 0\.75"):

@@ -14,7 +14,7 @@ import pytest
 
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 

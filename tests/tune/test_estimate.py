@@ -13,7 +13,7 @@ from tests.blind import tendon_logs
 from tsa_ctrl.identify import diagnosis
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.tune.estimate import Form, estimate, extended, sliding_error
 
 

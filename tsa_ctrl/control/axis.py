@@ -16,7 +16,7 @@ from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.control.temperature import Temperature
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding_by, transmitted_by
+from tsa_ctrl.model.steady_sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.causes import Cause, Finding

@@ -32,7 +32,7 @@ from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.control.torque_feedback import MORE
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.safety.limiter import Reason
 

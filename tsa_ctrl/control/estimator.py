@@ -22,7 +22,7 @@ from typing import Protocol
 
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 POINTS = 256  # of the table by which the half loop is inverted: 1e-5 of it, and no iteration in the loop
@@ -32,7 +32,7 @@ class Split:
     """Split a friction torque into friction angle (1) and pretension (N), by an attribution that the user selects.
 
     The friction torque is 2 T_p r_J sinh x at the joint, and 2 T_p r_M tanh x at the motor, N*m. With
-    `elongation_coupling` it follows from the position of the bends (`tsa_ctrl.model.sliding`).
+    `elongation_coupling` it follows from the position of the bends (`tsa_ctrl.model.steady_sliding`).
     """
 
     def __init__(self, model: TendonSheath, attribution: Attribution, at_motor: bool, bounds: float) -> None:

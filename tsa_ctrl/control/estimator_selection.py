@@ -19,7 +19,7 @@ from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.stretch import compliance_centre, why_not
+from tsa_ctrl.model.stretch import compliance_centre, unsupported_reason
 
 LOOSEST = 0.25  # 1, bound of a stiffness that is still learned within seconds: a fifth off was, on simulated rigs
 SHAPE = (
@@ -54,7 +54,7 @@ def why_fixed(model: TendonSheath, has_encoder: bool) -> str:
         return "stretch is what the angles of motor and joint differ by, and there is no [axis.encoder]"
     if not _has_friction(model):
         return "the model has no friction or no pretension that could be estimated"
-    reason = why_not(model)
+    reason = unsupported_reason(model)
     if reason:
         return reason
     if model.bending_centre is None and "elongation_coupling" not in model.effects:

@@ -26,7 +26,7 @@ from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 
 _WITHIN = (Stage.BENDING, Stage.PRETENSION, Stage.FRICTION, Stage.TENSION)
 

@@ -24,7 +24,7 @@ from tsa_ctrl.control.damping import FORGET
 from tsa_ctrl.control.reversal import Front, Turn, front_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.safety.limiter import LimiterSettings
 
 LAG = 0.5e-3  # s, torque loop of a drive; the known drives are faster

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from tsa_ctrl.control.estimator import EstimateState, Sample, Split, sooner_down
 from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding_by
+from tsa_ctrl.model.steady_sliding import sliding_by
 from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 

@@ -23,7 +23,7 @@ from tsa_ctrl.control.estimator import EstimateState, Sample, sooner_down
 from tsa_ctrl.control.kalman import Bare
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import elongations
 
 SLIDING = 0.999  # 1, |sigma| above which the tendons surely slide

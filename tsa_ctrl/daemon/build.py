@@ -32,7 +32,7 @@ from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction

@@ -26,7 +26,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import nodes_from
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.readiness import Nodes, SignAndGain
 from tsa_ctrl.safety.use_class import on_bench
 

@@ -18,7 +18,7 @@ import msgspec
 from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.model.sliding import wound_by_friction
+from tsa_ctrl.model.steady_sliding import wound_by_friction
 from tsa_ctrl.safety.polarity_check import CLEAR, EXCESS, FAR, RESTING, SHOWN
 
 KEPT = 4000  # samples of each axis: the last seconds

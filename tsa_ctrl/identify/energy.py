@@ -27,8 +27,8 @@ from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import last_reversal, low_pass
-from tsa_ctrl.model.sliding import sliding as steady_sliding
-from tsa_ctrl.model.sliding import wound_by_friction
+from tsa_ctrl.model.steady_sliding import sliding as steady_sliding
+from tsa_ctrl.model.steady_sliding import wound_by_friction
 
 Array = NDArray[np.float64]
 

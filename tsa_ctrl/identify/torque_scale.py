@@ -21,7 +21,7 @@ from tsa_ctrl.identify.units import DEGREES, in_other_units
 from tsa_ctrl.model.parameters import RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import low_pass
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 
 Array = NDArray[np.float64]
 

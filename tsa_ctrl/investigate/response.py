@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import low_pass
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.tune.excitation import MOVED_BY_TORQUE, Waveform, response
 
 Array = NDArray[np.float64]

@@ -29,7 +29,7 @@ from tsa_ctrl.model.curvature import Profile, centred
 from tsa_ctrl.model.effects.transmission import Elongating
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import joint_side_compliance
+from tsa_ctrl.model.steady_sliding import joint_side_compliance
 
 MOST_CENTRE = 0.7  # 1, s_c; there 5 % of error in s_c is a sixth of tau_J, and it grows with 1/(1 - s_c)
 _SMALL = 1e-4  # 1, friction angle below which its own effect on P and Q is below 1e-8
@@ -56,7 +56,7 @@ class StretchLine:
 
 def stretch_line(model: TendonSheath) -> StretchLine:
     """That of a model; raises UsageError if its bends are too close to the joint."""
-    reason = why_not(model)
+    reason = unsupported_reason(model)
     if reason:
         raise UsageError(f"{model.source or 'model'}: {reason}")
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
@@ -81,7 +81,7 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
     return softness * motor / whole, softness * joint / whole
 
 
-def why_not(model: TendonSheath) -> str:
+def unsupported_reason(model: TendonSheath) -> str:
     """Return the reason why the elongation does not show the joint torque of this model; empty where it can."""
     beside, _ = of_the_stretch(model.effects)
     if beside:

@@ -6,7 +6,7 @@ import math
 from typing import Protocol
 
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding, sliding_by
+from tsa_ctrl.model.steady_sliding import sliding, sliding_by
 from tsa_ctrl.model.stretch import compliance_centre
 from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, StretchState
 
@@ -112,9 +112,9 @@ STILL = 0.02  # rad/s of the joint, below which it may be at rest: a motor's osc
 class ModelTorque:
     """Estimate the joint torque from motor torque, joint direction and model alone; about a microsecond per cycle.
 
-    While the joint moves, the tendons slide: tau_J = a(sigma) (tau_M - J_M alpha_M) - sigma b(sigma) (`model.sliding`).
-    At rest, the friction holds any torque between the two lines. The estimate is then their middle, and the band
-    includes both.
+    While the joint moves, the tendons slide: tau_J = a(sigma) (tau_M - J_M alpha_M) - sigma b(sigma),
+    see `model.steady_sliding`. At rest, the friction holds any torque between the two lines. The estimate is then their
+    middle, and the band includes both.
 
     Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan before the first measurement.
     """

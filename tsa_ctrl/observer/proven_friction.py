@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre, stretch_line
 from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 

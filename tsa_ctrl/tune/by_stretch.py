@@ -19,20 +19,20 @@ from tsa_ctrl.identify.calibrate.stretch import fit_stretch, told
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
-from tsa_ctrl.model.stretch import MOST_CENTRE, why_not
+from tsa_ctrl.model.steady_sliding import sliding
+from tsa_ctrl.model.stretch import MOST_CENTRE, unsupported_reason
 from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
 ROUNDS = 4  # of two parameters of which only the product shows: 1e-6 after three
 
 
-def why_not_told(model: TendonSheath, has_encoder: bool) -> str:
+def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
     """Return the reason against a joint torque by elongation, with the remedy; empty if there is none."""
     if not has_encoder:
         return "no [axis.encoder], so that the tendons' stretch is not known either; give one"
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
         return "the model file does not give the place of the bends; give [sheath] bending_centre"
-    return why_not(model)
+    return unsupported_reason(model)
 
 
 def moved_by_hand(torque: float) -> str:

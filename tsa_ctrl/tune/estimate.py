@@ -24,7 +24,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
-from tsa_ctrl.model.sliding import bending_centre
+from tsa_ctrl.model.steady_sliding import bending_centre
 from tsa_ctrl.tune.delay import EFFECT, velocity_lag, with_lag
 
 if TYPE_CHECKING:

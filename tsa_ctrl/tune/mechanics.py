@@ -29,7 +29,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import zero_phase_derivative
-from tsa_ctrl.model.sliding import motor_stiffness, sliding, sliding_stiffness
+from tsa_ctrl.model.steady_sliding import motor_stiffness, sliding, sliding_stiffness
 from tsa_ctrl.tune.delay import Delay, command_delay
 from tsa_ctrl.tune.estimate import Estimate
 from tsa_ctrl.tune.swing import Swing, swing

@@ -19,7 +19,7 @@ from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width, rounded
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
-from tsa_ctrl.model.sliding import sliding, sliding_stiffness, wound_by_friction
+from tsa_ctrl.model.steady_sliding import sliding, sliding_stiffness, wound_by_friction
 from tsa_ctrl.tune.by_stretch import beside_stretch, estimate_by_stretch, moved_by_hand
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import (

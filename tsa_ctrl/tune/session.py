@@ -32,7 +32,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.outputs import backups, untaken
 from tsa_ctrl.system.process_supervisor import daemon, postponed
-from tsa_ctrl.tune.by_stretch import why_not_told
+from tsa_ctrl.tune.by_stretch import unsupported_by
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
@@ -415,7 +415,7 @@ class Session:
 
         Raises UsageError, BusError.
         """
-        if not self.axis.has_torque_sensor and (reason := why_not_told(self._model, self.axis.encoder is not None)):
+        if not self.axis.has_torque_sensor and (reason := unsupported_by(self._model, self.axis.encoder is not None)):
             raise UsageError(
                 f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, and {reason}; or "
                 "give [axis.torque_sensor] or an [[axis.serial]] of tau_j"

@@ -32,7 +32,7 @@ from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
 from tsa_ctrl.identify.torque_scale import friction_beyond
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
-from tsa_ctrl.model.sliding import pretension_level
+from tsa_ctrl.model.steady_sliding import pretension_level
 
 # x and T_p0 from several known configurations: Gauss-Newton on the instrumented normal equations.
 

@@ -3,7 +3,7 @@
 Both tendons pull while |tau_M| < 2 T_p0 r_M, and friction at the motor is h = 2 T_p0 r_M f(x), which also grows with
 the pretension. So for a torque of tau at the motor
 
-    tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x)),     f by where the sheath bends (`tsa_ctrl.model.sliding`)
+    tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x)),     f by where the sheath bends (`tsa_ctrl.model.steady_sliding`)
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 
 FloatArray = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, v
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of
 from tsa_ctrl.outputs import json_types
 

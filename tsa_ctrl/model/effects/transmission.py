@@ -187,7 +187,7 @@ class FourTensions:
         return -bound, bound
 
     def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
-        """(slope, loss) of B = slope tau_M - loss at tau_M = 0, for `tsa_ctrl.model.sliding`; exact while both pull."""
+        """Return (slope, loss) of B = slope tau_M - loss at tau_M = 0; exact while both tendons pull."""
         r_m, r_j = self.radii
         angles = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
         if self.tension_dependence is not None:
@@ -294,7 +294,7 @@ class Elongating:
         return -level / (1.0 + coupling), level / (1.0 - coupling)
 
     def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
-        """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.sliding`; exact."""
+        """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.steady_sliding`; exact."""
         line = self._now(sigma * x, pretension)
         return line.gain, line.loss
 

@@ -17,7 +17,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.model.sliding import (
+from tsa_ctrl.model.steady_sliding import (
     bending_centre,
     joint_side_compliance,
     motor_stiffness,
