@@ -22,7 +22,6 @@ from tsa_ctrl.model.steady_sliding import (
     joint_side_compliance,
     motor_stiffness,
     pretension_level,
-    shape_factor,
     sliding,
     transmitted_by,
 )
@@ -97,16 +96,15 @@ class TestAgainstIntegration:
 
 
 @pytest.mark.parametrize(("profile", "f"), [("joint_end", math.tanh(X)), ("uniform", X), ("motor_end", math.sinh(X))])
-def test_shape_factor_of_the_named_profiles(profile: str, f: float) -> None:
+def test_friction_at_the_motor_of_the_named_profiles(profile: str, f: float) -> None:
     """h = 2 T_p r_M f with f = tanh x, x, sinh x."""
-    assert shape_factor(model_of(profile)) == pytest.approx(f, rel=1e-14)
     assert sliding(model_of(profile)).motor_half_loop == pytest.approx(2.0 * T_P * R_M * f, rel=1e-14)
 
 
 def test_simplified_model_is_all_bending_at_the_joint() -> None:
     """(3.55): slope r_J/r_M cosh x, half loop 2 T_p r_J sinh x, centre at the joint."""
     assert sliding(ACTUATOR) == pytest.approx((R_J / R_M * math.cosh(X), 2.0 * T_P * R_J * math.sinh(X)), rel=1e-14)
-    assert shape_factor(ACTUATOR) == pytest.approx(math.tanh(X), rel=1e-14)
+    assert sliding(ACTUATOR).motor_half_loop == pytest.approx(2.0 * T_P * R_M * math.tanh(X), rel=1e-14)
     assert bending_centre(ACTUATOR) == 1.0
 
 

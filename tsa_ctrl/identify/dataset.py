@@ -173,7 +173,7 @@ class Dataset(Displayed):
                 f"{model.source or 'the model'} names joint '{lacking[0]}'; log its angle (rad), name the axis "
                 "of a log of all joints (run.mcap:AXIS), or add column theta"
             )
-        a, b = routing.wrap_angles_of({joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints})
+        a, b = routing.wrap_angles({joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints})
         theta = model.bending_angle + 0.5 * (a + b)
         return dataclasses.replace(self, columns={**self.columns, "theta": theta}, derived=self.derived | {"theta"})
 

@@ -15,7 +15,6 @@ import struct
 import zlib
 from collections.abc import Callable, Collection, Iterator
 from functools import partial
-from gzip import GzipFile
 from pathlib import Path
 from typing import Any
 
@@ -51,25 +50,6 @@ class DecompressionLimit:
                 f"{self._path}: unpacks to more than {limit >> 20} MiB from {self._path.stat().st_size >> 10} KiB, "
                 "which no log does; unpack it yourself if you trust it"
             )
-
-
-class CountedStream:
-    """Count the bytes of a stream as they are read."""
-
-    def __init__(self, stream: GzipFile, counted: DecompressionLimit) -> None:
-        self._stream = stream
-        self._counted = counted
-        self.closed = False
-
-    def read(self, size: int = -1) -> bytes:
-        """Read up to `size` bytes (negative: all); raises UsageError if the total exceeds the limit."""
-        most = self._counted.left + 1
-        data = self._stream.read(most if size < 0 else min(size, most))
-        self._counted.take(len(data))
-        return data
-
-    def close(self) -> None:
-        """Do nothing, because the caller that opened the stream closes it."""
 
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage

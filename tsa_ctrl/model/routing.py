@@ -113,26 +113,16 @@ class Route:
         reached = [theta for q, theta in self.tables.get(joint, ()) if span[0] < q < span[1]]
         return min(*ends, *reached), max(*ends, *reached)
 
-    def slopes(self, angles: Mapping[str, float]) -> dict[str, float]:
-        """Return d Theta / d q of each joint, rad/rad; 0 beyond the ends of a table, and at a point what follows it."""
-        return {**self.gains, **{name: _slope(points, angles[name]) for name, points in self.tables.items()}}
-
     def extremes(self, travel: Mapping[str, Span]) -> Span:
         """Return the least and the most that joints within `travel` add, rad.
 
         The terms of the joints are independent, so that their extremes add. A joint without travel is taken over its
         table, and where it has a gain, at 0.
         """
-        least = most = 0.0
-        for name, gain in self.gains.items():
-            ends = [gain * q for q in travel.get(name, (0.0, 0.0))]
-            least, most = least + min(ends), most + max(ends)
-        for name, points in self.tables.items():
-            low, high = travel.get(name, (points[0][0], points[-1][0]))
-            reached = [theta for q, theta in points if low < q < high]
-            reached += [_between(points, low), _between(points, high)]
-            least, most = least + min(reached), most + max(reached)
-        return least, most
+        spans = {name: travel.get(name, (0.0, 0.0)) for name in self.gains}
+        spans |= {name: travel.get(name, (points[0][0], points[-1][0])) for name, points in self.tables.items()}
+        ends = [self.extremes_by(name, span) for name, span in spans.items()]
+        return sum(low for low, _ in ends), sum(high for _, high in ends)
 
 
 @dataclass(frozen=True)
@@ -165,20 +155,9 @@ class Routing:
         """Return whether both tendons are routed in the same way."""
         return self.a == self.b
 
-    def wrap_angles(self, bending_angle: float, angles: Mapping[str, float]) -> tuple[float, float]:
-        """Return Theta_a and Theta_b, rad; `bending_angle`: Theta_0, rad, `angles`: rad by joint, of all joints."""
-        return bending_angle + self.a.added(angles), bending_angle + self.b.added(angles)
-
-    def wrap_angles_of(self, angles: Mapping[str, Array]) -> tuple[Array, Array]:
+    def wrap_angles(self, angles: Mapping[str, Array]) -> tuple[Array, Array]:
         """Return the wrap angles of a and b beyond Theta_0 over a log, rad, (n,) each; `angles`: (n,) by joint."""
         return self.a.added_over(angles), self.b.added_over(angles)
-
-    def path_changes(self, lever: float, angles: Mapping[str, float]) -> tuple[float, float]:
-        """Return the contribution of the joints to the path lengths of both tendons, m, by (3.52).
-
-        `lever`: p + d/2, m.
-        """
-        return lever * self.a.added(angles), lever * self.b.added(angles)
 
     def section(self) -> dict[str, Any]:
         """Return the `[routing]` table that reads as this routing."""
@@ -217,13 +196,6 @@ def _between(points: Points, angle: float) -> float:
     i = bisect.bisect_right(points, angle, key=lambda point: point[0])
     (q, theta), (q_next, theta_next) = points[i - 1], points[i]
     return theta + (theta_next - theta) * (angle - q) / (q_next - q)
-
-
-def _slope(points: Points, angle: float) -> float:
-    if not points[0][0] <= angle < points[-1][0]:
-        return 0.0
-    i = bisect.bisect_right(points, angle, key=lambda point: point[0])
-    return (points[i][1] - points[i - 1][1]) / (points[i][0] - points[i - 1][0])
 
 
 def _table(route: Route) -> dict[str, Any]:

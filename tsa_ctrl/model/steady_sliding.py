@@ -85,11 +85,6 @@ def transmitted_by(model: TendonSheath) -> Callable[[float, float, float], tuple
     return on_lines
 
 
-def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:
-    """f(x) = h / (2 T_p0 r_M): tanh x, x, sinh x, or between, by where the sheath bends."""
-    return sliding(model, 1.0, friction_angle, 1.0).motor_half_loop / (2.0 * model.motor_pulley_radius)
-
-
 def pretension_level(model: TendonSheath, friction_angle: float | None = None) -> float:
     """T_p / T_p0 while sliding without motor torque, (3.54): 1 for (3.55), else 2 (l_us + EA/k_s) / (alpha + beta)."""
     x = model.friction_angle if friction_angle is None else friction_angle
