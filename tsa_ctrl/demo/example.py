@@ -22,7 +22,6 @@ from tsa_ctrl.model.effects.specification import Draw
 from tsa_ctrl.model.parameters import TendonSheath
 
 OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
-MOTION_RATE = 200.0  # Hz of set-point and motion
 SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples of its inverse
 RATE = 500.0  # Hz: sufficient for the diagnosis of these motions, at half the time of 1 kHz
 MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
@@ -80,7 +79,7 @@ def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
 
 def motion() -> Play:
     """Strokes of many speeds against a load that varies independently: sufficient for a diagnosis."""
-    t = np.arange(0.0, SECONDS + 0.5 / MOTION_RATE, 1.0 / MOTION_RATE)
+    t = np.arange(0.0, SECONDS + 0.5 / rig.RATE, 1.0 / rig.RATE)
     angle = np.sum([a * np.sin(2.0 * math.pi * f * t) for f, a in MOTION], axis=0)
     phases = [-math.pi * k * (k + 1) / len(TORQUE) for k in range(len(TORQUE))]  # Schroeder's: a low crest factor
     waves = [a * np.sin(2.0 * math.pi * f * t + p) for (f, a), p in zip(TORQUE, phases, strict=True)]

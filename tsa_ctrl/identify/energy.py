@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.redundancy import compare, judge
+from tsa_ctrl.identify.redundancy import BAND, compare, judge
+from tsa_ctrl.identify.three_errors import UNKNOWN
 from tsa_ctrl.identify.torque_scale import FRICTION_FACTOR, most_friction, torque_scale
 from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.parameters import Model, TendonSheath
@@ -43,7 +44,6 @@ RELATED = 0.5  # correlation of an angle with the integral of its velocity, at l
 # Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. For an hour at 1 kHz
 # the fit of all would be the most memory that a diagnosis needs, 0.6 GB
 MOST = 600_000
-BAND = 10.0  # Hz, in which measured and simulated torque are compared
 FOLLOWS = 0.5  # correlation of measured and simulated torque, at least; 0.9 and more where they belong together
 CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less is of a constant load
 FEWEST = 200  # samples of a correlation
@@ -52,7 +52,6 @@ UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white
 FEWEST_MEANS = 20  # whose spread is then known to a sixth
 THROUGH = 1.0  # of the way in which a reversal runs through the sheath
 SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
-DIRECTED = 2.5  # times the noise of a velocity, above which it shows a direction
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
@@ -270,7 +269,7 @@ def _has_direction(omega: Array, period: float) -> NDArray[np.bool_]:
     Friction changes its sign with the direction. Samples with a random direction show less friction than there is.
     """
     smooth = low_pass(omega, period, BAND)
-    return np.abs(smooth) > DIRECTED * float(np.std(omega - smooth))
+    return np.abs(smooth) > UNKNOWN * float(np.std(omega - smooth))
 
 
 def _opposed(x: Array, y: Array) -> bool:

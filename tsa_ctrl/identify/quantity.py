@@ -15,6 +15,7 @@ from scipy.special import stdtrit  # scipy.stats is slow to import
 LEVEL = 0.95  # of every reported interval: the usual one
 # Degrees of freedom of the noise's density where it matters: a band of its spectrum has 10 (FEWEST_WAVES pairs) or more
 NOISE = 12.0
+BLOCKS = 10  # of a log, each left out once for a jackknife: t of 9 degrees of freedom is 2.3
 
 
 def half_width(freedom: float, level: float = LEVEL) -> float:

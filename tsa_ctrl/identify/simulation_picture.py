@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.display import TIME, axis_label
+from tsa_ctrl.display import MOST_POINTS, TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.simulate import Simulation
@@ -18,7 +18,6 @@ Array = NDArray[np.float64]
 
 MEASURED = "#222222"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # also distinct for colour-blind eyes
-MOST_POINTS = 6000  # per line; more cannot be seen
 
 
 def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.smoothing.averaged import SHORTEST
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, hold_direction
 
@@ -34,7 +35,6 @@ LOWEST = 0.2  # Hz, below which noise counts as flat: a log of seconds shows les
 BANDS = 6  # per octave, of the smoothed spectrum
 LONGEST = 300_000  # samples that the noise is taken from: five minutes at 1 kHz
 MORE_THAN_NOISE = 1.5  # times the sensor noise, RMS; a smaller error while sliding counts as noise
-FEWEST = 64  # samples with a known direction, the least for a spectrum
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
     start = (len(log) - count) // 2
     part = slice(start, start + count)
     used = known[part]
-    if int(used.sum()) < FEWEST:
+    if int(used.sum()) < SHORTEST:
         return None
     signals = log.signals()
     rest = _freed(signals, part, target[part], used)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.redundancy import BAND, NEAR
 from tsa_ctrl.identify.units import DEGREES, in_other_units
 from tsa_ctrl.model.parameters import RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -26,11 +27,9 @@ from tsa_ctrl.model.steady_sliding import sliding
 Array = NDArray[np.float64]
 
 FRICTION_FACTOR = 2.0  # of what [uncertainty] leaves open; an effect that doubles a torque is of this drive
-BAND = 10.0  # Hz, in which torques are compared
 # A rough guess of a drive's friction is wrong by less than this factor; the smallest unit's factor is 8.85
 ROUGH = 5.0
 GUESS = 30.0  # of a file with friction alone: an order of magnitude and a half
-RECOGNISED = 1.25  # factor either way within which the ratio of two torques of one shape matches a unit
 
 
 def most_friction(model: TendonSheath) -> float:
@@ -105,14 +104,14 @@ def drive_scale(given: RigidDrive, found: RigidDrive) -> str:
         return ""
     ends = "convert it, or give this drive's model"
     turned = 1.0 / (size * DEGREES)
-    if inertia is not None and 1.0 / RECOGNISED < turned < RECOGNISED and 1.0 / ROUGH < friction < ROUGH:
+    if inertia is not None and 1.0 / NEAR < turned < NEAR and 1.0 / ROUGH < friction < ROUGH:
         return (
             f"the inertia comes out {1.0 / size:.3g} times smaller than in the file, and the friction does not: q_m "
             f"and omega_m seem to be in degrees (180/pi = {DEGREES:.3g}), where rad are needed; {ends}"
         )
     if 1.0 / ROUGH < size < ROUGH or (inertia is None and 1.0 / GUESS < size < GUESS):
         return ""
-    fitting = in_other_units(size / RECOGNISED, size * RECOGNISED)
+    fitting = in_other_units(size / NEAR, size * NEAR)
     if not fitting.startswith("in ") or not 1.0 / ROUGH < friction / size < ROUGH:
         return ""
     return (

@@ -23,7 +23,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch
 from tsa_ctrl.identify.dataset import Dataset, load_log
-from tsa_ctrl.identify.quantity import Quantity, spelled
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, spelled
 from tsa_ctrl.identify.simulation_picture import COLOURS, MEASURED
 from tsa_ctrl.log.info import inspect
 from tsa_ctrl.log.table import ENDINGS
@@ -38,8 +38,6 @@ DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
 SIDE = 2  # runs on either side of a change
 SWING = 0.05  # 1, of the bending angle, that a log must span to determine the lever
 SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
-PARTS = 10  # of a log, each left out once for the lever's interval
-T_OF_PARTS = 2.262  # Student's t of 95 % at 9 degrees of freedom, as there are PARTS parts
 WORDS = {  # of a change up and down
     "half_loop_torque": (
         "more friction: a liner wears or is dirty, the sheath is bent more, or the tensioner is tighter",
@@ -162,13 +160,13 @@ def _by_bending(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quanti
     loop = -2.0 * model.joint_pulley_radius * np.sign(omega) * np.sinh(x)
     turned = model.joint_pulley_radius / model.motor_pulley_radius * np.cosh(x) * log["tau_m"]
     rows = np.column_stack([turned, loop, loop * model.lever * (theta - model.bending_angle), np.ones(len(x))])
-    part = np.arange(len(x)) * PARTS // len(x)
+    part = np.arange(len(x)) * BLOCKS // len(x)
     slides = np.abs(omega) > SLIDING * np.max(np.abs(omega))
-    grams = [(rows[k].T @ rows[k], rows[k].T @ log["tau_j"][k]) for k in (slides & (part == n) for n in range(PARTS))]
+    grams = [(rows[k].T @ rows[k], rows[k].T @ log["tau_j"][k]) for k in (slides & (part == n) for n in range(BLOCKS))]
     gram, right = (sum(each[place] for each in grams) for place in range(2))
     value = float(np.linalg.lstsq(gram, right, rcond=None)[0][2])
     without = [float(np.linalg.lstsq(gram - a, right - b, rcond=None)[0][2]) for a, b in grams]
-    half = T_OF_PARTS * math.sqrt((PARTS - 1) * float(np.var(without)))
+    half = jackknife_half_width(without)
     yield "tension_per_path", Quantity(value, value - half, value + half, "N/m")
 
 

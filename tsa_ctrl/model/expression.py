@@ -21,13 +21,12 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
-from tsa_ctrl.model.functions import BLOCK, Array
+from tsa_ctrl.model.functions import BLOCK, LARGEST, Array
 
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
 DEEPEST = 24  # values on the stack; the plant's machine has just so many places
 MOST_MEMORIES = 4  # each is a dimension of the grid on which the inverse is checked
-LARGEST = 700.0  # exp(709.8) is the largest double; beyond it a formula saturates instead of overflowing
 
 
 class Op(IntEnum):

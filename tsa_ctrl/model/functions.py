@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[np.float64]
 F = TypeVar("F", float, Array)
+LARGEST = 700.0  # exp(709.8) is the largest double; beyond it results saturate instead of overflowing
 BLOCK = 8192  # samples of a log at a time: temporaries stay in the cache, a third of the time for whole columns
 
 
@@ -63,13 +64,11 @@ class _Arrays:
 class _Scalars:
     """`Functions` over plain floats; results saturate instead of raising OverflowError."""
 
-    LARGEST = 700.0  # exp(709.8) is the largest double
-
     def exp(self, x: float, /) -> float:
-        return math.exp(x if x < self.LARGEST else self.LARGEST)
+        return math.exp(x if x < LARGEST else LARGEST)
 
     def expm1(self, x: float, /) -> float:
-        return math.expm1(x if x < self.LARGEST else self.LARGEST)
+        return math.expm1(x if x < LARGEST else LARGEST)
 
     def sin(self, x: float, /) -> float:
         return math.sin(x) if math.isfinite(x) else math.nan

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 
@@ -42,7 +42,6 @@ EXPLAINED = 0.8  # share of the reported torque's variance, at least: with less 
 EFFECT = "velocity_lag"
 LAG_STEP = 0.25e-3  # s between the lags that are tried
 MOST_LAG = 0.02  # s; a later encoder is unsuitable for a torque loop
-BLOCKS = 8
 CLEARLY_BETTER = 0.8  # of the error without a lag; with one it must be below
 
 

@@ -17,7 +17,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, prepare
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width
 from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
 from tsa_ctrl.model.curvature import NAMED, Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-BLOCKS = 10  # of time, for the interval
 DIGITS = 3  # of a point's share of the length
 FLOOR = 0.01  # of s_c: an interval is never narrower, because pulleys and encoders are not known better
 NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres that have a name

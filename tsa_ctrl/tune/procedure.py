@@ -15,7 +15,7 @@ from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.calibrate import errors_of
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
-from tsa_ctrl.identify.quantity import Quantity, jackknife_half_width, rounded
+from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, rounded
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
@@ -53,7 +53,6 @@ from tsa_ctrl.tune.run import RigRunner, Run, longest
 FloatArray = NDArray[np.float64]
 
 NEEDED = frozenset({"q_m", "q_j", "omega_j", "tau_m"})
-BLOCKS = 10  # of time, for the interval
 LEAST_ROWS = 200  # samples that slide, for an interval that means anything
 UNWOUND = 2.0  # times the way that the file's friction may hide after a reversal, until the tendons slide surely
 NOISE_MEDIAN = 1.652  # 1, median size of a second difference of noise over its standard deviation

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import TooStillError, UsageError
-from tsa_ctrl.identify.calibrate.course import find_course
+from tsa_ctrl.identify.calibrate.course import ROUNDS, find_course
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
 from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, varied
@@ -38,7 +38,6 @@ from tsa_ctrl.outputs import json_types
 
 FloatArray = NDArray[np.float64]
 
-ROUNDS = 12  # of Gauss-Newton; it ends earlier when no step is above a hundredth of `STEPS`
 STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: above what single contacts do
 MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
 # 95 % error of the same parameters by the chain of contacts. Added to the scatter of the blocks, it makes the intervals

@@ -17,7 +17,7 @@ from tsa_ctrl.model.functions import Array
 
 LONGEST = 65_536  # samples of a segment: a minute at 1 kHz, for bands from 1 Hz on as sharp as they are wide
 COVERED = 262_144  # samples looked at in the segments of one length: the density of a band is then known to a few %
-SHORTEST = 64  # samples of a segment
+SHORTEST = 64  # samples of a segment; a shorter signal has no useful spectrum
 CYCLES = 64.0  # of a band's lower edge in a segment: the window blurs by 6.4 of them either way, a tenth of the band
 WIDTH = 2.0**0.125  # of a band, upper over lower edge: a filter's gain changes little over it
 SHAPE = 20.0  # of the Kaiser window: side lobes 155 dB down, more than 24 bit

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
+from tsa_ctrl.identify.smoothing.averaged import SHORTEST, band_densities, bands, plateau
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
 
@@ -22,7 +22,6 @@ DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
 HELD = 2_000_000  # samples in all draws at most that are held at once: of an hour they would take 120 MB
 ROUNDS = 8  # of rounding again at most; two or three are enough but for encoders of a few counts
 MORE = 4.0  # times the noise that rounding can be, to begin with: from below, no stair is taken for motion
-FEWEST = 64  # samples: a shorter signal has no spectrum to speak of and stays as it is
 TOP = 0.3  # of the rate: motion ends below it
 WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass that leaves more may distort more than it improves
 WORTH = 0.1  # of the rounding's density: a smaller excess is not another kind of noise
@@ -99,13 +98,13 @@ class Smoothed:
 def smoothed(y: Array, period: float, kind: str = "angle", cutoff: float | None = None) -> Smoothed:
     """`y` (n,), an "angle" or a "velocity" sampled every `period` s, smoothed; `cutoff` in Hz overrides the data's.
 
-    Raises nothing: a signal that never changes or is shorter than FEWEST samples stays as it is, and so does a measured
+    Raises nothing: a signal that never changes or is shorter than SHORTEST samples is unchanged, and so is a measured
     velocity whose motion reaches so far up that little noise could be taken away.
     """
     step = grid(y)
     shared, apart = ORDERS[kind]
     whole = len(shared) + len(apart)
-    if len(y) < FEWEST or not float(np.ptp(y)) > 0.0:
+    if len(y) < SHORTEST or not float(np.ptp(y)) > 0.0:
         return Smoothed(y, period, kind, step, None, None, (0.0,) * whole, (0.0,) * whole)
     measured, values = band_densities(y, period)
     noise = _noise(y, period, kind, step, measured, values, shared, cutoff)
