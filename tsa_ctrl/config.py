@@ -16,6 +16,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
+from tsa_ctrl.bus.drive.buses import axes_of, check_buses
 from tsa_ctrl.bus.drive.layout import check_node_ids
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
@@ -116,13 +117,33 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     """A controller file, as it is written."""
 
     controller: ControllerSection = ControllerSection()
-    bus: BusSettings = BusSettings()
+    bus: BusSettings = BusSettings()  # of several the first; what is not in `bus.drive.buses.OWN` is the same in all
+    other_buses: tuple[BusSettings, ...] = msgspec.field(default=(), name="[[bus]]")  # see `_with_buses`
     realtime: RealtimeSettings = RealtimeSettings()
     log: LogSettings = LogSettings()
     socket: SocketSettings = SocketSettings()
     safety: SafetySettings = SafetySettings()
     monitor: MonitorSettings = MonitorSettings()
     axes: tuple[AxisSettings, ...] = msgspec.field(name="axis")
+
+    @property
+    def buses(self) -> tuple[BusSettings, ...]:
+        """Return all buses, in the order of the file."""
+        return (self.bus, *self.other_buses)
+
+    @property
+    def slowest_bus(self) -> BusSettings:
+        """Return the bus with the lowest bit rate; what all buses have in common may be taken from it."""
+        return min(self.buses, key=lambda bus: bus.bitrate)
+
+    @property
+    def channels(self) -> str:
+        """Return the channels of all buses as text."""
+        return ", ".join(bus.channel for bus in self.buses)
+
+    def bus_of(self, axis: AxisNodes) -> BusSettings:
+        """Return the bus of an axis."""
+        return next(bus for bus in self.buses if axis.bus in (None, bus.name))
 
 
 @dataclass(frozen=True)
@@ -134,7 +155,7 @@ class Configuration:
     text: str
     models: tuple[TendonSheath, ...]  # one per axis
     profiles: tuple[DriveProfile, ...]  # one per axis
-    load: Load
+    loads: tuple[Load, ...]  # one per bus
     estimators: tuple[str, ...]  # one per axis: why the estimator is not the one by the stretch; empty where it is
 
     @cached_property
@@ -144,6 +165,11 @@ class Configuration:
             plan_for(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
             for axis, model in zip(self.file.axes, self.models, strict=True)
         )
+
+    @property
+    def load(self) -> Load:
+        """Return the load of the fullest bus."""
+        return max(self.loads, key=lambda load: load.worst)
 
     @property
     def period(self) -> float:
@@ -175,17 +201,13 @@ def load_configuration(path: str | Path) -> Configuration:
     """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
     path = Path(path)
     data = settings.read_toml(path)
-    if isinstance(data.get("bus"), list):
-        raise UsageError(
-            f"{path}: [[bus]]: a daemon drives one bus; write [bus], and give axes of another bus a controller file "
-            "and a daemon of their own, with another [socket] path (a fault there does not stop the axes here)"
-        )
+    data, others = _with_buses(path, data)
     listed = data.get("axis", [])
     tables = [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
     _check_filled(path, data, tables)
     for table in tables:
         resolve_torque(table)
-    file = settings.convert(data, ControllerFile, path)
+    file = msgspec.structs.replace(settings.convert(data, ControllerFile, path), other_buses=others)
     if not file.axes:
         raise UsageError(f"{path}: no [[axis]]; give at least one")
     _check_unique(path, file)
@@ -200,13 +222,49 @@ def load_configuration(path: str | Path) -> Configuration:
         SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
         check_set_point(model, largest(axis.setpoint, folder), axis.limits.torque, f"{path}: axis '{axis.name}'")
     try:
-        file = msgspec.structs.replace(file, axes=budget.fitted(file.bus, file.axes, file.controller.rate))
-        load = budget.check(file.bus, file.axes, file.controller.rate)
+        file, loads = _within_budget(file)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load, estimators)
+    configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, loads, estimators)
+    if file.other_buses and configuration.monitored:
+        raise UsageError(
+            f'{path}: [monitor] and class "worn" work with one [bus], the file has {len(file.buses)}; put all axes on '
+            'one bus, or use class "bench" and [monitor] enabled = false'
+        )
     assert len(configuration.plans) == len(file.axes)  # or it has raised
     return configuration
+
+
+def _with_buses(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], tuple[BusSettings, ...]]:
+    """Return the file's tables with the first of its buses as [bus], and the settings of the others."""
+    listed = data.get("bus")
+    if not isinstance(listed, list):
+        return data, ()
+    tables = [table for table in listed if isinstance(table, dict)]
+    if not tables or len(tables) < len(listed):
+        raise UsageError(f"{path}: bus is a list without tables; write [bus], or several [[bus]] with names")
+    rates = [table["rate"] for table in tables if "rate" in table]
+    if rates:
+        found = ", ".join(str(rate) for rate in rates)
+        raise UsageError(
+            f"{path}: [[bus]] rate {found}: one cycle runs over all buses at [controller] rate; remove rate, or give "
+            "the axes of a bus with another rate a controller file and a daemon with another [socket] path"
+        )
+    others = [settings.convert(table, BusSettings, f"{path}: [[bus]] number {n}") for n, table in enumerate(tables, 1)]
+    return {**data, "bus": tables[0]}, tuple(others[1:])
+
+
+def _within_budget(file: ControllerFile) -> tuple[ControllerFile, tuple[Load, ...]]:
+    """Return the file with the torque sensors' turns, and the load of each bus; raises UsageError for a full bus."""
+    rate = file.controller.rate
+    fitted = {axis.name: axis for bus in file.buses for axis in budget.fitted(bus, axes_of(bus, file.axes), rate)}
+    file = msgspec.structs.replace(file, axes=tuple(fitted[axis.name] for axis in file.axes))
+    others = {bus.name: (bus, axes_of(bus, file.axes)) for bus in file.buses}
+    loads = []
+    for bus in file.buses:
+        rest = [other for name, other in others.items() if name != bus.name]
+        loads.append(budget.check(bus, axes_of(bus, file.axes), rate, rest))
+    return file, tuple(loads)
 
 
 def _check_filled(path: Path, data: dict[str, Any], axes: list[dict[str, Any]]) -> None:
@@ -278,6 +336,7 @@ def _check_unique(path: Path, file: ControllerFile) -> None:
         if number > 1:
             raise UsageError(f"{path}: {number} axes are named '{name}'; give each its own name")
     try:
+        check_buses(file.buses, file.axes)
         check_node_ids(file.bus, file.axes)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None

@@ -25,7 +25,7 @@ def test_frames_of_all_programs_are_recorded_in_order(tmp_path: Path, settings: 
     path = tmp_path / f"run{suffix}"
     bus = open_bus(settings)
     said: list[str] = []
-    with recorded(settings, path, said.append):
+    with recorded([settings], path, said.append):
         for frame in FRAMES:
             assert bus.send(*frame)
     bus.close()
@@ -48,12 +48,12 @@ def test_what_cannot_be_recorded_is_one_line(tmp_path: Path, name: str, interfac
     (tmp_path / "old.log").write_text("")
     with (
         pytest.raises(UsageError, match=reason),
-        recorded(BusSettings(interface=interface), tmp_path / name, lambda line: None),
+        recorded([BusSettings(interface=interface)], tmp_path / name, lambda line: None),
     ):
         pass
     assert (tmp_path / "old.log").read_text() == ""
 
 
 def test_without_a_path_nothing_is_started() -> None:
-    with recorded(BusSettings(interface="slcan"), None, lambda line: None):
+    with recorded([BusSettings(interface="slcan")], None, lambda line: None):
         pass

@@ -160,7 +160,7 @@ def _configuration(variation: Variation) -> Configuration:
     supervision = msgspec.convert(variation.supervision, type(file.bus.supervision))
     bus = replace(file.bus, supervision=supervision)
     file = replace(file, axes=(axis,), controller=controller, bus=bus, log=replace(file.log, enabled=False))
-    return Configuration(base.path, file, base.text, base.models, (profile,), base.load, base.estimators)
+    return Configuration(base.path, file, base.text, base.models, (profile,), base.loads, base.estimators)
 
 
 def _plant(variation: Variation) -> PlantSettings:

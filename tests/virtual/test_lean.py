@@ -74,9 +74,3 @@ def test_without_lean_drives_two_axes_at_1_khz_are_refused_with_that_remedy(tmp_
     path, _ = write(tmp_path, two(False, drive={"pdo": None}))
     with pytest.raises(UsageError, match='choose pdo = "lean"'):
         load_configuration(path)
-
-
-def test_several_buses_are_rejected_in_one_line(tmp_path: Path) -> None:
-    path, _ = write(tmp_path, controller(file={"bus": [{"channel": "vcan0"}, {"channel": "vcan1"}]}))
-    with pytest.raises(UsageError, match=r"\[\[bus\]\]: a daemon drives one bus; write \[bus\]"):
-        load_configuration(path)

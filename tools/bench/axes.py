@@ -1,8 +1,9 @@
-"""Compare one axis with several lean axes at 1 kHz on one bus: skipped periods, missed answers, faults.
+"""Compare one axis with several lean axes at 1 kHz on one bus or two: skipped periods, missed answers, faults.
 
 Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--interface NAME] [--virtual]
 
-The rigs are one axis with standard PDOs, and two axes with lean drives and encoders, without and with torque sensors.
+The rigs are one axis with standard PDOs, two axes with lean drives and encoders, without and with torque sensors, and
+four such axes on two buses.
 Plant and daemon run as two processes on a bus of local sockets ("datagram") or on UDP multicast, a round of each rig
 after the other, so that all of them meet the same load of the machine. With --virtual they run in virtual time, where
 the bus has its bit rate.
@@ -23,26 +24,37 @@ from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.rig import gait
 
-RIGS = {  # axes, pdo, torque sensors
-    "1 axis, standard": (1, "standard", True),
-    "2 axes, lean, encoders": (2, "lean", False),
-    "2 axes, lean, encoders and torque sensors": (2, "lean", True),
+RIGS = {  # axes, pdo, torque sensors, buses
+    "1 axis, standard": (1, "standard", True, 1),
+    "2 axes, lean, encoders": (2, "lean", False, 1),
+    "2 axes, lean, encoders and torque sensors": (2, "lean", True, 1),
+    "4 axes, lean, encoders, on 2 buses": (4, "lean", False, 2),
 }
 READY = "plant: ready"
 Files = tuple[Path, Path]
 
 
-def write(folder: Path, axes: int, pdo: str, torque_sensors: bool, rate: float, interface: str) -> Files:
+def write(folder: Path, rate: float, interface: str, axes: int, pdo: str, torque_sensors: bool, buses: int) -> Files:
     """Write the files of one rig; return controller and plant."""
-    channel = "239.255.{}.{}".format(*os.urandom(2)) if interface == "udp_multicast" else f"axes-{os.getpid()}"
-    bus = rig.BusChoice(interface, channel)
+    bus = rig.BusChoice(interface, _channel(interface))
     plant, controller = rig.plant(bus, "full"), rig.controller(bus, "axes", rate, "nominal.toml", 0.95)
     controller["socket"] = {"path": str(folder / "axes.sock")}
     (body,), (axis,) = plant["axis"], controller["axis"]
     plant["axis"] = [body | {"name": f"joint{number}"} for number in range(axes)]
     controller["axis"] = [_axis(axis, number, pdo, torque_sensors) for number in range(axes)]
+    if buses > 1:
+        channels = [_channel(interface, number) for number in range(buses)]
+        for tables in (plant, controller):
+            tables["bus"] = [tables["bus"] | {"name": f"bus{n}", "channel": name} for n, name in enumerate(channels)]
+            for number, each in enumerate(tables["axis"]):
+                each["bus"] = f"bus{number % buses}"
     rig.write(folder, gait(), plant, {"axes": controller})
     return folder / "controller-axes.toml", folder / "plant.toml"
+
+
+def _channel(interface: str, number: int = 0) -> str:
+    """Return the name of a bus that no other run uses."""
+    return "239.255.{}.{}".format(*os.urandom(2)) if interface == "udp_multicast" else f"axes-{os.getpid()}-{number}"
 
 
 def _axis(axis: dict[str, Any], number: int, pdo: str, torque_sensors: bool) -> dict[str, Any]:
@@ -84,9 +96,9 @@ def main() -> int:
     options = parser.parse_args()
     lines: list[tuple[object, ...]] = []
     for number in range(1 if options.virtual else options.rounds):
-        for name, (axes, pdo, torque_sensors) in RIGS.items():
+        for name, shape in RIGS.items():
             with tempfile.TemporaryDirectory() as folder:
-                files = write(Path(folder), axes, pdo, torque_sensors, options.rate, options.interface)
+                files = write(Path(folder), options.rate, options.interface, *shape)
                 if options.virtual:
                     found = simulate_loop(*files, options.seconds).summary.as_dict()
                 else:

@@ -17,7 +17,7 @@ from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.doctor.can_interface import Result, answering, judged, listen
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system import realtime
 
@@ -110,6 +110,8 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
     With real nodes on the bus nothing is enabled: they are brought up, answer every SYNC with the drives off, and are
     left as after a run. On a virtual bus without nodes, substitute nodes answer, and the loop runs as with torque.
     """
+    if configuration.file.other_buses:
+        raise UsageError(f"{configuration.path}: tsa bench measures one bus; give it a file with one [bus]")
     configuration = _tolerant(configuration)
     bus = open_bus(configuration.file.bus)
     try:

@@ -53,6 +53,7 @@ class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One CAN bus."""
 
+    name: str = ""  # of one of several buses; an axis names its bus
     interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s
@@ -63,6 +64,11 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     max_load: Fraction = 0.9  # of the bit rate, in the worst case of bit stuffing; more is refused at start
     send_queue: Annotated[int, Meta(ge=4, le=1024)] = 32  # frames that may wait in the kernel
     supervision: SupervisionSettings = SupervisionSettings()
+
+    @property
+    def header(self) -> str:
+        """Return the header of its table in the file."""
+        return f"[[bus]] '{self.name}'" if self.name else "[bus]"
 
 
 class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -129,6 +135,7 @@ class AxisNodes(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     """The nodes of one axis; only the drive must be there."""
 
     name: Annotated[str, Meta(min_length=1)]
+    bus: str | None = None  # name of its bus; default: the only one
     drive: DriveSettings
     encoder: EncoderSettings | None = None
     torque_sensor: TorqueSensorSettings | None = None

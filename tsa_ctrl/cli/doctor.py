@@ -40,6 +40,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 
     With a CONTROLLER.toml, its rate, rights, bus and CAN interrupts are checked; without one, the machine at 1 kHz.
     """
+    from tsa_ctrl.bus.drive.buses import axes_of
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.doctor import can_interface, interrupts, machine
     from tsa_ctrl.doctor.can_interface import Result
@@ -57,9 +58,10 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
         check_drives(configuration)
         file = configuration.file
         found += machine.checks(file.realtime, file.controller.rate, seconds)
-        found += can_interface.checks(file.bus, file.axes, file.controller.rate)
-        if file.bus.interface == "socketcan":
-            found += interrupts.can_interrupts(file.bus.channel, file.realtime)
+        for bus in file.buses:
+            found += can_interface.checks(bus, axes_of(bus, file.axes), file.controller.rate)
+            if bus.interface == "socketcan":
+                found += interrupts.can_interrupts(bus.channel, file.realtime)
     if as_json:
         click.echo(json.dumps({"schema": 1, "checks": json_types(found)}))
     else:
@@ -70,10 +72,10 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 def _write_serial_numbers(configuration: Configuration) -> int:
     """Read the serial numbers by SDO, command nothing, and write the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.wire.link import open_bus
+    from tsa_ctrl.bus.drive.buses import open_buses
 
     file = configuration.file
-    bus = open_bus(file.bus)
+    bus = open_buses(file.buses, file.axes)
     try:
         numbers = serial_numbers(bus, file.bus, file.axes)
     finally:

@@ -108,7 +108,8 @@ def find_target(
     if axis_name is not None and axis_name not in names:
         raise UsageError(f"{config}: no axis '{axis_name}'; its axes are {', '.join(names)}")
     number = 0 if axis_name is None else names.index(axis_name)
-    return Target(configuration.file.bus, axes[number], configuration.profiles[number], configuration.period)
+    bus = configuration.file.bus_of(axes[number])
+    return Target(bus, axes[number], configuration.profiles[number], configuration.period)
 
 
 @click.group("drive", context_settings=_CONTEXT)

@@ -42,6 +42,7 @@ def command(
 ) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     from tsa_ctrl.config import check_drives, load_configuration
+    from tsa_ctrl.daemon.bus_recorder import check_record, recorded
     from tsa_ctrl.daemon.joint_files import admitted
     from tsa_ctrl.readiness import loose_lines, missing, require
     from tsa_ctrl.system.torque_off import check_output
@@ -49,6 +50,7 @@ def command(
     configuration = admitted(load_configuration(controller), allow_simulated)
     if check:
         check_drives(configuration)
+        check_record(configuration.file.buses, record_bus)
         if configuration.monitored and configuration.file.monitor.output is not None:
             check_output(configuration.file.monitor.output, f"{configuration.path}: [monitor] output")
         for line in loose_lines(configuration):
@@ -59,13 +61,12 @@ def command(
             for line in profile.unknown:
                 click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
         return 0
-    from tsa_ctrl.daemon.bus_recorder import recorded
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
 
     def say(line: str) -> None:
         click.echo(line, err=True)
 
-    with recorded(configuration.file.bus, record_bus, say):
+    with recorded(configuration.file.buses, record_bus, say):
         summary = run(
             configuration,
             math.inf if seconds is None else seconds,
@@ -83,9 +84,10 @@ def command(
 
 
 def _checked(configuration: Configuration) -> str:
-    load, file = configuration.load, configuration.file
+    file = configuration.file
     axes = ", ".join(axis.name for axis in file.axes)
-    return (
-        f"{configuration.path}: good; {axes} at {file.controller.rate:g} Hz, bus load "
-        f"{100 * load.least:.0f} to {100 * load.worst:.0f} % of {file.bus.bitrate} bit/s"
+    loads = ", ".join(
+        f"{bus.name}{' ' if bus.name else ''}{100 * load.least:.0f} to {100 * load.worst:.0f} % of {bus.bitrate} bit/s"
+        for bus, load in zip(file.buses, configuration.loads, strict=True)
     )
+    return f"{configuration.path}: good; {axes} at {file.controller.rate:g} Hz, bus load {loads}"

@@ -373,7 +373,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
             f"{axis.estimator.kind}{', in use' if axis.estimator.use else ''}{f' ({note})' if note else ''}"
             for axis, note in zip(file.axes, configuration.estimators, strict=True)
         ],
-        figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
+        figures={"bus": file.channels, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
         remedies=REMEDIES,
         loose_bounds=loose_lines(configuration),
     )

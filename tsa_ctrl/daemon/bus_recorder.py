@@ -15,8 +15,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import can
@@ -35,16 +35,22 @@ LONGEST_END = 0.5  # s of frames after the run
 PATIENCE = 5.0  # s for the last frames to be written
 
 
-@contextmanager
-def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None]) -> Iterator[None]:
-    """Record the bus to `path` while the block runs; None records nothing.
+def check_record(buses: Sequence[BusSettings], path: Path | None) -> None:
+    """Raise UsageError if the suffix, the folder or an interface does not permit a record of the buses."""
+    for settings, file in _files(buses, path):
+        _check(settings, file)
 
-    Raises UsageError if the suffix, the folder or the interface does not permit a record, BusError if the bus cannot be
-    opened.
-    """
+
+def _files(buses: Sequence[BusSettings], path: Path | None) -> list[tuple[BusSettings, Path]]:
+    """Return the file of each bus: `path`, or with several buses `path` with the name of the bus."""
     if path is None:
-        yield
-        return
+        return []
+    if len(buses) == 1:
+        return [(buses[0], path)]
+    return [(settings, path.with_stem(f"{path.stem}-{settings.name}")) for settings in buses]
+
+
+def _check(settings: BusSettings, path: Path) -> None:
     if path.suffix.lower() not in FORMATS:
         raise UsageError(f"--record-bus {path}: the suffix is not one of {', '.join(FORMATS)}; choose one of them")
     if path.exists():
@@ -56,6 +62,23 @@ def recorded(settings: BusSettings, path: Path | None, say: Callable[[str], None
             f"--record-bus: interface '{settings.interface}' can be opened by one program only; it works with "
             f"{' and '.join(SHARED)}"
         )
+
+
+@contextmanager
+def recorded(buses: Sequence[BusSettings], path: Path | None, say: Callable[[str], None]) -> Iterator[None]:
+    """Record the buses while the block runs, each to `path`, with several buses with its name; None records nothing.
+
+    Raises UsageError as `check_record`, BusError if a bus cannot be opened.
+    """
+    check_record(buses, path)
+    with ExitStack() as stack:
+        for settings, file in _files(buses, path):
+            stack.enter_context(_recording(settings, file, say))
+        yield
+
+
+@contextmanager
+def _recording(settings: BusSettings, path: Path, say: Callable[[str], None]) -> Iterator[None]:
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     options = json.dumps(settings.options)
     arguments = (settings.interface, settings.channel, settings.bitrate, options, part)

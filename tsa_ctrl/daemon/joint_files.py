@@ -20,25 +20,30 @@ from tsa_ctrl.model.provenance import NODES, NodeIdentity, nodes_table
 REMEDY = "give the model file of this joint, or tune this joint again (tsa tune)"
 
 
+def nodes_simulated(configuration: Configuration) -> bool:
+    """Return True if no real drive can be on any bus of the configuration."""
+    return all(is_simulated(bus.interface, bus.channel) for bus in configuration.file.buses)
+
+
 def admitted(configuration: Configuration, allow_simulated: bool) -> Configuration:
     """Return the configuration as a run on its bus may use it. Simulated numbers do not calibrate hardware.
 
     Raises:
         UsageError: a simulated model file is used on hardware, and `allow_simulated` is False.
     """
-    bus = configuration.file.bus
     simulated = [
         (axis, model)
         for axis, model in zip(configuration.file.axes, configuration.models, strict=True)
         if model.origin.source == "simulated"
     ]
-    if not simulated or is_simulated(bus.interface, bus.channel):
+    if not simulated or nodes_simulated(configuration):
         return configuration
     if not allow_simulated:
         axis, model = simulated[0]
         raise UsageError(
-            f"{model.source}: axis '{axis.name}': the numbers are simulated ([provenance] source), and {bus.channel} "
-            "is a bus with real drives; run tsa tune on this joint, or add --allow-simulated"
+            f"{model.source}: axis '{axis.name}': the numbers are simulated ([provenance] source), and "
+            f"{configuration.file.channels} is a bus with real drives; run tsa tune on this joint, or add "
+            "--allow-simulated"
         )
     models = tuple(
         dataclasses.replace(model, half_loop_low=None) if model.origin.source == "simulated" else model

@@ -192,7 +192,7 @@ class Lifecycle:
         """Return the summary of the run; `log` is the log file, which holds `written` records."""
         configuration, rig, loop = self._configuration, self._rig, self._loop
         return Summary(
-            bus=configuration.file.bus.channel,
+            bus=configuration.file.channels,
             rate=configuration.file.controller.rate,
             start=loop.start,
             cause=loop.cause or "ended",

@@ -11,13 +11,13 @@ from types import FrameType
 
 import msgspec
 
+from tsa_ctrl.bus.drive.buses import open_buses
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import control_axes, describe, log_header, tuners_of
 from tsa_ctrl.daemon.events import AxisSensors, Events
-from tsa_ctrl.daemon.joint_files import admitted
+from tsa_ctrl.daemon.joint_files import admitted, nodes_simulated
 from tsa_ctrl.daemon.lifecycle import Lifecycle, Say
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitoring import SecondChannel, monitor_line, monitor_process
@@ -145,12 +145,12 @@ class Daemon:
         configuration = self._configuration
         file = configuration.file
         require(configuration, missing(configuration))
-        bus = open_bus(file.bus)
+        bus = open_buses(file.buses, file.axes)
         socket = file.socket.path or default_path()
         if pid_file.running(socket) is None:  # so that `tsa stop` reaches a daemon that still compiles or opens its log
             pid_file.write(socket, os.getpid())
         try:
-            rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
+            rig = Rig(bus, file.slowest_bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
             self._watch(rig)
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
@@ -192,7 +192,7 @@ class Daemon:
                         self._notifier.no_loop,
                         self._configured,
                         lambda stage: children.mailbox.publish_stage(bus.clock(), stage),
-                        is_simulated(file.bus.interface, file.bus.channel),
+                        nodes_simulated(configuration),
                         self._admit,
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting

@@ -27,10 +27,10 @@ from tsa_ctrl.bus.canopen import cia301, emcy, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword
 from tsa_ctrl.bus.canopen.pdo import DriveLayout
+from tsa_ctrl.bus.drive.buses import open_buses
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.live.axis import Axis
-from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.pull import Pull, Watch
@@ -292,7 +292,7 @@ def main(argv: list[str]) -> int:
     ignore(signal.SIGINT, signal.SIGHUP)
     try:
         configuration = load_configuration(argv[0])
-        bus = open_bus(configuration.file.bus)
+        bus = open_buses(configuration.file.buses, configuration.file.axes)
     except TsaError as error:
         print(error, flush=True)
         return error.exit_code

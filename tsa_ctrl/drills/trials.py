@@ -14,10 +14,10 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.buses import open_buses
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.joint_files import JointFiles
 from tsa_ctrl.drills.listener import ZERO_SHARE, Said, Sample, Timing, Watchdog, timing, watchdog
@@ -213,7 +213,7 @@ def _end(loop: subprocess.Popen[bytes]) -> bytes:
 def check_alone(configuration: Configuration) -> None:
     """Nobody else leads the bus, or its drives would be tried in his place; nothing is sent. Raises BusError."""
     file = configuration.file
-    bus = open_bus(file.bus)
+    bus = open_buses(file.buses, file.axes)
     try:
         with Session(bus, file.bus) as session:
             session.alone([layout_of(axis.drive).rpdo_id for axis in file.axes])
@@ -225,7 +225,7 @@ def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> 
     """Reset the faults that the trials left, leave the drives disabled and pre-operational; return the nodes."""
     files = JointFiles(configuration, simulated=False)
     file = configuration.file
-    bus = open_bus(file.bus)
+    bus = open_buses(file.buses, file.axes)
     try:
         bring_up(
             bus,

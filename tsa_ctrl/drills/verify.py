@@ -109,7 +109,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
         version=__version__,
         configuration=str(configuration.path),
         sha256=hashlib.sha256(configuration.text.encode()).hexdigest(),
-        bus=configuration.file.bus.channel,
+        bus=configuration.file.channels,
         rate=configuration.file.controller.rate,
         limit=configuration.zero_torque_within,
         torque=torque,

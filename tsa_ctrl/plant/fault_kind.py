@@ -93,11 +93,11 @@ class Rig(Protocol):
 
     flood_rate: float
 
-    def inject(self, can_id: int, data: bytes) -> bool:
-        """Send any frame on the bus."""
+    def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
+        """Send any frame on the bus at `place`."""
 
-    def set_interface(self, up: bool) -> None:
-        """Take the interface down or up; raises UsageError if the user lacks the permission."""
+    def set_interface(self, up: bool, place: int = 0) -> None:
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
 
     def replay_commands(self, since: float, now: float) -> None:
         """Receive the master's frames since the time `since` (s) again."""
@@ -121,6 +121,7 @@ class Target:
     value: float
     duration: float
     now: float
+    place: int = 0  # of the axis' bus
 
 
 @dataclass(frozen=True)

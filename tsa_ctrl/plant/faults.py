@@ -171,7 +171,7 @@ def _forged(target: Target) -> Undo:
 
     def send(now: float) -> None:
         for can_id in identifiers:
-            target.rig.inject(can_id, last[can_id])
+            target.rig.inject(can_id, last[can_id], target.place)
 
     return _repeated(target, target.value, send)
 
@@ -265,14 +265,14 @@ def _torque_sensor_stuck(target: Target) -> Undo:
 
 
 def _error_frame(target: Target) -> Undo:
-    target.rig.inject(ERROR_FLAG | int(target.value), bytes(8))
+    target.rig.inject(ERROR_FLAG | int(target.value), bytes(8), target.place)
     return nothing
 
 
 def _foreign_sdo(target: Target) -> Undo:
     """Entry 1 of 0x1016 is written to 0: nobody is watched for any longer."""
     can_id, request = 0x600 + target.node.node_id, bytes((0x23, 0x16, 0x10, 0x01, 0, 0, 0, 0))
-    target.rig.inject(can_id, request)
+    target.rig.inject(can_id, request, target.place)
     target.node.receive(can_id, request, target.now)
     return nothing
 
@@ -294,10 +294,10 @@ def _replay(target: Target) -> Undo:
 
 
 def _interface_down(target: Target) -> Undo:
-    target.rig.set_interface(False)
+    target.rig.set_interface(False, target.place)
 
     def up(now: float) -> None:
-        target.rig.set_interface(True)
+        target.rig.set_interface(True, target.place)
         target.transmit.replay(target.value + now - target.now)
         target.rig.replay_commands(target.now - target.value, now)
 

@@ -1,4 +1,4 @@
-"""The simulated machine: axes and their nodes on one bus, in real time, in one thread.
+"""The simulated machine: axes and their nodes on one bus or several, in real time, in one thread.
 
 Time is CLOCK_MONOTONIC. The mechanics are brought up to now at every SYNC before the sensors are read, and by a timer
 when there is none. Housekeeping is done right after a SYNC was answered, never before the next one.
@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from tsa_ctrl.bus.wire.group import next_frame
 from tsa_ctrl.bus.wire.link import set_up
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.errors import BusError, UsageError
@@ -195,12 +196,12 @@ class Counts:
     skipped: float = 0.0  # s of real time that the mechanics did not follow
 
 
-def build_axes(plant: PlantSettings, send: Send, clock: Callable[[], float]) -> list[AxisNodes]:
-    """Axes and nodes, not yet booted; each with noise of its own from the plant's seed."""
+def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], float]) -> list[AxisNodes]:
+    """Axes and nodes, not yet booted; each with noise of its own from the plant's seed. `sends`: one per bus."""
     units: list[AxisNodes] = []
     devices: dict[int | None, list[AxisNodes]] = {}
     for place, settings in enumerate(plant.axis):
-        unit = _build_axis(settings, plant, send, clock, place)
+        unit = _build_axis(settings, plant, sends[plant.bus_number(settings)], clock, place)
         units.append(unit)
         devices.setdefault(settings.drive.node_id, []).append(unit)
     for members in devices.values():
@@ -244,14 +245,18 @@ class Machine:
         bus: Bus,
         clock: Callable[[], float] = time.monotonic,
         switch: Callable[[str, bool], None] = set_up,
+        others: Sequence[Bus] = (),
     ) -> None:
-        """`switch` takes the interface of a name down or up; raises OSError where that is not allowed."""
+        """`switch` takes the interface of a name down or up; raises OSError where that is not allowed.
+
+        `others`: the further buses of a plant with several.
+        """
         self._switch = switch
         self.plant = plant
-        self.bus = bus
+        self.buses = (bus, *others)
         self.clock = clock
         self.counts = Counts()
-        self.axes = build_axes(plant, bus.send, clock)
+        self.axes = build_axes(plant, [each.send for each in self.buses], clock)
         self.mechanism: Mechanism = build_mechanism(plant, [unit.axis for unit in self.axes])
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self._transmit = tuple({id(out): out for unit in self.axes for out in unit.transmit.values()}.values())
@@ -260,9 +265,11 @@ class Machine:
         self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Record | None = None
         self._flood_due = 0.0
-        self._heard: deque[tuple[float, int, bytes]] = deque(maxlen=_HEARD)  # SYNC and RPDOs
+        self._heard: deque[tuple[float, int, bytes, int]] = deque(maxlen=_HEARD)  # SYNC and RPDOs
         self._epoch = clock()
-        self._routes: dict[int, tuple[Node, ...]] = {}
+        self._routes: list[dict[int, tuple[Node, ...]]] = [{} for _ in self.buses]
+        numbers = {id(node): plant.bus_number(unit.axis.settings) for unit in self.axes for node in unit.nodes}
+        self._by_bus = [[node for node in self.nodes if numbers[id(node)] == n] for n in range(len(self.buses))]
         self._next_tick = self._epoch
         self.mechanism.advance(1e-9)  # compiles, or loads what was compiled before
         for unit in self.axes:
@@ -284,10 +291,12 @@ class Machine:
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer the bus and let time pass; raises BusError when the interface is gone."""
         while not stop():
-            frame = self.bus.recv(max(0.0, self.due - self.clock()))
-            self.step(frame, self.clock())
-            if frame is None and self.bus.fault is not None:
-                self._bus_fault(self.bus.fault)
+            place, frame = next_frame(self.buses, max(0.0, self.due - self.clock()))
+            self.step(frame, self.clock(), place)
+            if frame is None:
+                for bus in self.buses:
+                    if bus.fault is not None:
+                        self._bus_fault(bus, bus.fault)
 
     @property
     def due(self) -> float:
@@ -298,30 +307,31 @@ class Machine:
                 due = each.waiting[0][0]
         return due
 
-    def step(self, frame: Frame | None, now: float) -> None:
-        """What is due at `now`, and a frame that has arrived."""
+    def step(self, frame: Frame | None, now: float, place: int = 0) -> None:
+        """What is due at `now`, and a frame that has arrived on the bus at `place`."""
         for each in self._transmit:
             if each.waiting:
                 each.release(now)
         if frame is not None:
-            self.handle(*frame, now)
+            self.handle(*frame, now, place)
         if now >= self._next_tick:
             self.tick(now)
 
-    def handle(self, can_id: int, data: bytes, now: float) -> None:
-        """One frame from the bus."""
+    def handle(self, can_id: int, data: bytes, now: float, place: int = 0) -> None:
+        """One frame from the bus at `place`."""
         self.counts.frames += 1
         if can_id & ERROR_FLAG:
             return
         if can_id == SYNC or 0x200 <= can_id < 0x580:
-            self._heard.append((now, can_id, data))
+            self._heard.append((now, can_id, data, place))
         if can_id == SYNC:
-            self.counts.syncs += 1
+            self.counts.syncs += place == 0
             self.advance(now)
-        for node in self._routes.get(can_id, ()):
+        for node in self._routes[place].get(can_id, ()):
             node.receive(can_id, data, now)
         if can_id == SYNC:
-            self.tick(now)
+            if place == len(self.buses) - 1:  # the nodes of every bus have answered
+                self.tick(now)
             self._next_tick = now + _AFTER_SYNC
 
     def tick(self, now: float) -> None:
@@ -372,40 +382,43 @@ class Machine:
                 value,
                 fault.duration,
                 now,
+                self.plant.bus_number(unit.axis.settings),
             )
             self.faults.start(kind, target)
 
         return begin
 
-    def inject(self, can_id: int, data: bytes) -> bool:
-        """Put any frame on the bus."""
-        return self.bus.send(can_id, data)
+    def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
+        """Put any frame on the bus at `place`."""
+        return self.buses[place].send(can_id, data)
 
     def later(self, at: float, action: Callable[[float], None]) -> None:
         """Call `action(now)` in the first tick at or after `at`."""
         self.faults.schedule(at, action)
 
-    def set_interface(self, up: bool) -> None:
-        """Take the interface down, or up again; raises UsageError where this user may not."""
+    def set_interface(self, up: bool, place: int = 0) -> None:
+        """Take the interface of a bus down, or up again; raises UsageError where this user may not."""
+        name = self.buses[place].name
         try:
-            self._switch(self.bus.name, up)
+            self._switch(name, up)
         except OSError as error:
             raise UsageError(
-                f"fault interface_down: {self.bus.name} cannot be switched ({error.strerror or error}); it needs a "
+                f"fault interface_down: {name} cannot be switched ({error.strerror or error}); it needs a "
                 "network interface, and the right to administrate it"
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
         """Hear again what the master sent since then."""
-        stale = [(can_id, data) for at, can_id, data in self._heard if at >= since]
-        for can_id, data in stale:
-            self.handle(can_id, data, now)
+        stale = [(can_id, data, place) for at, can_id, data, place in self._heard if at >= since]
+        for can_id, data, place in stale:
+            self.handle(can_id, data, now, place)
 
     def _flood(self, now: float) -> None:
         if self._flood_due < now - _FLOOD_BURST:
             self._flood_due = now - _FLOOD_BURST
         while self._flood_due <= now:
-            self.bus.send(_UNUSED, bytes(8))
+            for bus in self.buses:
+                bus.send(_UNUSED, bytes(8))
             self._flood_due += 1.0 / self.flood_rate
 
     def advance(self, now: float) -> None:
@@ -419,11 +432,12 @@ class Machine:
         return lambda now: self.mechanism.bring_up(axis, min(now - self._epoch, axis.time + _LONGEST_GAP))
 
     def _reroute(self) -> None:
-        routes: dict[int, list[Node]] = {}
-        for node in self.nodes:
-            for can_id in node.routes:
-                routes.setdefault(can_id, []).append(node)
-        self._routes = {can_id: tuple(nodes) for can_id, nodes in routes.items()}
+        for place, nodes in enumerate(self._by_bus):
+            routes: dict[int, list[Node]] = {}
+            for node in nodes:
+                for can_id in node.routes:
+                    routes.setdefault(can_id, []).append(node)
+            self._routes[place] = {can_id: tuple(there) for can_id, there in routes.items()}
 
     def _record(self, now: float) -> None:
         recorder = self.recorder
@@ -434,8 +448,8 @@ class Machine:
             recorder.row((now, unit.axis.time, place, self.faults.active, state, *unit.axis.truth()))
         recorder.flush(now)
 
-    def _bus_fault(self, fault: BusFault) -> None:
+    def _bus_fault(self, bus: Bus, fault: BusFault) -> None:
         if fault is BusFault.INTERFACE_GONE:
-            raise BusError(f"bus {self.bus.name}: {fault.value}; make the interface again and start the plant again")
+            raise BusError(f"bus {bus.name}: {fault.value}; make the interface again and start the plant again")
         time.sleep(TICK)
-        self.bus.clear_fault()
+        bus.clear_fault()

@@ -162,7 +162,7 @@ def eds_files(configuration: str | Path, path: Path) -> list[tuple[Path, str]]:
 
 def nodes_of(plant: PlantSettings) -> list[Node]:
     """Return every node of the plant once, without a bus."""
-    units = build_axes(plant, lambda can_id, data: True, lambda: 0.0)
+    units = build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0)
     return list({id(node): node for unit in units for node in unit.nodes}.values())
 
 
@@ -202,10 +202,12 @@ def run(path: str | Path, record: str | None = None, control: str | None = None)
     """
     plant = check(path)
     with contextlib.ExitStack() as stack:
-        bus = open_bus(plant.bus)
-        stack.callback(bus.close)
-        refuse_doubles(bus, [node.node_id for node in nodes_of(plant)])
-        machine = Machine(plant, bus)
+        buses = []
+        for settings in plant.buses:
+            buses.append(open_bus(settings))
+            stack.callback(buses[-1].close)
+            refuse_doubles(buses[-1], [node.node_id for node in nodes_of(plant)])
+        machine = Machine(plant, buses[0], others=buses[1:])
         if record is not None:
             machine.recorder = Recorder(record, plant.physics.record_period)
             stack.callback(machine.recorder.close)
@@ -232,13 +234,14 @@ def _run(machine: Machine) -> None:
     machine.start()
     for unit in machine.axes:
         nodes = ", ".join(f"{node.dictionary.texts[0x1008, 0]} {node.node_id}" for node in unit.nodes)
-        print(f"plant: axis {unit.axis.name} on {machine.bus.name}: {nodes}", flush=True)
+        bus = machine.buses[machine.plant.bus_number(unit.axis.settings)]
+        print(f"plant: axis {unit.axis.name} on {bus.name}: {nodes}", flush=True)
     print(f"plant: ready ({policy})", flush=True)
     try:
         machine.run(lambda: stopping)
     finally:
         counts = machine.counts
-        dropped = machine.bus.counters.dropped
+        dropped = sum(bus.counters.dropped for bus in machine.buses)
         skipped = f", {counts.skipped:.3f} s not followed" if counts.skipped else ""
         print(f"plant: {counts.syncs} SYNC, {counts.frames} frames in, {dropped} dropped{skipped}", file=sys.stderr)
 

@@ -28,6 +28,7 @@ HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Where the nodes are."""
 
+    name: str = ""  # of one of several buses; an axis names its bus
     interface: str = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that must be told
@@ -184,6 +185,7 @@ class AxisSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     """One drive, joint and pair of tendon-sheaths."""
 
     name: str
+    bus: str | None = None  # name of its bus; default: the only one
     actuator: str = "actuator.toml"  # model file, relative to this file
     perturbation: PerturbationSettings = PerturbationSettings()
     tendon: TendonSettings = TendonSettings()
@@ -204,19 +206,53 @@ N = TypeVar("N", DriveSettings, EncoderSettings, TorqueSensorSettings)
 class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """A plant file, as it is written."""
 
-    bus: BusSettings = BusSettings()
+    bus: BusSettings = BusSettings()  # of several the first
+    other_buses: list[BusSettings] = msgspec.field(default_factory=list, name="[[bus]]")  # see `load_plant`
     physics: PhysicsSettings = PhysicsSettings()
     mechanism: MechanismSettings = MechanismSettings()
     axis: Annotated[list[AxisSettings], Meta(min_length=1, max_length=16)]
+
+    @property
+    def buses(self) -> tuple[BusSettings, ...]:
+        """Return all buses, in the order of the file."""
+        return (self.bus, *self.other_buses)
+
+    def bus_number(self, axis: AxisSettings) -> int:
+        """Return the place of an axis' bus in `buses`."""
+        return next(place for place, bus in enumerate(self.buses) if axis.bus in (None, bus.name))
 
 
 def load_plant(path: str | Path) -> PlantSettings:
     """Read and check `plant.toml`; nodes without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
     path = Path(path)
-    plant = settings.load(path, PlantSettings)
+    data = settings.read_toml(path)
+    listed = data.get("bus")
+    others: list[BusSettings] = []
+    if isinstance(listed, list) and listed and all(isinstance(table, dict) for table in listed):
+        each = enumerate(listed, 1)
+        others = [settings.convert(table, BusSettings, f"{path}: [[bus]] number {n}") for n, table in each][1:]
+        data = {**data, "bus": listed[0]}
+    plant = msgspec.structs.replace(settings.convert(data, PlantSettings, path), other_buses=others)
+    _check_buses(plant, path)
     axes = [_completed(axis, place, path, plant.mechanism.kind == "mujoco") for place, axis in enumerate(plant.axis)]
     _check_unique(axes, path)
     return msgspec.structs.replace(plant, axis=axes, mechanism=_placed(plant, path))
+
+
+def _check_buses(plant: PlantSettings, path: Path) -> None:
+    """Raise UsageError unless each axis is on one bus, and each of several buses has a name and an axis."""
+    names = [bus.name for bus in plant.buses]
+    if len(names) > 1 and (not all(names) or len(set(names)) < len(names)):
+        raise UsageError(f"{path}: [[bus]] names {', '.join(map(repr, names))}; give each bus its own name")
+    for axis in plant.axis:
+        if axis.bus is None and len(names) > 1:
+            raise UsageError(f"{path}: axis '{axis.name}': names no bus; write bus with one of {', '.join(names)}")
+        if axis.bus is not None and axis.bus not in names:
+            known = ", ".join(filter(None, names)) or "a [bus] without a name"
+            raise UsageError(f"{path}: axis '{axis.name}': no bus '{axis.bus}'; the file has {known}")
+    for name in names if len(names) > 1 else []:
+        if all(axis.bus != name for axis in plant.axis):
+            raise UsageError(f"{path}: [[bus]] '{name}': no axis is on it; write bus = \"{name}\" in one, or remove it")
 
 
 def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:

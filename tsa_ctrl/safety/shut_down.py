@@ -12,7 +12,11 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
 from tsa_ctrl.bus.drive.release_heartbeat import release_heartbeat
 from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.group import wires_of
+from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import BusError
 
 _OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT, PowerState.NOT_READY_TO_SWITCH_ON)
@@ -47,25 +51,26 @@ def shut_down(
             enabled = state is PowerState.OPERATION_ENABLED
             axis.command(Controlword.SHUTDOWN if enabled else Controlword.DISABLE_VOLTAGE, 0.0)
         rig.heartbeat(begin)
-        if len(off) == len(rig.axes) or begin - start > timeout or rig.bus.fault is not None:
+        if all(axis.name in off or axis.bus.fault is not None for axis in rig.axes) or begin - start > timeout:
             after += 1
     on = {axis.nodes.drive.node_id for axis in rig.axes if axis.name not in off}
     for node_id in dict.fromkeys(health.node_id for axis in rig.axes for health in axis.image.nodes):
         # Stopped is what a drive's reaction to a lost connection (0x6007) answers to; pre-operational is not.
         rig.nmt(NmtCommand.STOP if node_id in on else NmtCommand.PRE_OPERATIONAL, node_id)
-    unconfirmed = [_unconfirmed(rig, axis.name, axis.image.statusword) for axis in rig.axes if axis.name not in off]
-    if rig.bus.fault is None:
-        _disarm(rig, sorted({axis.nodes.drive.node_id for axis in rig.axes} - on), say)
+    unconfirmed = [_unconfirmed(axis) for axis in rig.axes if axis.name not in off]
+    for bus in [rig.bus] if rig.bus.fault is None else [wire for wire in wires_of(rig.bus) if wire.fault is None]:
+        here = {axis.nodes.drive.node_id for axis in rig.axes if bus in (rig.bus, axis.bus)}
+        _disarm(bus, rig.settings, sorted(here - on), say)
     return unconfirmed
 
 
-def _disarm(rig: Rig, node_ids: Sequence[int], say: Callable[[str], None]) -> None:
+def _disarm(bus: Bus, settings: BusSettings, node_ids: Sequence[int], say: Callable[[str], None]) -> None:
     """Nobody watches for us when our heartbeat ends: a drive that did would be in fault at the next start."""
-    with Session(rig.bus, rig.settings) as session:
+    with Session(bus, settings) as session:
         session.begin_heartbeat()
         for node_id in node_ids:
             try:
-                release_heartbeat(session, node_id, rig.settings.host_node_id)
+                release_heartbeat(session, node_id, settings.host_node_id)
             except BusError as error:
                 say(f"the drive may report the end of our heartbeat as an error: {error}")
 
@@ -74,7 +79,7 @@ def _unknown(name: str) -> str:
     return f"axis '{name}': the drive was not brought up again, and what it does now is not known; cut its power"
 
 
-def _unconfirmed(rig: Rig, name: str, statusword: int) -> str:
-    state = cia402.decode(statusword).value
-    reason = rig.bus.fault.value if rig.bus.fault is not None else f"its last state was {state}"
-    return f"axis '{name}': the drive did not confirm that it is off ({reason}); cut its power"
+def _unconfirmed(axis: Axis) -> str:
+    state = cia402.decode(axis.image.statusword).value
+    reason = axis.bus.fault.value if axis.bus.fault is not None else f"its last state was {state}"
+    return f"axis '{axis.name}': the drive did not confirm that it is off ({reason}); cut its power"

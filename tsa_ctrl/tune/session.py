@@ -424,7 +424,7 @@ class Session:
             return
         admitted(self._configuration, self._allow_simulated)
         file = self._configuration.file
-        for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
+        for check in can_interface.checks(file.bus_of(self.axis), (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
                 raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
 

@@ -30,8 +30,8 @@ class Nodes(Protocol):
         """When something happens there although no frame comes, s."""
         ...
 
-    def step(self, frame: Frame | None, now: float) -> None:
-        """What is due at `now`, and a frame that has arrived."""
+    def step(self, frame: Frame | None, now: float, place: int = 0) -> None:
+        """What is due at `now`, and a frame that has arrived on the wire at `place`."""
         ...
 
 
@@ -54,6 +54,8 @@ class Wire:
         self._arrives = math.inf  # when it is through, s
         self._scheduled = itertools.count()
         self._script: list[tuple[float, int, Action]] = []
+        self._beside: list[Wire] = []  # further wires in the same time
+        self.place: tuple[int, ...] = ()  # of this wire among several of the machine
 
     def attach(self, nodes: Nodes) -> None:
         """Put the machine on the plant's end."""
@@ -81,6 +83,10 @@ class Wire:
 
     def switch(self, name: str, up: bool) -> None:
         """Take the interface down, and with it whatever is on its way, or up again; the plant's end forgives it."""
+        for wire in self._beside:
+            if wire.plant.name == name:
+                wire.switch(name, up)
+                return
         self._up = up
         self.plant.fault = None if up else BusFault.INTERFACE_DOWN
         if not up:
@@ -94,9 +100,12 @@ class Wire:
         nodes = self._nodes
         assert nodes is not None
         while True:
-            time = nodes.due
-            if self._arrives < time:
-                time = self._arrives
+            time, next_wire = nodes.due, self
+            for wire in self._beside:
+                if wire._arrives < next_wire._arrives:
+                    next_wire = wire
+            if next_wire._arrives < time:
+                time = next_wire._arrives
             scheduled = bool(self._script) and self._script[0][0] <= time
             if scheduled:
                 time = self._script[0][0]
@@ -107,8 +116,8 @@ class Wire:
             now = self.now
             if scheduled:
                 heapq.heappop(self._script)[2](now)
-            elif self._frame is not None and self._arrives <= time:
-                self._deliver(nodes, now)
+            elif next_wire._frame is not None and next_wire._arrives <= time:
+                next_wire._deliver(nodes, now)
             else:
                 nodes.step(None, now)
             if wanted is not None and wanted():
@@ -130,11 +139,36 @@ class Wire:
         else:
             self._frame, self._arrives = None, math.inf
         if sender is not self.plant:
-            nodes.step((can_id, data), now)
+            nodes.step((can_id, data), now, *self.place)
         if sender is not self.host:
             self.host.arrived(can_id, data)
         for listener in self.listeners:
             listener((can_id, data), now)
+
+
+class FurtherWire(Wire):
+    """A wire beside another one, in the time of that one, between the same host and the same machine."""
+
+    def __init__(self, bitrate: float, first: Wire) -> None:
+        self._first = first
+        super().__init__(bitrate)
+        first._beside.append(self)
+        self.host.name = self.plant.name = f"{NAME}, bus {1 + len(first._beside)}"
+
+    @property
+    def now(self) -> float:
+        """Return the time of the first wire, s."""
+        return self._first.now
+
+    @now.setter
+    def now(self, now: float) -> None:
+        """Do nothing: the first wire has the time."""
+
+    def at(self, time: float, action: Action) -> None:
+        self._first.at(time, action)
+
+    def pass_until(self, until: float, wanted: Callable[[], bool] | None = None) -> None:
+        self._first.pass_until(until, wanted)
 
 
 class End:

@@ -14,8 +14,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.bus.drive.buses import joined
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
 from tsa_ctrl.daemon.build import control_axes, log_header, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.lifecycle import Lifecycle
@@ -37,7 +38,7 @@ from tsa_ctrl.plant.settings import PlantSettings
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.signals import FIELD_NAMES
 from tsa_ctrl.virtual import replay
-from tsa_ctrl.virtual.lockstep import End, Wire
+from tsa_ctrl.virtual.lockstep import End, FurtherWire, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
 
@@ -282,6 +283,20 @@ def _garbage_left() -> Iterator[None]:
             gc.enable()
 
 
+def _places(file: ControllerFile, plant: PlantSettings) -> list[int]:
+    """Return for each bus of the plant the place of the controller's bus of the same channel. Raises UsageError."""
+    channels = [bus.channel for bus in file.buses]
+    if len(channels) == 1 == len(plant.buses):
+        return [0]
+    theirs = [bus.channel for bus in plant.buses]
+    if sorted(channels) != sorted(theirs):
+        raise UsageError(
+            f"the controller's buses have the channels {', '.join(channels)}, the plant's {', '.join(theirs)}; "
+            "write the same channels in both files"
+        )
+    return [channels.index(channel) for channel in theirs]
+
+
 class Run:
     """Hold the parts of one run, assembled as in the daemon and `tsa plant`: `machine`, `rig`, `axes` and `loop`."""
 
@@ -301,14 +316,20 @@ class Run:
         self._seconds = seconds
         self._record = None if record is None else Path(record)
         self._wire = Wire(file.bus.bitrate)
-        self.machine = Machine(plant, self._wire.plant, self._wire.plant.clock, self._wire.switch)
+        wires = [self._wire, *(FurtherWire(bus.bitrate, self._wire) for bus in file.other_buses)]
+        theirs = [wires[place] for place in _places(file, plant)]  # in the order of the plant
+        for place, wire in enumerate(theirs if len(theirs) > 1 else ()):
+            wire.place = (place,)
+        first, *others = [wire.plant for wire in theirs]
+        self.machine = Machine(plant, first, self._wire.plant.clock, self._wire.switch, others)
         self._wire.attach(self.machine)
         self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
         self.machine.recorder = self._truth
         header = log_header(configuration)
         header.files.update(files or {})
         self._records = Records(len(file.axes), None if out is None else Path(out), header)
-        self.rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
+        host = joined([wire.host for wire in wires], file.buses, file.axes)
+        self.rig = Rig(host, file.slowest_bus, file.axes, configuration.profiles)
         self.axes = control_axes(configuration, self.rig)
         self._tuners = tuners_of(self.axes, configuration.period)
         self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))

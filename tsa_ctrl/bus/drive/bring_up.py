@@ -16,6 +16,7 @@ from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.objects import Object, Write
 from tsa_ctrl.bus.drive import budget
+from tsa_ctrl.bus.drive.buses import axes_of
 from tsa_ctrl.bus.drive.checks import (
     Node,
     NodeReport,
@@ -39,6 +40,7 @@ from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.bus.drive.torque_path import check_torque_path, drive_scale
 from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role, TorqueSensorSettings
+from tsa_ctrl.bus.wire.group import wire_of
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
 
@@ -167,7 +169,7 @@ def bring_up(
         UsageError: the configuration is wrong (load, contradictions, rated torque).
         BusError: the bus or a node failed; the message ends with the emergencies of the nodes.
     """
-    budget.check(settings, axes, 1.0 / period)
+    budget.check(settings, axes_of(settings, axes), 1.0 / period)  # of several buses the first one's
     check_node_ids(settings, axes)
     nodes = list(_nodes(axes, profiles))
     plans = [_plan(node, settings, period) for node in nodes]
@@ -284,11 +286,12 @@ def _boot(bus: Bus, session: Session, nodes: Sequence[Node], there: set[int], te
 def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int]) -> str:
     """Return the message about nodes that did not boot: slow nodes, missing nodes, or a bus without any node."""
     node = late[0]
+    name = wire_of(bus, node.node_id).name
     names = ", ".join(node.name for node in late)
     if any(node.node_id in there for node in late):
         where = "its profile or [axis.drive]" if node.role is Role.DRIVE else "its table of the configuration"
         return (
-            f"{bus.name}: {names} answered before it was reset, and did not boot up within {node.boot_timeout:g} s; "
+            f"{name}: {names} answered before it was reset, and did not boot up within {node.boot_timeout:g} s; "
             f"it is slow: give it more boot_timeout in {where}"
         )
     heard = ", ".join(str(node_id) for node_id in sorted(session.heard))
@@ -296,7 +299,7 @@ def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int
         advice = "check its power, its wiring and node_id, or, if it is only slow, give it more boot_timeout"
     else:
         advice = "check power, wiring, bit rate and node_id, or, if it is only slow, give it more boot_timeout"
-    return f"{bus.name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'no node'}); {advice}"
+    return f"{name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'no node'}); {advice}"
 
 
 def _configure(
@@ -339,8 +342,9 @@ def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> Non
         late = [node for node in nodes if node.node_id in missing]
         guarded = any(node.role is Role.DRIVE and not node.is_guarded for node in late)
         hint = f', or supervision = "guarding" in {late[0].profile_file} if it has no heartbeat' if guarded else ""
+        name = wire_of(bus, late[0].node_id).name
         raise BusError(
-            f"{bus.name}: {', '.join(node.name for node in late)} did not become operational within "
+            f"{name}: {', '.join(node.name for node in late)} did not become operational within "
             f"{START_TIMEOUT:g} s; power it off and on, and start again{hint}"
         )
     for node in nodes:

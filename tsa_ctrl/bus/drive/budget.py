@@ -6,7 +6,7 @@ floor((33 + 8 n) / 4) stuff bits more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -98,9 +98,15 @@ def lean(axes: Sequence[A]) -> tuple[A, ...]:
     return tuple(replace(axis, drive=replace(axis.drive, pdo="lean")) for axis in axes)
 
 
-def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> list[str]:
-    """Return the changes of the file after which `check` passes; each of them is enough."""
-    found = []
+Others = Sequence[tuple[BusSettings, Sequence[AxisNodes]]]  # further buses with their axes
+
+
+def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> list[str]:
+    """Return the changes of the file after which `check` passes for this bus; each of them is enough.
+
+    `others`: buses to which an axis may be moved.
+    """
+    found = list(_moves(settings, axes, rate, others))[:1]
     shorter, seldom = lean(axes), [_every_second(axis) for axis in axes]
     if fits(settings, seldom, rate):
         found.append("every = 2 in [axis.torque_sensor]")
@@ -117,21 +123,35 @@ def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -
     )
     bitrate = next(faster, None)
     if bitrate is not None:
-        found.append(f"bitrate = {bitrate} in [bus] and in every node")
+        found.append(f"bitrate = {bitrate} in {settings.header} and in every node")
     return found
+
+
+def _moves(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others) -> Iterator[str]:
+    """Yield each axis that another bus has room for, if its own bus then carries the rest."""
+    for axis in axes:
+        rest = [each for each in axes if each is not axis]
+        for other, there in others:
+            if fits(settings, fitted(settings, rest, rate), rate) and fits(
+                other, fitted(other, [*there, axis], rate), rate
+            ):
+                yield f"bus = \"{other.name}\" in axis '{axis.name}'"
 
 
 def _every_second(axis: AxisNodes) -> AxisNodes:
     return axis if axis.torque_sensor is None else replace(axis, torque_sensor=replace(axis.torque_sensor, every=2))
 
 
-def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
-    """The load; raises UsageError with the figures when the bit rate cannot carry the rate."""
+def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> Load:
+    """The load; raises UsageError with the figures when the bit rate cannot carry the rate.
+
+    `others`: buses to which an axis may be moved.
+    """
     result = load(settings, axes, rate)
     if result.worst > settings.max_load:
-        remedies = suggestions(settings, axes, rate) or ["fewer axes on this bus"]
+        remedies = suggestions(settings, axes, rate, others) or ["fewer axes on this bus"]
         raise UsageError(
-            f"[bus] bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} axis/axes needs "
+            f"{settings.header} bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} axis/axes needs "
             f"{100 * result.least:.0f} to {100 * result.worst:.0f} % of it, allowed is {100 * settings.max_load:.0f} % "
             f"(max_load), which is at most {int(result.highest_rate(settings.max_load))} Hz; choose "
             f"{', or '.join(remedies)}"

@@ -21,6 +21,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.canopen.emcy import Emcy
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.group import wire_of
 from tsa_ctrl.bus.wire.seam import REMOTE_FLAG, Bus, Frame
 from tsa_ctrl.errors import BusError, StoppedError
 
@@ -262,7 +263,7 @@ class Session:
     def _transfer(
         self, node_id: int, entry: Object, action: Callable[[_Client], bytes], attempts: int = _ATTEMPTS
     ) -> bytes:
-        client = self._client(node_id)
+        client, name = self._client(node_id), wire_of(self._bus, node_id).name
         for _ in range(attempts):
             self._catch_up()
             try:
@@ -270,7 +271,7 @@ class Session:
             except SdoAbortedError as error:
                 reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
                 raise SdoRefusedError(
-                    f"{self._bus.name}: node {node_id} refuses {entry}: {reason} (abort code 0x{error.code:08X})",
+                    f"{name}: node {node_id} refuses {entry}: {reason} (abort code 0x{error.code:08X})",
                     error.code,
                 ) from None
             except SdoCommunicationError:
@@ -280,7 +281,7 @@ class Session:
             if self._bus.fault is not None:
                 raise self._failed()
         raise BusError(
-            f"{self._bus.name}: node {node_id} does not answer to SDO requests ({entry}) within {client.patience:g} s; "
+            f"{name}: node {node_id} does not answer to SDO requests ({entry}) within {client.patience:g} s; "
             "check that it is powered, its node id and its bit rate; a slow one needs more answer_timeout"
         )
 

@@ -15,6 +15,7 @@ from tsa_ctrl.bus.drive.torque_path import DriveScale, drive_scale, encoder_scal
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
+from tsa_ctrl.bus.wire.group import wire_of
 from tsa_ctrl.bus.wire.seam import Bus
 
 
@@ -292,7 +293,8 @@ class Axis:
         self._velocity = self.scale.velocity
         self._per_newton_metre = 1.0 / self.scale.torque
         self._limit = float(self.scale.most_digits)
-        self._send = bus.send
+        self.bus = wire_of(bus, drive.node_id)
+        self._send = self.bus.send
         self.rpdo_id = layout.rpdo_id
         self._pack = pdo.COMMAND.struct.pack
         self.hearing = Hearing()

@@ -1,4 +1,4 @@
-"""The cyclic side of all axes on one bus: SYNC out, TPDOs in, RPDOs out. Nothing here allocates more than it must.
+"""The cyclic side of all axes: SYNC out, TPDOs in, RPDOs out. Nothing here allocates more than it must.
 
 A cycle is `rig.sync()`, `rig.collect(deadline)`, then for each axis `axis.command(controlword, tau_m)`. A TPDO counts
 as fresh only when it came after this cycle's SYNC: what waited before that is late, what comes twice is repeated, and
@@ -33,7 +33,7 @@ _HIGHEST_EMCY = cia301.EMCY + 127
 
 
 class Rig:
-    """All axes of one bus.
+    """All axes of one bus, or of several behind one seam (`bus.wire.group`).
 
     `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
     the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
@@ -266,9 +266,9 @@ class Rig:
         if self._flooded_now:
             self.flooded += 1
             self._flooded_now = False
-        fault = self.bus.fault
         for axis in self.axes:
             axis.settle(self._synced, complete)
+            fault = axis.bus.fault
             if fault is not None:
                 axis.image.bus_fault = fault
         if not complete:
@@ -282,7 +282,11 @@ class Rig:
         awaited = [can_id for can_id, inbox in self._answers.items() if inbox.awaited]
         if len(awaited) != self._expected or self._last not in awaited:
             self._expected = len(awaited)
-            self._listen_for(max(awaited, default=0))
+            last = {axis.bus: 0 for axis in self.axes}
+            for axis in self.axes:
+                last[axis.bus] = max(last[axis.bus], *(can_id for can_id in axis.tpdo_ids if can_id in awaited), 0)
+            for can_id in sorted(last.values()):
+                self._listen_for(can_id)
 
     def _learn_the_last(self, can_id: int) -> None:
         """`can_id` completed a cycle: when it is not the one thought to, and so again and again, take it for that."""
