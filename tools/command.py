@@ -52,6 +52,7 @@ SHARED: dict[str, dict[str, Any]] = {  # options of several commands
     "--sample": {"type": int, "default": 0, "metavar": "N", "help": "N drawn runs; 0: all"},
     "--rigs": {"type": int, "default": 10},
     "--first": {"type": int, "default": 0, "help": "number of the first rig"},
+    "--sensors": {"nargs": "+", "choices": SENSORS, "default": SENSORS},
     "--compensation": {"type": float, "default": 0.95, "help": "share of the friction term (default 0.95)"},
     "--axis": {"default": "", "metavar": "TOML", "help": "over the controller's [[axis]]: 'law.settle = 0.0'"},
     "--file": {"default": "", "metavar": "TOML", "help": "over the controller's other tables"},

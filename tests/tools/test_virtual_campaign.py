@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tools.campaign.phase.acts import ACTS
 from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
 from tools.campaign.phase.plan import PHASES, chosen
-from tools.campaign.phase.stage import RECOVER_ACT
+from tools.campaign.phase.stage import ACTS, RECOVER_ACT
 from tools.campaign.phase.verdict import judge
 from tools.manual import hazards
 from tools.manual.hazards import load

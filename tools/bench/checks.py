@@ -31,7 +31,7 @@ from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.cases import Ended
-from tools.campaign.passive.experiment import SENSORS, Experiment
+from tools.campaign.passive.experiment import Experiment
 from tools.campaign.passive.judge import peak_speed, reactions, windows
 from tools.command import Row
 from tsa_ctrl.demo.rig import NOMINAL
@@ -191,10 +191,9 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS[:4])
     parser.add_argument("--faults", nargs="+", choices=tuple(FAULTS), default=tuple(FAULTS))
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--set-points", nargs="+", choices=("sine", "constant"), default=("sine", "constant"))
     parser.add_argument("--calibrated", action="store_true", help="stiffness and bends as a calibration knows them")
-    command.share(parser, "sample seed rows processes json")
+    command.share(parser, "sensors sample seed rows processes json")
     parser.add_argument("--worst", action="store_true", help="the 20 worst of each sensor configuration, besides")
     arguments = parser.parse_args()
     every = combinations(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)

@@ -20,8 +20,8 @@ from typing import Any
 
 from tools import command
 from tools.bench.loop import ways
-from tools.bench.loop.blocks import measure, nodes
 from tools.bench.loop.rig import RATES, controller_text
+from tools.bench.loop.ways import measure, nodes
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.realtime import RealtimeSettings

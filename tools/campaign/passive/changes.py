@@ -136,7 +136,6 @@ def losses(rows: Sequence[Row]) -> Table:
 def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
     """Add the options; `loss`: with the defaults of a sudden loss."""
     losses = [f"{name}={share:g}" for name, share in LOSSES] if loss else []
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=tuple(INERTIA))
     parser.add_argument(
         "--set-points", nargs="+", choices=SET_POINTS, default=("sine", "constant") if loss else SET_POINTS
@@ -144,7 +143,7 @@ def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
     parser.add_argument("--changes", nargs="+", metavar="NAME=SHARE", default=losses, help="default: all, and nothing")
     parser.add_argument("--delays", type=int, nargs="+", default=(1,) if loss else (1, 3), help="periods")
     parser.add_argument("--at", type=float, nargs="+", default=(3.0, 3.5, 1.0) if loss else (AT,), help="s of the log")
-    command.share(parser, "compensation sample seed rows processes json")
+    command.share(parser, "sensors compensation sample seed rows processes json")
     parser.add_argument("--worst", action="store_true", help="the 20 worst of each configuration, besides")
     parser.add_argument("--which", action="store_true", help="those that missed a goal, besides")
     parser.set_defaults(loss=loss)

@@ -65,10 +65,9 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--seconds", type=float, default=3600.0, help="of each load and configuration (default 3600)")
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=("imposed", "weight", "limb"))
     parser.add_argument("--slices", type=int, default=1000, help="of each load and configuration at most")
-    command.share(parser, "compensation rows processes json")
+    command.share(parser, "sensors compensation rows processes json")
 
 
 def run(chosen: argparse.Namespace) -> int:

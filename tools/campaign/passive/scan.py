@@ -203,7 +203,6 @@ def _words(row: dict[str, Any]) -> str:
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the scan's options."""
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=("free", "weight", "limb", "spring"))
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="the reduced parameter of the plant")
@@ -212,7 +211,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--delay", type=int, help="periods, of every cell")
     parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
     parser.add_argument("--joint-bits", type=int, help="bits of the joint encoder, of every cell")
-    command.share(parser, "seed sample compensation axis file rows processes json")
+    command.share(parser, "sensors seed sample compensation axis file rows processes json")
     parser.add_argument("--class", dest="use", choices=tuple(MOST_WORK), default="bench", help="whose work counts")
     parser.add_argument("--rest", type=float, default=REST, help=f"s of rest that end a run (default {REST:g})")
 

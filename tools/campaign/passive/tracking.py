@@ -169,11 +169,10 @@ def _words(row: dict[str, Any], other: dict[str, Any] | None, name: str) -> str:
 
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
-    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS)
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--against", metavar="REV", help="another revision, on which the same runs")
-    command.share(parser, "compensation axis file rows processes json")
+    command.share(parser, "sensors compensation axis file rows processes json")
     parser.add_argument("--delay", type=int, default=1, help="periods from measurement to torque (default 1)")
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Hazard:
     """A fault with what it may do to the wearer.
 
-    `lines`: of the plant, as on its control socket, or `act`: one of `acts.ACTS`. `cause`: a regular expression, one of
+    `lines`: of the plant, as on its control socket, or `act`: a key of `ACTS`. `cause`: a regular expression, one of
     whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
     miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does;
     it does not heal, and nor does what `stays`. `sticks`: whether the joint moves on or sticks
