@@ -97,6 +97,47 @@ def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
     assert estimator.pretension == pytest.approx(PRETENSION)
 
 
+def locked_joint(friction: float, amplitude: float, spread: float, seconds: float) -> list[Sample]:
+    """A sine of the motor torque on a locked joint, by plays in parallel, as parts of a sheath slide one by one.
+
+    `friction`: N*m at the joint, half of the loop once all of them slide; `amplitude`: N*m of the motor; `spread`:
+    share by which the plays differ from their mean.
+    """
+    rng = np.random.default_rng()
+    slope = R_J / R_M * math.cosh(X)
+    plays = [friction * (1.0 + spread * k) for k in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    held = [0.0] * len(plays)
+    samples = []
+    for n in range(round(seconds / PERIOD)):
+        phase = 2.0 * math.pi * 0.5 * n * PERIOD
+        tau_m = amplitude * math.sin(phase)
+        held = [max(slope * tau_m - h, min(slope * tau_m + h, was)) for h, was in zip(plays, held, strict=True)]
+        tau_j = float(np.mean(held)) + 5e-3 * rng.standard_normal()
+        samples.append(Sample(math.copysign(1.0, math.cos(phase)), 0.0, math.nan, tau_m, tau_j, True))
+    return samples
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("change", [0.6, 0.8, 1.0, 1.3])
+def test_a_torque_sensor_shows_the_friction_of_a_locked_joint(change: float, spread: float) -> None:
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    friction = 2.0 * PRETENSION * R_J * math.sinh(X)
+    for sample in locked_joint(change * friction, 4.0 * friction * R_M / R_J, spread, 12.0):
+        estimator.update(sample)
+    assert estimator.state is EstimateState.ESTIMATED
+    assert estimator.half_loop == pytest.approx(change * friction, rel=0.04)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3, 0.9])
+def test_a_torque_that_never_slides_all_of_the_sheath_shows_no_friction(spread: float) -> None:
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    friction = 2.0 * PRETENSION * R_J * math.sinh(X)
+    for sample in locked_joint(friction, 0.8 * friction * R_M / R_J, spread, 12.0):
+        estimator.update(sample)
+    assert estimator.half_loop == pytest.approx(friction, rel=0.04)
+    assert estimator.state is EstimateState.UNESTIMATED
+
+
 @pytest.mark.parametrize("stuck", [0.0, 0.4])
 def test_stuck_sensor_is_invalid(stuck: float) -> None:
     """A torque sensor that always says the same wants a friction beyond the bounds: invalid."""

@@ -7,6 +7,11 @@ A Kalman filter follows a random walk of (h, s, c). Its data are means over shor
 walk makes it forget old data. Its covariance never exceeds the prior, so it neither diverges nor stops adapting. The
 estimate does not change while no data are admitted.
 
+The tendons slide while the joint moves. They also slide on a joint at rest as soon as the joint torque follows the
+motor: after a reversal they slide from the motor's end on, so that the joint torque follows with its full slope s only
+once the whole sheath slides. They stick again when the motor turns back. A joint torque sensor therefore measures the
+friction of a locked joint, too.
+
 s is a nuisance parameter: cosh x is too flat to identify x from it. With `elongation_coupling` in the model, h, k and s
 follow from the position of the bends. The torques of the model's effects outside the tendons are subtracted first
 (`Bare`).
@@ -105,9 +110,11 @@ def why_not(model: TendonSheath) -> str:
 BLOCK = 0.01  # s, length of the means that enter the filter
 SLIDING = 0.999  # 1, |sigma| above which the sheath surely slides
 NOISE = 0.05  # 1, of a block mean, of the nominal half loop: what the model does not explain, not the sensor's own
+OUTLYING = 2.0  # standard deviations: a larger innovation counts as this one, as a jerk or a withdrawn term makes it
 BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction needs
 CERTAIN = 0.1  # 1, standard deviation of the half loop, of nominal, below which it counts as estimated
-PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
+PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up to which both surely pull
+FOLLOWS = 0.9  # of the slope s, which is known within a tenth: less shows that a part of the sheath still sticks
 
 
 class KalmanEstimator:
@@ -123,7 +130,6 @@ class KalmanEstimator:
         per_torque = 0.5 * (sliding(model, 1.0).slope + sliding(model, -1.0).slope)
         half, slope = self._split.nominal, 1.0 / per_torque if self._motor else per_torque
         self._prior = (half, slope, 0.0)
-        torque = 2.0 * model.pretension * model.motor_pulley_radius
         self._variance = ((settings.bounds * half) ** 2, (0.1 * slope) ** 2, (0.1 * half) ** 2)
         self._noise = (NOISE * half) ** 2
         self._walk = BLOCK / settings.memory
@@ -133,7 +139,12 @@ class KalmanEstimator:
         self._block = max(1, round(BLOCK / period))
         self._settle = settings.settle
         self._least_speed = settings.least_speed
-        self._most_torque = PULLING * torque
+        transmission = Stack.of(model.effects, model.source).transmission(model)
+        self._pulling = tuple(
+            tuple(PULLING * end for end in transmission.limits(sigma, model.friction_angle, model.pretension))
+            for sigma in (-1.0, 1.0)
+        )
+        self._followed = 2.0 * NOISE * half  # N*m of the joint: two standard deviations of a block
         self._most_change = settings.most_acceleration * self._block * period if self._motor else math.inf
         self._load = settings.known_load
         self._worst = settings.residual**2
@@ -148,9 +159,9 @@ class KalmanEstimator:
         self._seen = [0.0, 0.0]
         self._p = [self._variance[0], 0.0, 0.0, self._variance[1], 0.0, self._variance[2]]  # upper triangle
         self._direction = 0
-        self._since = self._tau_m = self._tau_j = 0.0
-        self._first_omega = 0.0
-        self._count = 0
+        self._tau_m = self._tau_j = 0.0
+        self._first_omega, self._moved = 0.0, False
+        self._begin_stroke()
         if self._bare is not None:
             self._bare.reset()
 
@@ -167,34 +178,47 @@ class KalmanEstimator:
             bare.measure(sigma, omega_j, seen.q_j, seen.q_m)
             if bare.remembers:
                 bare.joint(self._load if self._motor else tau_j)
-        direction = 1 if sigma > SLIDING and omega_j > self._least_speed else 0
-        if sigma < -SLIDING and omega_j < -self._least_speed:
-            direction = -1
+        direction = 1 if sigma > SLIDING else -1 if sigma < -SLIDING else 0
+        moves = omega_j * direction > self._least_speed
+        if self._motor and not moves:  # without a joint torque sensor nothing shows that a joint at rest follows
+            direction = 0
         if direction != self._direction or not seen.admit:
-            self._direction, self._since, self._count = direction, 0.0, 0
+            self._direction = direction
+            self._begin_stroke()
         elif direction:
             self._since += self._period
-            if self._since > self._settle and -self._most_torque < tau_m < self._most_torque:
+            low, high = self._pulling[direction > 0]
+            if self._since > self._settle and low < tau_m < high:
                 known = self._load if self._motor else tau_j
                 if bare is not None:
                     tau_m, known = bare.motor(tau_m), bare.joint(known)
-                self._admit(direction, omega_j, tau_m, known)
+                self._admit(direction, omega_j if moves else 0.0, tau_m, known)
         steps, target = self._steps, self._target
         self.friction_angle = toward(self.friction_angle, target[0], steps[0])
         self.pretension = toward(self.pretension, target[1], steps[1])
+
+    def _begin_stroke(self) -> None:
+        self._since, self._count = 0.0, 0
+        self._farthest = -math.inf  # N*m of the motor along the direction
+        self._begun = -math.inf, math.inf  # N*m along the direction, of motor and joint, to compare with
+        self._slides = False  # since then the joint torque has followed the motor's
 
     def _admit(self, direction: int, omega_j: float, tau_m: float, tau_j: float) -> None:
         if self._count == 0:
             self._tau_m = self._tau_j = 0.0
             self._first_omega = omega_j
+            self._moved = True
         self._count += 1
         self._tau_m += tau_m
         self._tau_j += tau_j
+        self._moved = self._moved and omega_j != 0.0
         if self._count < self._block:
             return
         tau_m, tau_j = self._tau_m / self._count, self._tau_j / self._count
         self._count = 0
         if abs(omega_j - self._first_omega) > self._most_change:
+            return
+        if not (self._follows(tau_m * direction, tau_j * direction) or self._moved):
             return
         if self._motor:
             self._learn(float(direction), tau_j, tau_m)
@@ -205,6 +229,18 @@ class KalmanEstimator:
         self._seen[1] *= forget
         self._seen[direction > 0] += self._block * self._period
         self._judge()
+
+    def _follows(self, tau_m: float, tau_j: float) -> bool:
+        """Return True if the joint torque follows the motor's, N*m along the direction, on the line of the model."""
+        farther = tau_m >= self._farthest
+        self._farthest = max(self._farthest, tau_m)
+        begun_m, begun_j = self._begun
+        if tau_j > begun_j + self._followed:
+            self._slides = tau_j - begun_j > FOLLOWS * self.slope * (tau_m - begun_m)
+            self._begun = tau_m, tau_j
+        elif tau_j < begun_j:
+            self._begun = tau_m, tau_j
+        return farther and self._slides
 
     def _learn(self, a: float, b: float, y: float) -> None:
         """Do one Kalman step for y = a h + b s + c."""
@@ -220,8 +256,10 @@ class KalmanEstimator:
         g1 = p01 * a + p11 * b + p12
         g2 = p02 * a + p12 * b + p22
         error = y - a * self.half_loop - b * self.slope - self.offset
-        scale = 1.0 / (self._noise + a * g0 + b * g1 + g2)
-        gain = error * scale
+        variance = self._noise + a * g0 + b * g1 + g2
+        scale = 1.0 / variance
+        most = OUTLYING * math.sqrt(variance)
+        gain = max(-most, min(most, error)) * scale
         self.half_loop += g0 * gain
         self.slope += g1 * gain
         self.offset += g2 * gain
