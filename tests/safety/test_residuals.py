@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.residuals import Elongation, Give, Standstill, Velocity
+from tsa_ctrl.safety.residuals import Elongation, Give, SensorNoise, Standstill, Velocity
 
 PERIOD = 1e-3  # s
 STIFFNESS = 40.0  # N*m/rad
@@ -286,3 +286,49 @@ def test_periods_without_a_cycle_are_no_contradiction_of_the_velocity(skipped: i
                 n += skipped
                 check.pass_over()
         assert any(found) is wrong
+
+
+def readings(
+    rng: np.random.Generator, seconds: float, noise: float, digit: float, every: int = 1, torque: float = 0.31
+) -> list[float]:
+    """A sensor at a torque that friction holds: noise in N*m, one digit in N*m, a new value every `every` cycles."""
+    count = round(seconds / PERIOD)
+    values = torque + noise * np.repeat(rng.standard_normal(count // every + 1), every)[:count]
+    return list(np.round(values / digit) * digit)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+@pytest.mark.parametrize("noise", [5e-4, 5e-3, 5e-2])
+def test_a_torque_sensor_whose_noise_ends_is_stuck(noise: float, every: int) -> None:
+    rng = np.random.default_rng()
+    check = SensorNoise()
+    for value in readings(rng, 0.3, noise, 1e-4, every):
+        check.learn(value)
+    check.reset()
+    assert not any(check.update(value) for value in readings(rng, 20.0, noise, 1e-4, every))
+    stuck = [check.update(0.2) for _ in range(200)]
+    assert stuck.index(True) <= SensorNoise.REPEATED
+
+
+@pytest.mark.parametrize(
+    ("noise", "digit", "every"),
+    [(0.0, 1e-4, 1), (1e-3, 1e-2, 1), (5e-3, 1e-4, 5)],
+    ids=["no noise", "a tenth of a digit", "slower than the loop"],
+)
+def test_a_torque_sensor_that_repeats_values_by_itself_is_not_judged(noise: float, digit: float, every: int) -> None:
+    rng = np.random.default_rng()
+    check = SensorNoise()
+    for value in readings(rng, 2.0, noise, digit, every, torque=0.315):  # between two digits
+        check.learn(value)
+    check.reset()
+    assert not any(check.update(value) for value in readings(rng, 20.0, noise, digit, every))
+    assert not any(check.update(0.2) for _ in range(5000))
+
+
+def test_the_noise_of_a_torque_sensor_stays_known_after_a_disable() -> None:
+    check = SensorNoise()
+    for value in readings(np.random.default_rng(), 0.3, 5e-3, 1e-4):
+        check.learn(value)
+    for _ in range(2):
+        check.reset()
+        assert any(check.update(0.2) for _ in range(200))

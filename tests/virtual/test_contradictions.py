@@ -11,6 +11,7 @@ from tests.virtual.joints import GAIT, play, sine
 from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.virtual.script import Change
 
+NOISY = {"torque_sensor": {"noise": 5e-3}}
 CONSTANT = {"kind": "constant", "offset": 0.5}
 
 
@@ -136,6 +137,15 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> No
     fault = next(event for event in result.summary.events if event.fault)
     assert "the motor gives more than it reports" in fault.text
     assert fault.t < 0.5
+
+
+@pytest.mark.parametrize("load", ["held", *(pytest.param(load, marks=pytest.mark.soak) for load in LOADS[2:])])
+def test_a_torque_sensor_that_sticks_is_found(tmp_path: Path, load: str) -> None:
+    """Friction may hold the torque of a joint, so only the noise shows it."""
+    result = play(tmp_path, load, sine(0.5, 0.5), 1.6, faults=["stuck_tpdo node=torque_sensor@1.3"], plant=NOISY)
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("joint torque sensor is stuck: ")
+    assert fault.t < 1.4
 
 
 @pytest.mark.slow

@@ -302,6 +302,7 @@ class ControlAxis:
             )
         if not terms.permitted:
             self.release()
+            self.plausibility.learn(instruments.tau_j if image.fresh else math.nan)
             return
         self.law.applied(terms.tau_m_cmd)
         if self._has_torque_sensor:

@@ -139,6 +139,10 @@ class Cause(Enum):
         "joint encoder is stuck",
         "check the encoder, its cable and its coupling, and any device that repeats old values; then recover",
     )
+    TORQUE_SENSOR_STUCK = (
+        "joint torque sensor is stuck",
+        "check the sensor, its amplifier and its cable, and any device that repeats old values; then recover",
+    )
     JOINT_TORQUE = (
         "joint torque sensor contradicts the model",
         "compare sensor and motor at a small torque: zero, gain and sign of both; then the model (tsa calibrate); then "

@@ -6,6 +6,7 @@
                   sign, or a motor whose torque differs from the reported one (`residuals.Elongation`, or a given angle)
     velocity      the drive's velocity is not the derivative of its position (loops of 400 Hz and more)
     standstill    the position of motor or joint repeats its last count although the axis moves on
+    noise         the joint torque sensor repeats one value, although it has shown noise without torque
     joint_torque  the joint torque sensor, if there is one, contradicts the model: a reversed sign,
                   or a motor that gives more torque than it reports
 
@@ -19,7 +20,7 @@ import math
 
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.debounce import Debounce
-from tsa_ctrl.safety.residuals import LASTING, SAMPLES, Elongation, Give, Standstill, Velocity
+from tsa_ctrl.safety.residuals import LASTING, SAMPLES, Elongation, Give, SensorNoise, Standstill, Velocity
 from tsa_ctrl.safety.settings import PlausibilitySettings
 
 DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
@@ -73,6 +74,7 @@ class Plausibility:
         self._elongation = Elongation(give, period)
         self._velocity = Velocity(counts[0], period) if reports_velocity and period <= Velocity.LONGEST else None
         self._joint_rests = Standstill(counts[1], period) if has_encoder else None
+        self._noise = SensorNoise()
         self._velocity_wrong = Debounce(VELOCITY_TIME)
         self._torque_wrong = Debounce(settings.duration)
         self._joint_wrong = Debounce(settings.duration)
@@ -87,10 +89,15 @@ class Plausibility:
         for check in (self._elongation, self._velocity, self._joint_rests):
             if check is not None:
                 check.reset()
+        self._noise.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
         self._moved_at = math.inf  # s, since when the command is away from what it was
         self._low = self._high = 0.0
+
+    def learn(self, tau_j: float) -> None:
+        """Learn the noise of the joint torque sensor (N*m, nan without one) while torque is not permitted."""
+        self._noise.learn(tau_j)
 
     def pass_over(self) -> None:
         """Count a period without measurements."""
@@ -167,6 +174,11 @@ class Plausibility:
                 )
         if joint_rests is not None and joint_rests.update(now, joint):
             return Finding(Cause.ENCODER_STUCK, "the joint position stopped between two samples, as no joint can")
+        if self._noise.update(tau_j):
+            return Finding(
+                Cause.TORQUE_SENSOR_STUCK,
+                f"it repeated {tau_j:.3f} N*m {SensorNoise.REPEATED} times; without torque it showed noise",
+            )
         return self._joint(now, tau_j, *expected) if tau_j == tau_j or not self._joint_wrong.idle else None
 
     def _apart(self, apart: float) -> Finding:

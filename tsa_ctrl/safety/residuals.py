@@ -268,3 +268,47 @@ class Standstill:
             self._angle, self._at = angle, now
             return False
         return now - self._at > self._rested and abs(self._rate) > self._sudden
+
+
+class SensorNoise:
+    """Find a sensor whose noise has ended: its values repeat.
+
+    Friction may hold the torque of a joint constant, but no sensor that has shown noise at rest repeats a value for
+    long. The noise is learned without torque. A sensor that then repeats more than two of three values, because it is
+    slower than the loop, or that shows two values only, because its digit is larger than its noise, is not judged.
+    """
+
+    LEARNED = 20  # values without torque: the cycles that a startup has at least
+    REPEATED = 100  # values in a row: 1e-7 if 85 % repeat, the most that a third of 20 values leaves open
+    DISTINCT = 3  # values that a noise beyond one digit shows
+
+    def __init__(self) -> None:
+        """Start without knowledge of the noise."""
+        self._last = math.nan
+        self._distinct: set[float] = set()
+        self._values = self._changes = self._repeated = 0
+
+    def reset(self) -> None:
+        """Forget the last values, not the noise."""
+        self._last = math.nan
+        self._repeated = 0
+
+    def learn(self, value: float) -> None:
+        """Take a value (N*m) without torque; nan is passed over."""
+        if value == value and self._last == self._last:
+            self._values += 1
+            self._changes += value != self._last
+            if len(self._distinct) < self.DISTINCT:
+                self._distinct.add(value)
+        self._last = value
+
+    def update(self, value: float) -> bool:
+        """Return True while the sensor's value (N*m) repeats and should not."""
+        if value != self._last:  # nan, too
+            self._last = value
+            self._repeated = 0
+            return False
+        self._repeated += 1
+        if self._repeated < self.REPEATED or self._values < self.LEARNED:
+            return False
+        return 3 * self._changes > self._values and len(self._distinct) >= self.DISTINCT
