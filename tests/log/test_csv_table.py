@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log import csv_table
 from tsa_ctrl.log.csv_table import read_csv
 
 PLAIN = "t,tau_m\n0,1.5\n0.001,-2.5\n"
@@ -175,3 +176,26 @@ def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> Non
     """Halfway between two doubles, subnormal, too large, without digits on one side of the point."""
     columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))
     assert repr(columns["tau_m"][0].item()) == repr(float(entry))
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_small_table_is_the_same_with_and_without_duckdb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delimiter: str, end: str
+) -> None:
+    """Numbers in every notation, empty fields and spaces; a small file does not load DuckDB."""
+    path = tmp_path / "table.csv"
+    random = np.random.default_rng(3)
+    formats = ("{:.17g}", "{:e}", "{:.3f}", "{:+g}", " {:g} ", "{:.0f}", "{:.0f}.")
+    lines = ["# a comment", delimiter.join(("t", "tau_m", "tau_j", "other"))]
+    for row in range(200):
+        values = [row * 1e-3, *(random.normal(size=3) * 10.0 ** random.integers(-300, 300))]
+        fields = [random.choice(formats[:5] if abs(v) < 1e15 else formats[:2]).format(v) for v in values]
+        lines.append(delimiter.join([*fields[:3], "" if row % 7 == 3 else fields[3]]))
+    path.write_text(end.join([*lines, ""]), newline="")
+    small, _, above = read_csv(path)
+    monkeypatch.setattr(csv_table, "SMALL", 0)
+    large, left_out, same = read_csv(path)
+    assert (list(small), above, left_out) == (list(large), same, [])
+    for name, values in small.items():
+        np.testing.assert_array_equal(values, large[name])

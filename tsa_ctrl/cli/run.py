@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.cli.options import Finite
+from tsa_ctrl.system.libraries import leave_out
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
@@ -41,6 +42,7 @@ def command(
     as_json: bool,
 ) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
+    leave_out()
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.daemon.bus_recorder import check_record, recorded
     from tsa_ctrl.daemon.joint_files import admitted

@@ -116,15 +116,27 @@ def loop_matrix(
     return step
 
 
+def _exponential(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the exponential of a square matrix: its series after halving, then squared as often.
+
+    scipy.linalg.expm would load 35 MB into the daemon.
+    """
+    halvings = max(0, math.ceil(math.log2(max(1e-300, float(np.abs(matrix).sum(axis=1).max())))) + 1)
+    small = matrix / 2.0**halvings  # of norm 1/2 at most: 16 terms are exact to the last digit
+    term = whole = np.eye(len(matrix))
+    for order in range(1, 17):
+        term = term @ small / order
+        whole = whole + term
+    return np.linalg.matrix_power(whole, 2**halvings)
+
+
 def _held(
     motor: NDArray[np.float64], push: NDArray[np.float64], time: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the transition of the motor's state over `time` s, and the effect of a constant command of 1 N*m."""
-    from scipy.linalg import expm  # slow to import
-
     block = np.zeros((4, 4))
     block[:3, :3], block[:3, 3:] = motor, push
-    whole = expm(block * time)
+    whole = _exponential(block * time)
     return whole[:3, :3], whole[:3, 3:]
 
 
