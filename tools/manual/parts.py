@@ -20,6 +20,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.plant.identity import Quirks
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.signals import SIGNALS, Kind, Place
 
 SHAPES: Mapping[str, Profile] = {
@@ -98,6 +99,12 @@ def quirks() -> str:
     fields = filter(None, map(FIELD.match, inspect.getsource(Quirks).splitlines()))
     rows = [(f"`{field['key']}`", f"`{field['default']}`", field["words"]) for field in fields]
     return table(("key of `[axis.drive]`", "default", "what the drive does"), rows)
+
+
+def faults() -> str:
+    """Return every cause of a fault with its remedy."""
+    head, rows = ("fault", "`tsa help`", "remedy"), [(each.title, f"`{each.id}`", each.remedy) for each in Cause]
+    return table(head, rows)
 
 
 def verbs() -> str:
@@ -183,6 +190,7 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "errors": errors,
     "signals": signals,
     "bus-rates": bus_rates,
+    "faults": faults,
     "verbs": verbs,
     "profiles": profiles,
     "quirks": quirks,

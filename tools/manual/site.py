@@ -74,11 +74,7 @@ def settings(out: Path) -> dict[str, Any]:
         "theme": {"name": "material", "font": False, "features": ["search.highlight", "navigation.top"]},
         "plugins": ["search", {"mkdocstrings": {"handlers": {"python": handler}}}],
         "markdown_extensions": ["tables", "fenced_code", {"toc": {"permalink": True}}],
-        "nav": [
-            {"tsa_ctrl": "index.md"},
-            *({topic: f"{topic}.md"} for topic in TOPICS),
-            {"Python": "python.md"},
-        ],
+        "nav": [{"Overview": "index.md"}, *(f"{topic}.md" for topic in TOPICS), {"Python": "python.md"}],
     }
 
 
@@ -98,6 +94,8 @@ def build(out: Path) -> subprocess.CompletedProcess[str]:
         pages.mkdir()
         for path, target in names.items():
             (pages / target).write_text(page(path, names, pages / "pictures"), encoding="utf-8")
+        tables = pages / "figures.md"  # whose numbers would come before every page that explains the word
+        tables.write_text("---\nsearch:\n  boost: 0.1\n---\n\n" + tables.read_text(encoding="utf-8"), encoding="utf-8")
         (pages / "python.md").write_text(reference(), encoding="utf-8")
         # mkdocs reads YAML, and JSON is YAML.
         (folder / "mkdocs.yml").write_text(json.dumps(settings(out)), encoding="utf-8")

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
-_BRING_UP = "then recover: the nodes are configured again"
+_RECOVER = "then recover with tsa set recover 1"
+_BRING_UP = f"{_RECOVER}, which configures the nodes again"
 
 
 class Cause(Enum):
@@ -22,122 +23,140 @@ class Cause(Enum):
         needs_bring_up: True if the nodes may have lost their configuration, so that a reset alone is not enough.
     """
 
-    BUS_FAULT = "bus fault", f"check cable, termination and bit rate; the interface may be down; {_BRING_UP}", True
+    BUS_FAULT = (
+        "bus fault",
+        f"check cable, termination, bit rate, and that the interface is up; {_BRING_UP}",
+        True,
+    )
     SECOND_MASTER = (
         "second master",
-        f"another program commands this bus: end it (the message has its identifier); {_BRING_UP}",
+        f"end the other program that commands this bus; the message has its identifier; {_BRING_UP}",
         True,
     )
     ALTERED = (
         "a node's configuration changed",
-        f"another tool wrote to the node, or it lost its settings by itself: end that; {_BRING_UP}",
+        f"end the tool that wrote to the node, or check why the node lost its settings; {_BRING_UP}",
         True,
     )
     BOOT_UP = (
         "node booted while running",
-        f"the node lost its power or was reset: check supply and plug, look for brown-outs; {_BRING_UP}",
+        f"check the power supply and the plug of the node, and look for brown-outs; {_BRING_UP}",
         True,
     )
     HEARTBEAT_LOST = (
         "heartbeat lost",
-        f"check the node's power and plug, and the bus load (tsa doctor); {_BRING_UP}",
+        f"check the power and the plug of the node, and the bus load (tsa doctor); {_BRING_UP}",
         True,
     )
     NMT_STATE = (
         "node left the operational state",
-        f"another master or the node itself left the operational state: end that; {_BRING_UP}",
+        f"end the other master, or check why the node left the operational state by itself; {_BRING_UP}",
         True,
     )
-    EMERGENCY_STOP = "emergency stop", "remove the reason for the stop and release it; then recover"
-    EMERGENCY = "emergency", "look up the code in the drive's manual and remove its reason; then recover"
+    EMERGENCY_STOP = (
+        "emergency stop",
+        f"remove the reason for the stop and release it; {_RECOVER}",
+    )
+    EMERGENCY = (
+        "emergency",
+        f"look up the code in the manual of the drive and remove its reason; {_RECOVER}",
+    )
     HELD_UP = (
         "emergency, commands too late",
-        "the loop was held up for longer than the drive's time-out: run tsa doctor, choose a lower rate; then recover",
+        "the loop was held up for longer than the time-out of the drive: run tsa doctor and choose a lower "
+        f"rate; {_RECOVER}",
     )
     DRIVE_FAULT = (
         "drive fault",
-        "look up the drive's error code (0x603F) in its manual and remove its reason; then recover",
+        f"look up the error code of the drive (0x603F) in its manual and remove its reason; {_RECOVER}",
     )
     STALE_PDO = (
         "stale PDO",
-        "check bus load, nodes that answer late, and a computer that stalls: tsa doctor; then recover",
+        f"check the bus load, nodes that answer late, and whether the computer stalls (tsa doctor); {_RECOVER}",
     )
     SKIPPED = (
         "skipped periods",
-        "a cycle takes longer than its period: choose a lower rate in [controller] (tsa doctor); then recover",
+        f"a cycle takes longer than its period: choose a lower rate in [controller] (tsa doctor); {_RECOVER}",
     )
     REPEATED_PDO = (
         "repeated PDOs",
-        f"two nodes have one id: give each its own (switches, maker's tool, tsa drive set-node-id); {_BRING_UP}",
+        "two nodes have the same id: give each its own id by its switches, the tool of its maker, or tsa "
+        f"drive set-node-id; {_BRING_UP}",
         True,
     )
     COMMAND_DROPPED = (
         "commands not sent",
-        "the send queue is full: no node acknowledges, or the bus is too slow: tsa doctor; then recover",
+        f"the send queue is full because no node acknowledges or the bus is too slow: run tsa doctor; {_RECOVER}",
     )
     COMMANDS_MISSED = (
         "the drive misses commands",
-        "commands are lost, or the drive reads them too seldom: check the bus load (tsa doctor) and the drive's cycle "
-        "against rate in [controller]; if it only shows 0x6071 late: lost_share in [bus.supervision]; then recover",
+        "commands are lost, or the drive reads them too rarely: check the bus load (tsa doctor), and the "
+        "cycle of the drive against rate in [controller]; if the drive only reports 0x6071 late, raise "
+        f"lost_share in [bus.supervision]; {_RECOVER}",
     )
-    WRONG_MODE = "wrong mode", "another tool or the drive changed its mode: end that; then recover"
+    WRONG_MODE = (
+        "wrong mode",
+        f"end the tool that changed the mode of the drive, or check why the drive changed it; {_RECOVER}",
+    )
     COMMAND_IGNORED = (
         "drive ignores the command",
-        "check its enable input, quick stop and internal limits; if it never sets bit 12: reports_following = false in "
-        "its profile; then recover",
+        "check the enable input, quick stop and internal limits of the drive; if it never sets bit 12, set "
+        f"reports_following = false in its profile; {_RECOVER}",
     )
     STATE_LOST = (
         "drive left operation enabled",
-        "check safe torque off, a switch at the drive, a warning that became a fault; then recover",
+        f"check safe torque off, switches at the drive, and warnings that became a fault; {_RECOVER}",
     )
     ENABLE_TIMEOUT = (
         "drive does not enable",
-        "check safe torque off, main power and enable input; a slow drive needs more enable_timeout in "
-        "[bus.supervision]; then recover",
+        "check safe torque off, main power and the enable input; for a slow drive, raise enable_timeout in "
+        f"[bus.supervision]; {_RECOVER}",
     )
     DISABLE_TIMEOUT = (
         "drive does not confirm that it is disabled",
-        "cut its power: it may still give torque; then check the drive",
+        "cut the power of the drive, which may still give torque, then check it",
     )
     RESET_TIMEOUT = (
         "drive does not leave its fault",
-        "the reason of the drive's fault is still present: see its manual, remove it; then power the drive off and on",
+        "look up the fault in the manual of the drive and remove its reason, which is still present, then "
+        "switch the drive off and on",
     )
     OVER_SPEED = (
         "over-speed",
-        "check the tendons before anything else: torn or off the pulley; then the joint encoder; then [axis.limits] "
-        "speed; then recover",
+        "check the tendons before anything else: they may be torn or off the pulley; then check the joint "
+        f"encoder and [axis.limits] speed; {_RECOVER}",
     )
     NOT_FINITE = (
         "value that is not finite",
-        "a measurement or a parameter is not a number: check the sensors and the last tsa set; then recover",
+        f"a measurement or a parameter is not a number: check the sensors and the last tsa set; {_RECOVER}",
     )
     TORQUE_ERROR = (
         "reported torque differs from the command",
-        "check the drive's limits, derating, torque constant and sign; then recover",
+        f"check limits, derating, torque constant and sign of the drive; {_RECOVER}",
     )
     FROZEN = (
         "the drive's feedback is frozen",
-        "the drive repeats old values: check its firmware, and every device between it and the bus; then recover",
+        f"the drive repeats old values: check its firmware, and every device between the drive and the bus; {_RECOVER}",
     )
     MOVED_APART = (
         "motor and joint moved apart",
-        "check the tendons: torn, loose or slipped; then coupling, counts and signs of the encoders (torque_sign, "
-        "position_sign); tendons softer than axial_stiffness: set [axis.plausibility] slip; then recover",
+        "check the tendons, which may be torn, loose or slipped; then coupling, counts and signs of the "
+        "encoders (torque_sign, position_sign); if the tendons are softer than axial_stiffness, set "
+        f"[axis.plausibility] slip; {_RECOVER}",
     )
     POLARITY = (
         "motor and joint answer the motor's torque the wrong way round",
-        "check torque_sign and position_sign of the drive, the sign of the encoder, crossed tendons or motor wires; "
-        "then recover",
+        "check torque_sign and position_sign of the drive, the sign of the encoder, and crossed tendons or "
+        f"motor wires; {_RECOVER}",
     )
     VELOCITY = (
         "velocity contradicts position",
-        "check the drive's encoder and the unit of 0x606C; if the drive does not fill 0x606C: velocity_source in "
-        "[axis.drive]; then recover",
+        "check the encoder of the drive and the unit of 0x606C; if the drive does not fill 0x606C, set "
+        f"velocity_source in [axis.drive]; {_RECOVER}",
     )
     ENCODER_STUCK = (
         "joint encoder is stuck",
-        "check the encoder, its cable and its coupling, and any device that repeats old values; then recover",
+        f"check the encoder, its cable and its coupling, and any device that repeats old values; {_RECOVER}",
     )
     TORQUE_SENSOR_STUCK = (
         "joint torque sensor is stuck",
@@ -145,29 +164,29 @@ class Cause(Enum):
     )
     JOINT_TORQUE = (
         "joint torque sensor contradicts the model",
-        "compare sensor and motor at a small torque: zero, gain and sign of both; then the model (tsa calibrate); then "
-        "recover",
+        "compare zero, gain and sign of sensor and motor at a small torque, then check the model (tsa "
+        f"calibrate); {_RECOVER}",
     )
     SOFT_TENDONS = (
         "tendons too soft for the reported torque",
-        "check pretension and tendons, torque constant and rated torque of the motor; then axial_stiffness in the "
-        "model file ([axis.plausibility] slip replaces it by a given angle); then recover",
+        "check the pretension, the tendons, and torque constant and rated torque of the motor; then check "
+        f"axial_stiffness in the model file, or set a fixed angle by [axis.plausibility] slip; {_RECOVER}",
     )
     TORQUE_GAIN = (
         "joint torque exceeds the reported motor torque",
-        "check torque constant and rated torque of the motor, and the gain of the sensor; then recover",
+        f"check torque constant and rated torque of the motor, and the gain of the sensor; {_RECOVER}",
     )
     MONITOR_STOPPED = (
         "stopped by the monitor",
-        "remove the reported cause; then recover: the nodes are configured again, and a new monitor starts",
+        f"remove the reported cause; {_BRING_UP} and starts a new monitor",
     )
     MONITOR_ENDED = (
         "monitor ended",
-        "find out what ended its process (memory, a kill); then recover: a new monitor starts",
+        f"find out what ended its process (memory, a kill); {_RECOVER}, which starts a new monitor",
     )
     MONITOR_SILENT = (
         "monitor silent",
-        "the computer is overloaded, or the monitor was stopped: tsa doctor; then recover",
+        f"check whether the computer is overloaded or the monitor was stopped (tsa doctor); {_RECOVER}",
     )
 
     def __init__(self, title: str, remedy: str, needs_bring_up: bool = False) -> None:
