@@ -1,7 +1,7 @@
 """The architecture, as a table of who may import whom, and what keeps it so: read from the source, nothing is run.
 
 A room is a folder of `tsa_ctrl` or a file beside the folders. A row says what a room may import; it may name a single
-file of another room, where the rest of that room is none of its business. Rows import from rows above them alone, so
+file of another room, where the rest of that room is private. Rows import from rows above them alone, so
 the table reads from the ground up, and a row names nothing that the room does not use. Every import counts: at the top
 of a file, inside a function, under TYPE_CHECKING.
 """

@@ -176,7 +176,7 @@ TARGETS = (
 
 
 def _described_of(names: Sequence[str]) -> Callable[[dict[str, Any]], bool | None]:
-    """Whether a formula takes most of what is left; None of a cause that is none of these."""
+    """Whether a formula takes most of what is left; None for a cause that is not one of these."""
     return lambda result: bool(result["mark"]["described"]) if result["name"] in names else None
 
 

@@ -328,5 +328,5 @@ def test_effects_that_cannot_be_parted_are_named() -> None:
         "stribeck_friction": {"static_excess": 0.4, "stribeck_velocity": 0.1},
         "viscous_friction": {"coefficient": 0.1},
     }
-    assert "stribeck_friction changes what it estimates" in why_not(dataclasses.replace(MODEL, effects=effects))
+    assert "stribeck_friction changes the estimated quantity" in why_not(dataclasses.replace(MODEL, effects=effects))
     assert why_not(dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": 0.1}})) == ""

@@ -42,8 +42,8 @@ def test_what_the_file_says_counts() -> None:
 @pytest.mark.parametrize(
     ("model", "has_encoder", "words"),
     [
-        (KNOWN, False, r"no \[axis.encoder\]"),
-        (actuator(), True, "does not say where the sheath bends"),
+        (KNOWN, False, r"needs an \[axis.encoder\]"),
+        (actuator(), True, "does not state where the sheath bends"),
         (dataclasses.replace(KNOWN, bending_centre=0.8), True, "the centre of the bends is at 0.80"),
         (dataclasses.replace(KNOWN, bending_centre=0.69), True, r"bending_centre 0.05 leaves 16 % of the half loop"),
         (dataclasses.replace(KNOWN, axial_stiffness_uncertainty=0.5), True, "axial_stiffness 0.5 is above 0.25"),

@@ -197,7 +197,7 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
         (
             r"^bending_centre",
             (SENSOR,),
-            r"fixed \(.*does not say where the sheath bends; give \[sheath\] bending_centre",
+            r"fixed \(.*does not state where the sheath bends; give \[sheath\] bending_centre",
         ),
         ("", (ENCODER, SENSOR), r"fixed \(.*no \[axis.encoder\]"),
     ],

@@ -36,7 +36,7 @@ def test_a_warning_is_told_when_it_begins() -> None:
 def test_a_limit_of_the_drives_own_is_told_and_each_bit_for_itself() -> None:
     found = said([(0.0, 0x1A37), (1.0, 0x1AB7)])
     assert [t for t, _ in found] == [0.0, 1.0]
-    assert "is at a limit of its own (bit 11 of statusword 0x1a37)" in found[0][1]
+    assert "is at an internal limit (bit 11 of statusword 0x1a37)" in found[0][1]
     assert "bit 7" in found[1][1]
 
 

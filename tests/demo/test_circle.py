@@ -45,7 +45,7 @@ def test_the_load_varies_apart_from_the_motion_and_stays_within_the_domain() -> 
 
 
 def test_an_effect_that_cannot_be_hidden_is_one_line() -> None:
-    with pytest.raises(UsageError, match="--hidden backlash is none of"):
+    with pytest.raises(UsageError, match="--hidden backlash is not one of"):
         draw(1, ["backlash"])
 
 

@@ -27,7 +27,7 @@ def test_a_drive_without_an_id_is_given_one_that_it_keeps(tmp_path: Path) -> Non
 
 
 def test_a_bus_without_such_a_node_is_told(tmp_path: Path) -> None:
-    with refused("nobody answers to LSS; check power, wiring and bit rate"):
+    with refused("no node answers to LSS; check power, wiring and bit rate"):
         lss.find(Foreign(tmp_path).wire.host)
 
 

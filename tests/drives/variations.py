@@ -48,7 +48,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("EPOS4 under no profile", _EPOS4, refused="a factor of 1000"),
     Variation("Elmo Gold under no profile", _ELMO, refused='absent = ["SI unit velocity"]'),
     # objects that are not there
-    Variation("no 0x6502", {"absent": [0x6502]}, told="does not say which modes"),
+    Variation("no 0x6502", {"absent": [0x6502]}, told="does not report which modes"),
     Variation("no 0x60C2", {"absent": [0x60C2]}),
     Variation("no 0x1029", {"absent": [0x1029]}),
     Variation("no 0x1005, 0x1006, 0x1007, 0x1019", {"absent": [0x1006, 0x1007, 0x1019]}),
@@ -111,7 +111,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("boots after 3.5 s, and the profile says so", {"boot_time": 3.5}, {"boot_timeout": 5.0}),
     Variation("answers SDO after 0.4 s", {"answer_time": 0.4}),
     Variation("answers SDO after 0.7 s", {"answer_time": 0.7}, refused="answer_timeout"),
-    Variation("EMCY at boot", {"emcy_at_boot": 0x8100}, told="said during the bring-up: EMCY 0x8100"),
+    Variation("EMCY at boot", {"emcy_at_boot": 0x8100}, told="reported during the bring-up: EMCY 0x8100"),
     Variation("starts itself", {"starts_itself": True}),
     Variation("several axes, device type 0xFFFF0192", _objects(x1000_0=0xFFFF0192)),
     Variation("several axes, device type 0x0000FFFF", _objects(x1000_0=0x0000FFFF)),

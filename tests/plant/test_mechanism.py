@@ -247,15 +247,15 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
         (
             {"kind": "mujoco"},
             {"joint": {"load": "free"}},
-            r"\[axis.joint\] describes a joint of its own.*the rest",
+            r"\[axis.joint\] describes a separate joint.*the rest",
         ),
-        ({"kind": "mujoco"}, {"motion": HIP}, r"\[axis.motion\] describes a joint of its own"),
+        ({"kind": "mujoco"}, {"motion": HIP}, r"\[axis.motion\] describes a separate joint"),
         (
             {"kind": "mujoco"},
             {"name": "elbow"},
             r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give",
         ),
-        ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is no hinge; an axis turns a joint"),
+        ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is not a hinge; an axis turns a joint"),
         (
             {"kind": "mujoco", "model": "actuator.toml"},
             {},

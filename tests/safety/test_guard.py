@@ -236,7 +236,7 @@ def test_the_times_are_those_that_people_are_told() -> None:
         assert rig.run(0.03).latched is latched
 
 
-@pytest.mark.parametrize(("share", "cause"), [(0.85, "85 % of what"), (0.94, "agree with the model file")])
+@pytest.mark.parametrize(("share", "cause"), [(0.85, "85 % of the model"), (0.94, "agree with the model file")])
 def test_nine_tenths_of_the_friction_are_nearly_all(share: float, cause: str) -> None:
     guard = Rig(share=share).run(1.0)
     assert guard.count

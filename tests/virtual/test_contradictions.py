@@ -172,7 +172,7 @@ def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -
     """It takes the drive's watch for our heartbeat away: the torque ends before that is needed."""
     result = play(tmp_path, "held", CONSTANT, 1.0, faults=[f"foreign_sdo node={node}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
-    assert fault.text.startswith("second master: somebody else sent a master's frame 0x6")
+    assert fault.text.startswith("second master: another node sent a master's frame 0x6")
     assert fault.t < 0.805
 
 

@@ -62,7 +62,7 @@ def test_lost_friction_moves_no_joint(
     result = play(tmp_path, load, setpoint, AT + 2.0, faults=faults)
     assert added(result) <= most
     assert added(result, AT + 1.0) <= 1e-3
-    assert "of what the model file says" in told(result)[0]
+    assert "of the model file's values" in told(result)[0]
     assert any("the measured friction torque is at most" in event.text for event in result.summary.events)
     reasons = result.axes[0].to_dict()["limit_reasons"]
     assert reasons.get("PASSIVITY", 0) + reasons.get("UNPROVEN", 0) > 500
@@ -79,7 +79,7 @@ def test_a_limb_whose_tendons_lose_nearly_all_pretension_is_stopped(tmp_path: Pa
     assert min(truth[name][lost].min() for name in ("t1", "t3")) < 0.5  # N
     assert added(result) <= 10e-3
     assert added(result, AT + 1.0) <= 1e-3
-    assert "of what the model file says" in told(result)[0]
+    assert "of the model file's values" in told(result)[0]
     assert any("a tendon is torn or loose" in event.text for event in result.summary.events if event.fault)
 
 
@@ -148,6 +148,6 @@ def test_what_bounds_the_compensation_is_said_at_the_start(tmp_path: Path) -> No
     result = play(tmp_path, "held", sine(0.5, 0.5), 2.0, axis=axis)
     texts = [event.text for event in result.summary.events]
     assert sum("that costs 28 % of the compensation" in text for text in texts) == 1
-    assert sum("[axis.oscillation] has no effect any longer" in text for text in texts) == 1
+    assert sum("[axis.oscillation] no longer has an effect" in text for text in texts) == 1
     friction = np.abs(result.log["friction_term"]).max()
     assert friction == pytest.approx(0.718 * 2.0 * 45.0 * 0.020 * 0.26, rel=0.03)

@@ -197,7 +197,7 @@ def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], siz
 def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
     """The logs with an effect of this size (N*m) in them, and its number.
 
-    None where there is none of that size, or where it would follow the velocity's noise (acceleration at steady speed).
+    None if no effect of that size exists, or if it would follow the velocity noise (acceleration at steady speed).
     """
     plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
     if (plain and getattr(model, effect, None) is not None) or (

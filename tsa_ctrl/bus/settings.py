@@ -23,7 +23,7 @@ Cycles = Annotated[int, Meta(ge=0, le=100)]
 
 
 class Role(Enum):
-    """What a node is to its axis."""
+    """List the roles of a node."""
 
     DRIVE = "drive"
     ENCODER = "joint encoder"
@@ -36,7 +36,7 @@ class Role(Enum):
 
 
 class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """When a running axis is stopped; what is not listed here (EMCY, boot-up, bus-off, ...) always stops it."""
+    """When a running axis is stopped; any other event (EMCY, boot-up, bus-off, ...) always stops it."""
 
     tolerated_misses: Cycles = 2  # cycles without a fresh PDO in a row; one more is a fault
     tolerated_drops: Cycles = 2  # commands in a row that could not be sent; one more is a fault
@@ -72,7 +72,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What every node has."""
+    """Hold the settings that every node has."""
 
     node_id: NodeId
     vendor_id: Word | None = None  # 0x1018:1; checked when given
@@ -85,12 +85,12 @@ class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class DriveSettings(NodeSettings, frozen=True, kw_only=True):
-    """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are those of the motor pulley."""
+    """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are at the motor pulley."""
 
     slot: Annotated[int, Meta(ge=1, le=MOST_SLOTS)] = 1  # place in a device with several axes: objects 0x800 apart
     pdo_node_id: NodeId | None = None  # whose PDO identifiers it takes; default: its own, for slots 1 and 2
-    profile: str = "generic"  # name of a file in drives/ beside the configuration, or a path
-    rated_torque: Positive = 1.0  # N*m of the motor, what 0x6076 must say
+    profile: str = "generic"  # name of a file in drives/ next to the configuration, or a path
+    rated_torque: Positive = 1.0  # N*m of the motor, the required value of 0x6076
     counts_per_revolution: Counts = 65536  # of the motor, 0x6064
     gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
     torque_sign: Sign = 1
@@ -101,14 +101,14 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     velocity_cutoff: Positive = 100.0  # Hz, of the filter when differentiated
     max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
     max_speed: Positive = 50.0  # rad/s, the drive's own clamp 0x6080; default in a file: limits.motor_over_speed
-    host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops by itself
+    host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops
     rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, where the drive has it
     connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007
     require_watchdog: bool = True  # refuse a drive that would go on when this computer dies
 
     @property
     def differentiates(self) -> bool:
-        """Return True if the velocity is that of 0x6064, because 0x606C is not received or not used."""
+        """Return True if the velocity comes from 0x6064, because 0x606C is not received or not used."""
         return self.pdo == "lean" or self.velocity_source == "position"
 
 
@@ -123,7 +123,7 @@ class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
 
 
 class TorqueSensorSettings(NodeSettings, frozen=True, kw_only=True):
-    """A CiA 404 joint torque sensor; `control.direction` says when it decides the slip direction."""
+    """A CiA 404 joint torque sensor; `control.direction` decides when it determines the slip direction."""
 
     every: Annotated[int, Meta(ge=1, le=2)] | None = None  # SYNCs per answer; default: 2 if the bit rate needs it, or 1
     resolution: Positive = 1e-6  # N*m per digit of 0x9130:1

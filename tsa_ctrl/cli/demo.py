@@ -56,8 +56,12 @@ STAGE_WORDS = {
 )
 @click.option("--leg", is_flag=True, help="Hip, knee and ankle that bend each other's sheaths, in virtual time.")
 @click.option("--full", is_flag=True, help="The full circle: hide an effect, run, calibrate, diagnose, run again.")
-@click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Of --full: what is hidden.")
-@click.option("--hidden", multiple=True, metavar="EFFECT", help="Of --full: hide this (repeatable), sized by seed.")
+@click.option(
+    "--seed", default=1, show_default=True, type=click.IntRange(0), help="With --full: class of the hidden effect."
+)
+@click.option(
+    "--hidden", multiple=True, metavar="EFFECT", help="With --full: hide this effect (repeatable), sized by seed."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     setpoint: Path | None,
@@ -261,7 +265,7 @@ def _show(outcome: Outcome, asked: float | None) -> None:
 
 
 def _show_circle(circle: Circle, folder: Path) -> None:
-    """What was hidden and found, and the error of each stage; `folder` is where everything was left."""
+    """Print the hidden effect, the result, and the error of each stage; `folder` is where everything was left."""
     from rich.console import Console
     from rich.table import Table
 

@@ -84,7 +84,7 @@ def convert(log: str, out: Path) -> None:
 @click.option("--picture", type=click.Path(path_type=Path), help="Draw it here, as PNG.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> None:
-    """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are told.
+    """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are reported.
 
     The logs are of one axis. Half loop by the joint torque sensor or by the tendons' stretch; stiffness and zero by the
     stretch, for which q_m and q_j are needed. A change is reported from six runs on.

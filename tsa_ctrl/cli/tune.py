@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 @click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
 @CUTOFF
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
+    "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: next to the logs."
 )
 @click.option("--yes", is_flag=True, help="Write the new file without asking.")
 @click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log also the estimate. Nothing is written.")
@@ -177,7 +177,7 @@ def _on_the_rig(session: Session, asks: bool) -> Outcome:
 
 
 def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:
-    """Whether to write: after a yes, and never a file that did worse."""
+    """Return True if the files are to be written: after a yes, and never a file that did worse."""
     if not session.worth_writing(outcome):
         click.echo("the new file does no better on data not used for the fit: nothing is written", err=True)
         return False

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 @click.argument("controller", metavar="CONTROLLER.toml", type=click.Path(path_type=Path))
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="N*m at the motor; default: [safety] torque.")
 @click.option("--held", is_flag=True, help="Test sign and gain of the torque on held joints instead.")
-@click.option("--record", type=click.Path(path_type=Path), help="Folder of the record; default: that of the logs.")
+@click.option(
+    "--record", type=click.Path(path_type=Path), help="Folder of the record; default: the folder of the logs."
+)
 @click.option("--yes", is_flag=True, help="Do not ask before the motor pulls.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def command(controller: Path, torque: float | None, held: bool, record: Path | None, yes: bool, as_json: bool) -> int:

@@ -27,13 +27,13 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.polarity_check import PolarityCheck
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
-# Joint torque, tendon tensions and sheath bending of one axis: from a node on the bus, or from sensors beside it.
+# Joint torque, tendon tensions and sheath bending of one axis: from a node on the bus, or from sensors next to it.
 
 Source = Callable[[float], float]  # monotonic time now (s) -> SI value, nan when there is none that is young enough
 
 
 class Instruments:
-    """What one axis' instruments say in this cycle; nan where there is none, or its value is too old."""
+    """Hold the measurements of one axis in this cycle; nan without one, or if its value is too old."""
 
     __slots__ = (
         "_image",
@@ -214,12 +214,12 @@ class ControlAxis:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the drive is known to be disabled, or a fault keeps it so."""
+        """Return True if the drive is known to be disabled, or a fault keeps it so."""
         return self.supervisor.phase in (Phase.STANDBY, Phase.FAULT)
 
     @property
     def is_off(self) -> bool:
-        """Whether no torque is permitted, and the drive does not say that its power stage is on."""
+        """Return True if no torque is permitted, and the drive does not report that its power stage is on."""
         return self.at_rest and not (self.image.fresh and decode(self.image.statusword) in _ON)
 
     def enable(self) -> None:
@@ -240,7 +240,7 @@ class ControlAxis:
         self._register = register
 
     def joint(self) -> tuple[float, float]:
-        """Angle (rad) and velocity (rad/s) of the joint; without an encoder those of the motor, geared."""
+        """Angle (rad) and velocity (rad/s) of the joint; without an encoder the motor's, geared."""
         image = self.image
         if self._has_encoder:
             return image.q_j, image.omega_j
@@ -403,7 +403,7 @@ class ControlAxis:
         return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.TOLD else math.nan
 
     def _watch(self) -> None:
-        """Let the guard see what the compensation does, and follow what it asks for."""
+        """Pass the effect of the compensation to the guard, and apply its request."""
         law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
         velocity = law.velocity
         swing = law.swing(image.omega_m) if law.turn.turning else 0.0

@@ -89,7 +89,7 @@ class _Joint:
 
 
 class Bending:
-    """Theta of one axis' sheaths; `commanded` is what the user says it is (rad)."""
+    """Theta of one axis' sheaths; `commanded` is the value of the user (rad)."""
 
     def __init__(self, settings: BendingSettings, nominal: float, routing: Routing | None = None) -> None:
         """`nominal`: the model file's bending angle, rad; `routing`: that of `routing_of`."""
@@ -116,7 +116,7 @@ class Bending:
             )
 
     def measure(self, read: Callable[[], float]) -> None:
-        """Take the angle (rad) from a sensor; nan while it says nothing."""
+        """Take the angle (rad) from a sensor; nan without a value."""
         self._measured = read
 
     @property

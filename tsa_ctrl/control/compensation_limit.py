@@ -8,7 +8,7 @@ the friction torque that the sensors prove at this moment (`observer.proven_fric
 
 h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while the
 friction is not proven. It is at most its capacity, for any friction, load and set-point. A file that no tuning of this
-joint wrote may belong to any other joint. Its capacity is therefore that of class "worn", until the proven friction
+joint wrote may belong to any other joint. Its capacity is therefore the one of class "worn", until the proven friction
 reaches the least friction that the file's own uncertainty allows. Only motion spends it, so a
 locked joint keeps its full compensation. A joint torque sensor measures that work: the joint receives at most the
 sensor's excess over the set-point. Where friction is proven, low is close to high, and the credit has no effect.
@@ -42,7 +42,7 @@ from tsa_ctrl.safety.limiter import Reason
 #
 # bound = (lower end of the half loop's interval / its value) * min over the range of Theta of h(Theta)/h(Theta_0)
 #
-# The interval is that of the calibration, `[provenance] intervals` of the model file. A file that was never calibrated
+# The interval comes from the calibration, `[provenance] intervals` of the model file. A file that was never calibrated
 # has only [uncertainty]. If the delivered torque is measured, the guard uses the measurement and a note reports this.
 # Otherwise the lower end of [uncertainty] counts. The range of the bending is `[axis.bending] range`. It is not needed
 # if the bending is measured, commanded or estimated.
@@ -134,7 +134,9 @@ def interval_share(model: TendonSheath) -> float | None:
 
 
 def bending_share(model: TendonSheath, span: float) -> float:
-    """Least half loop at the motor over that of the model file, with Theta within 1 -+ `span` of the file's."""
+    """Return the least friction torque at the motor over the model file's, with Theta within 1 -+ `span` of the
+    file's.
+    """
     nominal = abs(sliding(model).motor_half_loop)
     if span == 0.0 or nominal == 0.0:
         return 1.0
@@ -185,7 +187,7 @@ class EnergyCredit:
 
     @capacity.setter
     def capacity(self, value: float) -> None:
-        """Change the capacity (J); what was spent stays spent."""
+        """Change the capacity (J); spent credit stays spent."""
         more = value - self._capacity
         self._capacity = value
         self._size = max(value, self._size + more)

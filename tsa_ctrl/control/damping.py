@@ -3,13 +3,13 @@
 The motor is an inertia on the tendons' spring, joint held: J_M e'' + K e = tau, with e the motor's angle less the one
 that was planned (that of the joint, and the stretch that goes with the torques). A torque -k e' damps it; but what is
 measured now acts a total delay T_d later, and w_n T_d is more than a radian, so that the plain feedback drives the
-swing instead: k = 0.02 N*m*s/rad swings for ever at one period of delay, on the shipped rig. A swing of one frequency
-can be foretold:
+swing instead: k = 0.02 N*m*s/rad swings for ever at one period of delay, on the shipped rig. An oscillation of one
+frequency can be predicted:
 
     e'(t + T_d) = e'(t) cos(w_n T_d) - w_n e(t) sin(w_n T_d),     tau = -k e'(t + T_d),     w_n = sqrt(K / J_M)
 
 The planned angle is compared T_d late, as it acted; the slow part of e (zero of the encoders, a wrong model) is left
-out. `margin` says by how much k may still grow.
+out. `margin` is the factor by which k may still grow.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Damping:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was planned."""
+        """Forget the plan."""
         self.torque = 0.0
         self._planned: list[float] = []
         self._mean = math.nan

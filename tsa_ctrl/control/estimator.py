@@ -92,7 +92,7 @@ def _half_loop_of(model: TendonSheath, at_motor: bool) -> Callable[[float], floa
 
 
 JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor that sends 20 values a second
-DOWN = 5.0  # steps at which a parameter falls: what is compensated too much moves the joint in the meantime
+DOWN = 5.0  # steps at which a parameter falls: too much compensation moves the joint in the meantime
 
 
 class EstimateState(IntEnum):
@@ -128,7 +128,7 @@ class Estimator(Protocol):
     pretension: float  # N
     state: EstimateState
     use: bool  # whether the law may use the two
-    why: str  # what a person must know of a state INVALID; empty where the state says it
+    why: str  # the explanation of a state INVALID; empty where the state says it
 
     @property
     def found(self) -> float:

@@ -49,16 +49,16 @@ def chosen(
 
 
 def why_fixed(model: TendonSheath, has_encoder: bool) -> str:
-    """What stands against an estimate from the tendons' stretch; empty where nothing does."""
+    """Return the obstacle to an estimate from the tendon elongation; empty where nothing does."""
     if not has_encoder:
-        return "stretch is what the angles of motor and joint differ by, and there is no [axis.encoder]"
+        return "the elongation is the difference of motor and joint angle, which needs an [axis.encoder]"
     if not _has_friction(model):
         return "the model has no friction or no pretension that could be estimated"
     reason = unsupported_reason(model)
     if reason:
         return reason
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
-        return "the model file does not say where the sheath bends; give [sheath] bending_centre, or run tsa tune"
+        return "the model file does not state where the sheath bends; give [sheath] bending_centre, or run tsa tune"
     if shape_share(model) > SHAPE:
         return (
             f"[uncertainty] bending_centre {model.bending_centre_uncertainty:g} leaves "

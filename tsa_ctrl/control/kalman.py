@@ -102,7 +102,8 @@ def why_not(model: TendonSheath) -> str:
     if not within:
         return ""
     return (
-        f"the model's {', '.join(within)} changes what it estimates, and would count twice in the law; remove it from "
+        f"the model's {', '.join(within)} changes the estimated quantity, and would count twice in the law; "
+        "remove it from "
         "the model file"
     )
 

@@ -43,11 +43,11 @@ from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
 CLOSING = 5.0  # Hz at which the sensor's missing torque is added at rest: all of it at once throws a hand-held joint
-STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
+STOOD = 0.1  # s at rest, after which the fronts of a joint count as at rest
 SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
-STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
+STANDS = 0.02  # N*m/s: a set-point that changes slower counts as constant
 SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
-BLIND = 2.0  # memories of the motion after a turn in which a motor without a joint encoder says nothing
+BLIND = 2.0  # memories of the motion after a reversal in which a motor without a joint encoder shows nothing
 NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
 MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
 _REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
@@ -210,7 +210,7 @@ class Law:
         else:
             motion.update(self._ratio * (q_m - self._stretch) - since, fresh)
             self._blind = BLIND * self._motion.memory if turn.turning else self._blind - self._period
-            if self._blind > 0.0:  # what the motor does by the turn itself is no motion of the joint
+            if self._blind > 0.0:  # the motion of the motor by the reversal itself is not a motion of the joint
                 turn.update(direction.sigma)
                 return
         old = direction.sigma

@@ -180,7 +180,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The numbers of one axis' law, in SI; `notes` say in words what this rig cannot have, and why."""
+    """The numbers of one axis' law, in SI; `notes` explain the limits of this rig."""
 
     front: Front
     delay: float  # s, from a measurement to the torque that acts
@@ -191,8 +191,8 @@ class Plan:
     ringing: float  # rad/s, 0 without an inertia
     damping: float  # N*m*s/rad
     margin: float  # of the damping's gain; inf without damping
-    reach: float  # m of tendon per N*m wanted at a joint at rest
-    give: float  # m of tendon per N*m wanted that a moving joint's slip has besides: 0 with all bends at the joint
+    reach: float  # m of tendon per N*m desired at a joint at rest
+    give: float  # m of tendon per N*m desired that a moving joint's slip adds: 0 with all bends at the joint
     notes: tuple[str, ...] = ()
 
     @property
@@ -251,7 +251,8 @@ def plan_of(
         )
     if not has_encoder:
         notes.append(
-            "without a joint encoder the motor stands in for the joint: reversals are not foretold, the torque turns "
+            "without a joint encoder the motor angle replaces the joint angle: reversals are not predicted, the "
+            "torque turns "
             "late, and the motor's swing on its tendons is not damped"
         )
         lead = 0.0

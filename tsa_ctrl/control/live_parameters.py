@@ -59,7 +59,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
     why = "" if fixed else '; the estimator determines it, kind = "fixed" in [axis.estimator] lets a client set it'
     damped = "" if damps is not _NONE else "; give [axis.law] motor_inertia"
-    used = "" if use is not _NONE else "; an estimate in use stays in use, and a fixed value is no estimate"
+    used = "" if use is not _NONE else "; an estimate in use stays in use, and a fixed value is not an estimate"
     bent = "" if bends is not _NONE else '; source = "command" in [axis.bending] lets a client set it'
     p, inf = Parameter, math.inf
     return (

@@ -1,4 +1,4 @@
-"""Set-points: the joint torque wanted, N*m, as a function of the time since the enable.
+"""Set-points: the desired joint torque, N*m, as a function of the time since the enable.
 
 A source is a function of time, or the last value that came over the local socket. `SetPoint` scales it, limits its
 rate, and starts at 0; a file that is over and a socket that has gone quiet end at 0.
@@ -24,8 +24,9 @@ _SAMPLED, _MOST_SAMPLES = 60.0, 20_000
 class SetPoint:
     """One axis' set-point; `gain` scales the source.
 
-    `value` is wanted now. `acting` and `ahead` are wanted `delay` and `horizon` later, `rate` (N*m/s) is its slope
-    `lead` later: a source is a function of time, so that the future is known. What comes over the socket is not.
+    `value` is the desired torque now. `acting` and `ahead` are wanted `delay` and `horizon` later, `rate` (N*m/s) is
+    its slope
+    `lead` later: a source is a function of time, so that the future is known. A set-point of the socket is not.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """Settings of the control law of an axis, as read from [axis] of the controller file.
 
-Settings stand apart from the classes that use them: mypyc, which compiles those, ignores `frozen` and
+Settings are separate from the classes that use them: mypyc, which compiles those, ignores `frozen` and
 `forbid_unknown_fields` of a `msgspec.Struct`.
 """
 
@@ -59,7 +59,7 @@ class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     """[axis.direction]."""
 
     zone: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.005  # rad/s of the joint that count as 0; more with few counts
-    play: Annotated[float, Meta(gt=0.0, le=1e-3)] = 1e-6  # m of tendon that the torque wanted must turn back
+    play: Annotated[float, Meta(gt=0.0, le=1e-3)] = 1e-6  # m of tendon by which the desired torque must reverse
 
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -124,9 +124,9 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
     # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`choice`)
     kind: Literal["fixed", "map", "sensor", "motor", "stretch", "tension"] | None = None
-    # Whether the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
+    # True if the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
     use: bool | None = None
-    attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
+    attribute: Attribution = Attribution.BENDING  # assumed to change: "friction", "pretension", "bending"
     bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
     # of kind "map": how much more the sheath may be bent than in the model file
     rate: Annotated[float, Meta(gt=0.0, le=10.0)] = (

@@ -1,7 +1,7 @@
 """Friction angle and pretension from the tendons' stretch: the estimator kind "stretch", no torque sensor, no load.
 
-The observer of the joint torque (`tsa_ctrl.observer.stretch`) learns ln x beside it, at a pretension that it is given:
-what it knows is their product, the half loop h = 2 T_p0 r_J f(x). That is parted here as every estimate is
+The observer of the joint torque (`tsa_ctrl.observer.stretch`) learns ln x beside it, at a given pretension:
+it determines their product, the friction torque h = 2 T_p0 r_J f(x). That is parted here as every estimate is
 (`attribution`), gated, bounded and rate-limited as every estimate is; where the law uses it, the observer is given the
 pretension, too. The observer goes on while the drive is off; this does not. A joint torque sensor that contradicts the
 stretch (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid: it cannot be said which of them is wrong.
@@ -31,7 +31,7 @@ _FORGET = 0.5  # s over which the residual is averaged
 
 
 class StretchEstimator:
-    """The outputs hold while the observer tells nothing; invalid, they fall to the model file's and never rise."""
+    """The outputs hold while the observer determines nothing; invalid, they fall to the model file's and never rise."""
 
     why = ""
 
@@ -58,7 +58,7 @@ class StretchEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the model file's values; what the observer knows stays."""
+        """Back to the model file's values; the knowledge of the observer stays."""
         self.friction_angle, self.pretension = self._target = self._nominal
         self.state = EstimateState.UNESTIMATED
         self.residual = 0.0  # (N*m)^2 at the joint
@@ -93,7 +93,7 @@ class StretchEstimator:
             self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _judge(self) -> None:
-        """A state holds until certain data say otherwise."""
+        """A state holds until reliable data contradict it."""
         observer = self._observer
         if self.residual > self._worst or observer.at_bound or self._contradicted():
             self.state, self._target = EstimateState.INVALID, self._fallback()

@@ -5,11 +5,11 @@ While both tendons slide one way their lengths add up, (3.31)-(3.41), whatever t
     T_p0 = (T1 alpha + T3 beta) / 2,     alpha, beta at sigma x, over the length of tendon and spring
 
 x enters with the bends between motor and joint alone, and with another sign one way and the other, so the mean of both
-counts (and of the lesser one no more than `ROOM` beyond it: what is compensated too much moves the joint). Tensions say
-nothing of the friction coefficient. It stays, and what changed is the tensioner ("pretension": x stays) or the sheath's
+counts (and of the lesser one no more than `ROOM` beyond it: too much compensation moves the joint). Tensions do not
+identify the friction coefficient. It stays, and what changed is the tensioner ("pretension": x stays) or the sheath's
 bending ("bending": Theta by (3.56), x = mu Theta).
 
-The two cells check each other against the motor's torque, T3 - T1 = tau_M/r_M: one that stands still, drifts or has a
+The two cells check each other against the motor's torque, T3 - T1 = tau_M/r_M: one that is stuck, drifts or has a
 wrong gain makes the estimate invalid, and the outputs fall to the model file's and never rise. Both that drift alike
 are seen at the bounds alone.
 """
@@ -37,7 +37,7 @@ ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 
 
 class TensionEstimator:
-    """The outputs hold while nothing is admitted; `why` says what is wrong while it is invalid."""
+    """The outputs hold while nothing is admitted; `why` has the reason while it is invalid."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         """`period` in s."""
@@ -100,7 +100,7 @@ class TensionEstimator:
         self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _take(self, seen: Sample, tau_m: float) -> None:
-        """Both cells say something, and so does the motor."""
+        """Return True if both cells and the motor have a value."""
         unbalanced = seen.t3 - seen.t1 - self._per_radius * tau_m
         self.residual += self._forget * (unbalanced * unbalanced - self.residual)
         if not self.residual <= self._worst:
@@ -140,7 +140,7 @@ class TensionEstimator:
         if not low < factor < high:
             self._refuse(
                 f"the load cells show {tension:.3g} N of pretension, {what} as the model file has, allowed are "
-                f"{low:.2f} to {high:.2f} (estimator.bounds); look at tensioner and cells, or calibrate anew"
+                f"{low:.2f} to {high:.2f} (estimator.bounds); check tensioner and cells, or calibrate again"
             )
             return
         self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, tension)
@@ -155,7 +155,7 @@ class TensionEstimator:
 
 
 def why_not(attribute: Attribution, measured: Collection[str]) -> str:
-    """What stands against it, with the cure; `measured`: quantities that have a sensor. Empty where nothing does."""
+    """Return the obstacle with its remedy; `measured`: quantities that have a sensor. Empty where nothing does."""
     missing = [name for name in ("t1", "t3") if name not in measured]
     if missing:
         return f"without a serial sensor of {' and '.join(missing)}; it takes both t1 and t3: give it, or another kind"

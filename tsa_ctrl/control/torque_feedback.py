@@ -5,7 +5,7 @@ friction, ripple, an eccentric pulley. One integrator per direction removes it,
 
     dC/dt = k (tau_J* - tau_J) r_M/r_J
 
-A reversal therefore begins with the correction of its own direction. While the tendons stick, the joint torque does not
+A reversal therefore begins with the correction of the new direction. While the tendons stick, the joint torque does not
 follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
 
 * The error counts only while the command is the largest since the last reversal. Below it nothing slides.

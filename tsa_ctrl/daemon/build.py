@@ -238,12 +238,12 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
 
 
 def shape_known(model: TendonSheath) -> bool:
-    """Return True if the model file says where the sheath bends."""
+    """Return True if the model file states where the sheath bends."""
     return model.bending_centre is not None or "elongation_coupling" in model.effects
 
 
 def bent_at_joint(model: TendonSheath) -> bool:
-    """Return True if the model file says that all bends are at the joint, within `AT_JOINT`."""
+    """Return True if, by the model file, all bends are at the joint, within `AT_JOINT`."""
     return shape_known(model) and 1.0 - compliance_centre(model) < AT_JOINT
 
 
@@ -314,12 +314,10 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         compensation=settings.law.compensation,
     )
     notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
-    if why_fixed and not joint_torque.why_not:  # which says the same
+    if why_fixed and not joint_torque.why_not:  # which has the same effect
         notes.append(why_fixed)
     if settings.oscillation is not None:
-        notes.append(
-            "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
-        )
+        notes.append("[axis.oscillation] no longer has an effect: the guard of [axis.passivity] replaces it; remove it")
     return Bound(bound.seen, bound.unseen, tuple(notes))
 
 

@@ -29,11 +29,11 @@ from tsa_ctrl.system.realtime import Ticker
 STATUS_RATE = 50.0  # Hz of the published status
 SETTLE_TIME = 3.0  # s beyond the cycles to settle, after which start is given up
 RESET_TIME = 0.5  # s beyond the supervisors' own time-out
-STOP_TIME = 2.0  # s beyond ramp and confirmation, after which the loop ends whatever the drives say
+STOP_TIME = 2.0  # s beyond ramp and confirmation, after which the loop ends in any case
 
 
 class Loop:
-    """Runs cycles until somebody says stop; `cause` is the first reason to end."""
+    """Run cycles until a stop is requested; `cause` is the first reason to end."""
 
     def __init__(
         self,
@@ -119,7 +119,7 @@ class Loop:
 
     @property
     def stop_asked(self) -> str | None:
-        """Who asked for the end, if anybody did; known before it runs, too."""
+        """Return the origin of the stop request, if there is one; also known before it runs."""
         return self._stop or ("tsa stop" if self._mailbox.stop_requested else None)
 
     def note(self, text: str) -> None:
@@ -248,7 +248,7 @@ class Loop:
             self.stop(text)
 
     def _reset(self, planned: int) -> None:
-        """Hold the reset until every supervisor is back in standby, then settle anew."""
+        """Hold the reset until every supervisor is back in standby, then settle again."""
         standby = all(axis.supervisor.phase is Phase.STANDBY for axis in self._axes)
         if not standby and planned * 1e-9 - self._since < self._reset_time:
             return

@@ -1,4 +1,4 @@
-"""Report as events what a person should know of a run: what this rig lacks, and what goes wrong without a fault.
+"""Report facts of a run as events: limits of the rig, and problems without a fault.
 
 `AxisNotices` compares the state of one axis with its last one. `Notices` does this for all axes and for the loop.
 `ProcessNotices` monitors a process next to the loop.
@@ -22,10 +22,10 @@ LOST_SHARE = 0.05  # of the cycles since the last check: a sound bus loses fewer
 LEAST_LOST = 2  # commands that a drive did not hear; one may be lost with an error
 SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
 BITS = (  # of the statusword, that stop nothing
-    (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, says what"),
+    (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, has the reason"),
     (
         INTERNAL_LIMIT,
-        "is at a limit of its own (bit 11 of statusword {:#06x}): it may give less than it is told; its current limit, "
+        "is at an internal limit (bit 11 of statusword {:#06x}): it may give less than the command; its current limit, "
         "temperature, and 0x6072 and 0x6080",
     ),
 )
@@ -122,7 +122,7 @@ class AxisNotices:
             self._less = True
             self._add(
                 t,
-                f"friction and pretension together are about {100.0 * found:.0f} % of what the model file says, by "
+                f"friction and pretension together are about {100.0 * found:.0f} % of the model file's values, by "
                 "the estimate that is in use: no more is compensated; a tensioner that gave way, a straighter or "
                 "smoother sheath: mend that, or calibrate anew",
             )

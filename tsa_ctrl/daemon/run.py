@@ -212,7 +212,7 @@ class Daemon:
             )
             try:
                 summary.save()
-            except UsageError as error:  # a full disk is no reason to lose the summary itself
+            except UsageError as error:  # a full disk must not lose the summary
                 self._say(str(error))
             return summary
         finally:

@@ -53,7 +53,7 @@ class Summary:
     late: int  # cycles that began later than half a period
     dropped: int  # frames that could not be sent
     error_frames: int
-    flooded: int  # cycles whose answers could not be told from old ones
+    flooded: int  # cycles whose answers could not be distinguished from old ones
     load: tuple[float, float]  # of the bit rate: least and worst bit stuffing
     rights: str
     lateness: Distribution
@@ -97,7 +97,7 @@ class Summary:
         return found
 
     def save(self) -> None:
-        """Write it as JSON beside the log, so that the cause of a fault stays with it; raises UsageError."""
+        """Write it as JSON next to the log, so that the cause of a fault stays with it; raises UsageError."""
         if self.log is not None:
             write_text(Path(self.log).with_suffix(".json"), json.dumps(self.as_dict(), indent=1) + "\n")
 

@@ -59,7 +59,7 @@ class Telemetry:
         self._note = None if ring is None else ring.note
         self._noted = 0
         self._error_frames = 0
-        self._warnings: dict[tuple[int, int], int] = {}  # told of each node
+        self._warnings: dict[tuple[int, int], int] = {}  # reported of each node
         self._server_alive: Callable[[], bool] | None = None
         self._processes: list[ProcessNotices] = []
         if ring is not None and log is not None:
@@ -211,7 +211,7 @@ class Telemetry:
                 lambda: mailbox.heard,
                 lambda: mailbox.replaced,
                 "the loop goes on, a signal (SIGTERM) ends it; a process in its place follows",
-                "the loop went on; clients connect anew",
+                "the loop went on; clients connect again",
             )
         )
 

@@ -51,7 +51,7 @@ def demo(
     """Run both and measure; everything is left in `folder`. `say(what, share)` reports progress.
 
     `seconds` of torque per run; `rate` of the loop in Hz, None for RATE or the half or quarter of it that this machine
-    keeps; `tendon` is the plant's kind ("full" or "distributed") and `load` what the joint drives. Raises BusError when
+    keeps; `tendon` is the plant's kind ("full" or "distributed") and `load` the load of the joint. Raises BusError when
     plant or daemon fail.
     """
     taken, plant = rate or RATE, rig.plant(bus, tendon, load=load)

@@ -65,7 +65,7 @@ def can_interrupts(channel: str, settings: RealtimeSettings, proc: Path = PROC, 
 def interrupts_of(channel: str, proc: Path, sys: Path) -> list[int]:
     """Return the numbers of the interrupts in use for a network interface.
 
-    They are those with the name of the interface or of its device, else those of the nearest parent device that has
+    They have the name of the interface or of its device; otherwise they belong to the nearest parent device with
     interrupts: a USB adapter is served by the interrupts of its host controller.
     """
     link = sys / "class/net" / channel / "device"

@@ -80,7 +80,7 @@ def governor() -> Check:
 
 
 def clock_source() -> Check:
-    """Return the check of the clock: each reading takes a microsecond or more if it is no processor counter."""
+    """Return the check of the clock: each reading takes a microsecond or more unless it is a processor counter."""
     found = text_of(CLOCKS / "current_clocksource") or "unknown"
     available = text_of(CLOCKS / "available_clocksource")
     better = next((name for name in GOOD_CLOCKS if name in available.split()), None)

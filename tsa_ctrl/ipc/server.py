@@ -364,7 +364,7 @@ class Server:
         cycle, _, phase, _ = self._mailbox.measured()
         if cycle and now - cycle > HANGS and not self._mailbox.stage()[1]:
             ending = self._description.phases[phase] in ENDING
-            lease.end("the daemon has ended" if ending else f"the loop hangs, there was no cycle for {HANGS:g} s")
+            lease.end("the daemon has ended" if ending else f"the loop hangs, no cycle for {HANGS:g} s")
         elif (found := self._mailbox.text())[0] != self._read:
             self._read = found[0]
             for event in events_since(self._mailbox, self._told):

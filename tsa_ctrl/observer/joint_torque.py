@@ -211,7 +211,7 @@ class JointTorque:
             why_not: the reason for that.
             period: s.
             elongation: the estimate that does not use the reported torque.
-            shape_known: the model file says where the sheath bends. Otherwise a wrong shape looks like a wrong
+            shape_known: the model file states where the sheath bends. Otherwise a wrong shape looks like a wrong
                 stiffness, and the stiffness tells nothing of the motor torque.
         """
         self.model = model

@@ -95,7 +95,7 @@ STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in a
 SURELY = 2.0
 NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
-TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
+TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of the torque that drives report; the simulated one's
 # s, uncertainty of the delay between torque and angles while the elongation changes: half of a current loop's delay.
 # A trembling hand makes only reversals, and without this term the filter learns a wrong stiffness from them.
 TIME_DOUBT = 0.3e-3
@@ -111,7 +111,7 @@ BAND = 1.96  # standard deviations of 95 %
 # 1, of the variance that the filter has of the tendons: it is told of more friction that walks and passes than tendons
 # show, to follow a change of 40 % within 10 s; with all of it the band is three times as wide as it must be. By this
 # and `TOLD` the band holds 95 to 97 % of the samples of simulated rigs on average (tools/run bench/stretch); of one rig
-# more or less, as what is left is no noise
+# more or less, as the residual is not noise
 OF_TENDONS = 0.035
 # 1, error over the friction torque in the middle of a reversal, if the file has only the centre of the bends. Two bends
 # with a straight piece between them change the slip fronts by this much (5.3 % RMS over the reversal).
@@ -131,10 +131,10 @@ MISLED, MISLED_FOR = 0.05, 1.0
 class StretchState(Enum):
     """Values are the log's codes."""
 
-    NONE = 0  # no two encoders, or a shape by which the stretch tells nothing
+    NONE = 0  # no two encoders, or a profile for which the elongation determines nothing
     UNSLID = 1  # the tendons have not slid all along yet: the band holds all that the friction may hide
     TOLD = 2
-    SLACK = 3  # a tendon is, or the motor's torque is beyond the domain: nothing is told
+    SLACK = 3  # a tendon is, or the motor's torque is beyond the domain: nothing is reported
 
 
 class StretchObserver:
@@ -150,7 +150,7 @@ class StretchObserver:
     ) -> None:
         """`period` in s; `counts`: rad of one count at the motor's and the joint's pulley; J_M in kg*m^2.
 
-        Raises UsageError where the shape of the sheath makes the stretch say nothing, or nothing is stretched.
+        Raises UsageError if the elongation determines nothing for the profile of the sheath, or nothing elongates.
         """
         if not (model.friction_angle > 0.0 and model.pretension > 0.0):
             raise UsageError(
@@ -179,13 +179,13 @@ class StretchObserver:
         self._misled = MISLED * hidden + 2.0 * math.sqrt(self._settings[tendons.NOISE] / ALIKE)
         self._keep_misfit = math.exp(-period / MISLED_FOR)
         self.confirmation = Confirmation(model, self._settings[tendons.NOISE] / ALIKE, period)
-        self.pretension = model.pretension  # N, that x is told at
+        self.pretension = model.pretension  # N, at which x is reported
         self.most_friction_angle = model.most_friction * model.friction_angle  # 1, at the file's pretension
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the zero of s, too; the next measurement begins anew."""
+        """Reset everything, also the zero of s; the next measurement begins again."""
         self._gap = 0.0
         self.confirmation.reset()
         self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
@@ -199,12 +199,12 @@ class StretchObserver:
         self._lose()
 
     def _lose(self) -> None:
-        """Forget where the fronts are; what was learned of friction and zero stays."""
+        """Forget where the fronts are; the estimates of friction and zero stay."""
         self.state = StretchState.UNSLID
         self.torque = self.low = self.high = math.nan
         self._last = math.nan  # m, the joint's way
         self._omega = self._stretch = math.nan
-        self._misfit = self._misled_by = 0.0  # m, the most that the innovation was of late; m^2, see `_misleads`
+        self._misfit = self._misled_by = 0.0  # m, the largest recent innovation; m^2, see `_misleads`
 
     def _begin(self, stretch: float) -> None:
         """Tensions level along each tendon, by the stretch (m) that there is."""
@@ -227,7 +227,7 @@ class StretchObserver:
 
     @property
     def friction_angle(self) -> float:
-        """x (1) that goes with `pretension`: what is told of both is their product."""
+        """x (1) that goes with `pretension`: the report of both is their product."""
         return float(self._memory[tendons.ANGLE])
 
     @property
@@ -243,7 +243,7 @@ class StretchObserver:
 
     @property
     def at_bound(self) -> bool:
-        """Whether stiffness or friction would have to be more, or less, than they may: these are other tendons."""
+        """Return True if stiffness or friction would have to be beyond their bounds: these are other tendons."""
         memory, told = self._memory, self._settings
         stiff, x, most = memory[tendons.STIFF], memory[tendons.ANGLE], told[tendons.MOST_STIFF]
         inside = 1.0 / most < NEARLY * stiff and stiff < NEARLY * most
@@ -251,7 +251,7 @@ class StretchObserver:
 
     @property
     def zero(self) -> float:
-        """m of stretch that the encoders show where there is none."""
+        """m of apparent elongation by the encoders."""
         return self._origin + float(self._memory[tendons.ZERO])
 
     def set_pretension(self, value: float) -> None:
@@ -369,7 +369,7 @@ def _hidden(model: TendonSheath, centre: float) -> float:
 
 
 def _settings(model: TendonSheath, period: float, counts: tuple[float, float], centre: float) -> Array:
-    """What the filter is told once; `counts` in m of the two pulleys, `centre` of the bends, 1."""
+    """Hold the constants of the filter; `counts` in m of the two pulleys, `centre` of the bends, 1."""
     x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
     told = np.zeros(tendons.SETTINGS)
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x

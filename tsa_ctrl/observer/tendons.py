@@ -159,12 +159,12 @@ def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, 
     return stretch, end, slid
 
 
-# What `observe` keeps between two calls, a row of floats.
+# State of `observe` between two calls, a row of floats.
 ANGLE = 0  # friction angle x of the tendons as they are now, 1
-ZERO = 1  # m of stretch that the encoders show where there is none
+ZERO = 1  # m of apparent elongation by the encoders
 FAST = 2  # 1, friction beyond x that is not expected to stay
 STIFF = 3  # 1, stiffness over the model's
-SLID = 4  # 1 once both tendons have slid all along, however they lay at the start: what they were before is forgotten
+SLID = 4  # 1 once both tendons have slid all along, however they lay at the start: their earlier values are forgotten
 INNOVATION = 5  # m
 REST = 6  # 1, from when the joint's end rests until all slides again: how surely the tensions were known then
 KNOWN = 7  # 1, share of what was held that counts as known
@@ -180,7 +180,7 @@ COVARIANCE = 24  # from here on, (4, 4)
 STATES = 4
 X, K, F, Z = 0, 1, 2, 3  # ln x, ln STIFF, FAST, ZERO (m)
 MEMORY = COVARIANCE + STATES * STATES
-# What it is told once.
+# Hold the constants.
 LOW, HIGH = 0, 1  # of x
 MOST_ZERO = 2  # m, either way
 MOST_STIFF = 3  # factor either way
@@ -207,7 +207,8 @@ def covariance(memory: Array) -> Array:
 
 @njit(cache=True, error_model="numpy")
 def _rest(pairs: Array, w: Array, keep: float, sure: float, way: float, settled: float) -> None:
-    """Keep apart what no longer depends on x and stiffness: tensions at a joint's end at rest, measured while all slid.
+    """Separate the part that no longer depends on x and stiffness: tensions at a joint's end at rest, measured while
+    all slid.
 
     As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts. `way`: m
     that motor and joint made in this step; `settled`: see SETTLED.

@@ -33,7 +33,7 @@ COLUMNS: tuple[tuple[str, str], ...] = (
     ("state", "CiA 402 state, bits of the statusword"),
     ("enabled", "power stage on"),
     ("command", "N*m at the motor pulley, after the drive's clamp"),
-    ("torque_loop", "N*m, what the drive's current says"),
+    ("torque_loop", "N*m, measured by the current of the drive"),
     ("tau_m", "N*m that acts on the motor pulley"),
     ("q_m", "rad"),
     ("omega_m", "rad/s"),
@@ -239,7 +239,7 @@ class Axis:
         self._rest(motion.angle[0] if prescribed else joint.initial_angle)
 
     def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Both tendons element by element; a single element that nobody asks where the full model is chosen."""
+        """Both tendons element by element; a single unused element if the full model is chosen."""
         p, tendon = self.parameters[0], self.settings.tendon
         distributed = tendon.kind == "distributed"
         bristle = tendon.bristle_stiffness

@@ -1,13 +1,13 @@
 """A tendon in its sheath as a chain: springs between contacts that stick or slide by Coulomb (capstan) friction.
 
-Contact i stands for the bend of element i. It is pulled to the motor by T_{i-1}, to the joint by T_i, and held by
+Contact i represents the bend of element i. It is pulled to the motor by T_{i-1}, to the joint by T_i, and held by
 
     F_i = clip(F_i,old + k_b (y_i - y_i,old), -B_i, B_i),     B_i = tanh(x_i / 2) (T_{i-1} + T_i)
 
 so that at a bound T_{i-1} / T_i = exp(+-x_i), exactly the capstan. Strings have no mass: every sub-step is an
 equilibrium T_{i-1} - T_i = F_i of all contacts, found by Newton's method on the set of sticking and sliding contacts
 (each step one tridiagonal system, an M-matrix). Slip fronts travel along the chain by themselves. y counts to the
-motor. The return to the bound is always along F, so friction never creates energy; what it takes is summed.
+motor. The return to the bound is always along F, so friction never creates energy; its friction is summed.
 
 With capstan friction a tendon is slack everywhere or nowhere: where T is 0 the neighbours cannot hold any.
 """

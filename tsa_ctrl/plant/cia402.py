@@ -22,7 +22,9 @@ class PowerState(IntEnum):
 
 
 class Command(Enum):
-    """Commands of the controlword: bits that count, and their value. Fault reset is an edge and stands apart."""
+    """Commands of the controlword: bits that count, and their value. Fault reset is an edge and is handled
+    separately.
+    """
 
     SHUTDOWN = (0x87, 0x06)
     SWITCH_ON = (0x8F, 0x07)  # in operation enabled this is disable operation

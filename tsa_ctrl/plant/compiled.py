@@ -1,7 +1,7 @@
 """The one decorator of the inner loop: compiled by numba, kept in a cache, IEEE division.
 
 numba looks at a function's own file only when it decides whether a cached version is still good, not at the files of
-what it calls. So what was compiled of these sources lies in a folder of its own, named by their digest.
+the called functions. So the compiled code of these sources is in a separate folder, named by their digest.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _KEPT = 14 * 86_400.0  # s; compiled code of other versions is thrown away when 
 
 
 def _cache_of(folder: Path) -> str:
-    """Folder below numba's cache for just these sources; "" where numba finds a place by itself."""
+    """Folder below numba's cache for just these sources; "" if numba finds a place."""
     if not config.CACHE_DIR:
         return ""
     digest = hashlib.blake2b(b"".join((folder / name).read_bytes() for name in _KERNELS), digest_size=8).hexdigest()

@@ -146,7 +146,7 @@ class ObjectDictionary:
             self.values[entry.key] = self.power_on_value(entry)
 
     def power_on_value(self, entry: Entry) -> int:
-        """What an object of numbers holds after power-on."""
+        """Return the value of a numeric object after power-on."""
         assert isinstance(entry.default, int)
         return self.stored.get(entry.key, entry.default + (self.node_id if entry.plus_node else 0))
 

@@ -58,7 +58,7 @@ _RESTING = 0.01  # of rated torque: below it a quick stop or a fault reaction is
 
 
 class ConnectionLoss(IntEnum):
-    """0x6007: what the drive does when the connection is lost."""
+    """0x6007: the reaction of the drive to a lost connection."""
 
     NOTHING = 0
     FAULT = 1
@@ -164,7 +164,7 @@ class Drive:
         self._obey()
 
     def communication_error(self, code: EmcyCode) -> bool:
-        """Whether this axis reports it, as a fault of its own."""
+        """Return True if this axis reports it as its own fault."""
         if code is not EmcyCode.RPDO_TIMEOUT or self.machine.state not in _ENABLED or not self.settings.watchdogs:
             return False
         self.fault(code)
@@ -212,7 +212,7 @@ class Drive:
             self.machine.voltage_off()
 
     def _obey(self) -> None:
-        """State and objects to the power stage. Outside of operation enabled there is no torque."""
+        """State and objects to the power stage. Outside of operation enabled, the torque is zero."""
         values, settings, command = self.values, self.settings, self.command
         enabled = self.node.powered and self.machine.state is PowerState.OPERATION_ENABLED
         target = 0

@@ -41,7 +41,7 @@ _RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0x
 
 @dataclass(frozen=True)
 class Clamp:
-    """An object that limits the torque: `rated` in it is the rated torque, `zero` none; or another object says so."""
+    """An object that limits the torque: `rated` is the rated torque, `zero` none; or another object defines it."""
 
     key: Key
     rated: int | Key

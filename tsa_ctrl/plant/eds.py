@@ -43,7 +43,7 @@ def eds(dictionary: ObjectDictionary, file_name: str) -> str:
 
 
 def file_names(path: Path, node_ids: Iterable[int]) -> dict[int, Path]:
-    """Where the EDS of each node goes: to `path`, or beside it with the node's id when there are several."""
+    """Where the EDS of each node goes: to `path`, or next to it with the node id if there are several."""
     ids = list(node_ids)
     if len(ids) == 1:
         return {ids[0]: path}

@@ -26,7 +26,7 @@ _I = np.int64
 
 
 class Presliding(IntEnum):
-    """What the friction's direction follows while it builds up."""
+    """Hold the direction of the friction while it builds up."""
 
     ELASTIC = 0  # displacement of the tendon where it is bent, over what its elasticity gives
     MOTOR = 1  # effect presliding_hysteresis over the motor's angle
@@ -141,7 +141,7 @@ _NAMES: dict[str, dict[str, str]] = {
 
 
 def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath) -> dict[str, float]:
-    """Numbers of the record for these effects, and those of the absent ones."""
+    """Return the numbers of the record for these effects, and for the absent ones."""
     values: dict[str, float] = {**_NEUTRAL, "reference_tension": max(model.pretension, 1e-6)}
     for name, parameters in effects.items():
         for key, target in _NAMES.get(name, {}).items():
@@ -250,7 +250,7 @@ def arm(p: Any, q_j: float) -> tuple[float, float]:
 
 @compiled
 def joint_losses(p: Any, q: float, omega: float, acceleration: float) -> float:
-    """What the effects between the joint pulley and the load take from the tendons' torque."""
+    """Return the torque of the effects between the joint pulley and the load."""
     return float(
         p.viscous * omega
         + p.viscous_difference * abs(omega)

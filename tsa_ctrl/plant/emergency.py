@@ -40,7 +40,7 @@ def entries() -> list[Entry]:
 
 
 class ErrorLog:
-    """Of one node; `report` says one error, `clear_*` forget."""
+    """Hold the errors of one node; `report` sends one error, `clear_*` forget."""
 
     def __init__(self, dictionary: ObjectDictionary, send: Callable[[int, bytes], bool]) -> None:
         self._dictionary = dictionary

@@ -114,7 +114,7 @@ def _encoder_slip(target: Target) -> Undo:
 
 
 def _object(target: Target, distorted: Callable[[int], int], index: int) -> Undo:
-    """Distort what the drive reports in this object."""
+    """Distort the value that the drive reports in this object."""
     distortions = target.drive.faults.distortions
     distortions[index, 0] = distorted
 
@@ -217,7 +217,7 @@ MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
         lambda t: swap(_sensor(t).faults, "gain", t.value),
         -1.0, "of what is there", -10, 10,
     ),
-    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame says so", _watchdogs_lost),
+    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
     "sparse_rpdo": FaultKind(
         "so many commands in a row do not reach the node, then one does",
         lambda t: swap(t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
@@ -270,7 +270,7 @@ def _error_frame(target: Target) -> Undo:
 
 
 def _foreign_sdo(target: Target) -> Undo:
-    """Entry 1 of 0x1016 is written to 0: nobody is watched for any longer."""
+    """Entry 1 of 0x1016 is written to 0: no node is monitored any longer."""
     can_id, request = 0x600 + target.node.node_id, bytes((0x23, 0x16, 0x10, 0x01, 0, 0, 0, 0))
     target.rig.inject(can_id, request, target.place)
     target.node.receive(can_id, request, target.now)
@@ -328,7 +328,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "ignored_command": FaultKind(
         "bit 12 is low, the target torque is not followed", lambda t: swap(t.drive.faults, "ignore_command", True)
     ),
-    "foreign_sdo": FaultKind("somebody else writes by SDO: the node watches our heartbeat no more", _foreign_sdo),
+    "foreign_sdo": FaultKind("another master writes by SDO: the node no longer monitors our heartbeat", _foreign_sdo),
     "torque_offset": FaultKind(
         "another tool writes the torque offset 0x60B2 out of sight of this bus",
         _torque_offset, 120, "per mille of the rated torque", -1000, 1000,
@@ -338,13 +338,13 @@ FAULTS: Mapping[str, FaultKind] = {
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
     "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
-        "the interface is down; when it is up again, what was on the bus just before is replayed to both sides",
+        "the interface is down; when it is up again, the last frames on the bus are replayed to both sides",
         _interface_down, 0.05, "s", 0.0, 10.0,
     ),
     "flood": FaultKind(
         "frames of other identifiers", lambda t: swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),
-    "torque_sensor_stuck": FaultKind("the joint torque sensor stands still", _torque_sensor_stuck),
+    "torque_sensor_stuck": FaultKind("the joint torque sensor is stuck", _torque_sensor_stuck),
     "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0),
     "reversed_sign": FaultKind(
         "the motor turns the wrong way", lambda t: swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
@@ -362,7 +362,7 @@ FAULTS: Mapping[str, FaultKind] = {
         "the tensioner gives way", lambda t: parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
     ),
     "clock_drift": FaultKind(
-        "the drive works by a clock of its own", lambda t: swap(t.drive.faults, "clock_drift", t.value),
+        "the drive has a separate clock", lambda t: swap(t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
     "digital_input": FaultKind(
@@ -404,7 +404,7 @@ def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind
     Args:
         fault: the fault.
         where: its place, for the message.
-        others: kinds in addition to those of the plant.
+        others: kinds in addition to the plant's.
     """
     kinds = {**FAULTS, **CHANGES, **others}
     kind = kinds.get(fault.name)

@@ -30,7 +30,7 @@ def steps_of(effects: Mapping[str, Mapping[str, Any]]) -> NDArray[np.float64]:
 
 
 def memory_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What these steps remember, (memories, 4), before they have begun."""
+    """Return the initial state of these steps, (memories, 4)."""
     return np.zeros((int(np.sum(steps[0] >= _LAG)), 4))
 
 
@@ -111,14 +111,14 @@ def _one(op: int, x: float) -> float:
 
 @compiled
 def _remembered(own: Any, op: int, first: float, second: float, x: float, h: float) -> float:
-    """The memory's value at x, h s after the last; nothing moves where x is no number."""
+    """The memory's value at x, h s after the last; nothing moves if x is not a number."""
     if not math.isfinite(x):
         return math.nan
     if own[0] == 0.0:
         own[0], own[1], own[2], own[3] = 1.0, 0.0 if op > _RING else x, 0.0, x
         return float(own[1])
     move = x - own[3]
-    if op == _LAG:  # y = x - T slope + what dies away
+    if op == _LAG:  # y = x - T slope + a decaying part
         late = first * move / h
         own[1] = x - late + (own[1] - own[3] + late) * math.exp(-h / first)
     elif op == _RING:

@@ -1,7 +1,7 @@
 """The simulated machine: axes and their nodes on one bus or several, in real time, in one thread.
 
-Time is CLOCK_MONOTONIC. The mechanics are brought up to now at every SYNC before the sensors are read, and by a timer
-when there is none. Housekeeping is done right after a SYNC was answered, never before the next one.
+Time is CLOCK_MONOTONIC. The mechanics are advanced at every SYNC before the sensors are read, and by a timer without
+SYNC. Housekeeping is done right after a SYNC was answered, never before the next one.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class DriveNode(Node):
             self._impersonate(drive)
             self._apply_quirks(drive)
 
-    # what the drives add to a node
+    # the part of the drives in a node
 
     def power_on(self) -> None:
         for drive in self.drives:
@@ -164,7 +164,7 @@ def _place(name: str) -> tuple[int, int | None]:
 SYNC = 0x080
 TICK = 1e-3  # s between two looks at the timers
 _AFTER_SYNC = 1.5e-3  # s: with a SYNC every millisecond the timer never comes before it
-_UNUSED = 0x5F0  # an identifier of nobody here
+_UNUSED = 0x5F0  # an identifier of no node here
 _FLOOD_BURST = 2e-3  # s of a flood that are sent at once
 _HEARD = 1024  # frames of the master that a replay can reach back
 _LONGEST_GAP = 0.25  # s that the mechanics make up for; more is time in which this machine stood still
@@ -189,7 +189,7 @@ class AxisNodes:
 
 @dataclass
 class Counts:
-    """What happened while running."""
+    """Hold the counts of a run."""
 
     syncs: int = 0
     frames: int = 0
@@ -237,7 +237,7 @@ def _build_axis(
 
 
 class Machine:
-    """All axes on `bus`. `run` until `stop` says so."""
+    """All axes on `bus`. `run` until `stop` is set."""
 
     def __init__(
         self,
@@ -261,7 +261,7 @@ class Machine:
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self._transmit = tuple({id(out): out for unit in self.axes for out in unit.transmit.values()}.values())
         self.faults = FaultPlan()
-        self.flood_rate = 0.0  # frames/s of identifiers that nobody uses
+        self.flood_rate = 0.0  # frames/s of unused identifiers
         self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Record | None = None
         self._flood_due = 0.0
@@ -271,7 +271,7 @@ class Machine:
         numbers = {id(node): plant.bus_number(unit.axis.settings) for unit in self.axes for node in unit.nodes}
         self._by_bus = [[node for node in self.nodes if numbers[id(node)] == n] for n in range(len(self.buses))]
         self._next_tick = self._epoch
-        self.mechanism.advance(1e-9)  # compiles, or loads what was compiled before
+        self.mechanism.advance(1e-9)  # compiles, or loads compiled code
         for unit in self.axes:
             unit.drive.before_change = self._bring_up(unit.axis)
         for node in self.nodes:
@@ -355,7 +355,7 @@ class Machine:
             begin(now)
 
     def beginning(self, axis: str | None, fault: FaultSettings) -> Callable[[float], None]:
-        """What starts a fault at the time that it is given, s of the clock. Raises UsageError."""
+        """Return the function that starts a fault at the given time, s of the clock. Raises UsageError."""
         named = {unit.axis.name: unit for unit in self.axes}
         unit = self.axes[0] if axis is None else named.get(axis)
         if unit is None:

@@ -346,7 +346,7 @@ def _solve(
             return q_m, q_j
         if high - low < _CLOSED:  # the joint's angle has moved the root out
             low, high = -np.inf, np.inf
-        reduced = r[0] - r[3] * r[1] / r[5]  # balance of the motor with that of the joint met
+        reduced = r[0] - r[3] * r[1] / r[5]  # balance of the motor and of the joint met
         if reduced < 0.0:
             low = max(low, q_m)
         else:

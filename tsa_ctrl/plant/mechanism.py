@@ -54,7 +54,7 @@ class Limb:
                     "give axes and joints the same names"
                 )
             if model.jnt_type[joints[name]] != mujoco.mjtJoint.mjJNT_HINGE:
-                raise UsageError(f"{path}: joint '{name}' is no hinge; an axis turns a joint, choose another one")
+                raise UsageError(f"{path}: joint '{name}' is not a hinge; an axis turns a joint, choose another one")
         places = [joints[name] for name in names]
         self.travel = {
             name: (float(model.jnt_range[i][0]), float(model.jnt_range[i][1]))

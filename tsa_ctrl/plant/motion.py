@@ -66,7 +66,7 @@ def _smooth_cycle(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The periodic cubic spline through points whose last one is the first: value and slope at `t`.
 
-    scipy's, without what it costs: importing it takes as long as all else that a plant with this motion does to start.
+    scipy's, without its cost: importing it takes as long as all else that a plant with this motion does to start.
     """
     h = np.diff(x)
     chord, before = np.diff(y) / h, np.roll(h, 1)  # of each piece; length of the piece before it
@@ -90,7 +90,7 @@ def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float,
 def _from_file(settings: MotionSettings) -> Motion:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import
 
-    from tsa_ctrl.log.waypoints import read_waypoints  # slow to import, too
+    from tsa_ctrl.log.waypoints import read_waypoints  # also slow to import
 
     table = read_waypoints(str(settings.file), ("q_j",), ("omega_j",))
     t, columns = table.columns["t"], table.columns

@@ -94,13 +94,13 @@ class LssSlave:
 
 Send = Callable[[int, bytes], bool]
 Handler = Callable[[bytes, float], None]
-PdoDefaults = Sequence[tuple[int, PdoDefault]]  # number from 0, and what it is
+PdoDefaults = Sequence[tuple[int, PdoDefault]]  # number from 0, and its meaning
 
 _HEARTBEAT = 0x700  # + node
 
 
 class Node:
-    """One node on the bus. Sub-classes add objects and say what an object means."""
+    """One node on the bus. Sub-classes add objects and define their meaning."""
 
     def __init__(
         self,
@@ -118,7 +118,7 @@ class Node:
         self.deaf = False  # RPDOs are lost on their way
         self.lost_in_a_row = 0  # of the commands, before one is heard again
         self._lost = 0
-        self.unhearing = False  # and everything else, too
+        self.unhearing = False  # and everything else
         self.state = NmtState.BOOT_UP
         self.transmit: Send = send
         self.routes: dict[int, Handler] = {}
@@ -149,7 +149,7 @@ class Node:
         self._complete = True
         self._changed()
 
-    # what a device adds
+    # objects of a device
 
     def sample(self) -> None:
         """Write the measured values into the dictionary."""
@@ -284,7 +284,7 @@ class Node:
     def _sdo_request(self, data: bytes, now: float) -> None:
         if self.state in (NmtState.STOPPED, NmtState.BOOT_UP):
             return
-        self.sample()  # an SDO reads what is true now, not at the last SYNC
+        self.sample()  # an SDO reads the present value, not the one at the last SYNC
         for answer in self.sdo.handle(data):
             if self.quirks.answer_time > 0.0:
                 self._answers.append((now + self.quirks.answer_time, answer))
@@ -406,7 +406,7 @@ class Node:
         self._send(tpdo.cob_id, tpdo.last)
 
     def emergency(self, code: int, register: int, vendor: bytes = bytes(5)) -> None:
-        """Send an EMCY and keep it in 0x1001 and 0x1003; code 0 says that the error is gone."""
+        """Send an EMCY and keep it in 0x1001 and 0x1003; code 0 reports the end of the error."""
         heard = self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
         self.errors.report(code, register, vendor, heard, self.now)
 

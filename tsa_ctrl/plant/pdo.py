@@ -27,7 +27,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PdoDefault:
-    """What a PDO is after power-on: COB-ID less the node id (bit 31 when it is off), type, mapped objects."""
+    """Define a PDO after power-on: COB-ID less the node id (bit 31 when it is off), type, mapped objects."""
 
     cob_id: int
     transmission: int = 255
@@ -138,7 +138,7 @@ class Pdo:
         return tuple(key for key, _ in mapped), "<" + "".join(kind.code for _, kind in mapped)
 
     def compile(self) -> None:
-        """Take over the parameters; the node is told, so that it listens to the right identifier."""
+        """Take over the parameters; the node is informed, so that it listens to the right identifier."""
         values = self._dictionary.values
         self.raw_cob_id = values.get((self.communication, 1), INVALID)
         self.cob_id = self.raw_cob_id & 0x7FF
@@ -206,7 +206,7 @@ class Rpdo(Pdo):
         super().__init__(dictionary, number, Direction.RPDO, default, changed)
 
     def forget(self) -> None:
-        """What has come acts no more."""
+        """Received values no longer act."""
         self._pending = self.received_at = None
         self._line.clear()
 
@@ -219,7 +219,7 @@ class Rpdo(Pdo):
         return None
 
     def due(self) -> bytes | None:
-        """What acts at the SYNC that has just come."""
+        """Return the values that act at the current SYNC."""
         pending, self._pending = self._pending, None
         steps = self._delay if self.synchronous else self._delay - 1
         if steps <= 0:

@@ -178,7 +178,7 @@ def open_bus(settings: BusSettings) -> Bus:
 def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) -> None:
     """Ask every node id for its device type (0x1000) before a node of ours has it.
 
-    Raises BusError when somebody answers within `wait` s: two nodes of one id would answer the master at once.
+    Raises BusError if a node answers within `wait` s: two nodes of one id would answer the master at once.
     """
     asked = {SDO_ANSWER + node: node for node in nodes}
     bus.flush()
@@ -195,7 +195,7 @@ def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) ->
 
 
 def run(path: str | Path, record: str | None = None, control: str | None = None) -> None:
-    """Simulate until SIGTERM or SIGINT; says `ready` on stdout when every node has booted.
+    """Simulate until SIGTERM or SIGINT; prints `ready` on stdout after every node has booted.
 
     record: file for the truth as CSV; control: place of the local socket that takes commands. Raises UsageError,
     BusError.

@@ -1,4 +1,4 @@
-"""Settings of the simulated machine, `plant.toml`: strict, SI units; every default stands here once."""
+"""Settings of the simulated machine, `plant.toml`: strict, SI units; every default is defined here once."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     name: str = ""  # of one of several buses; an axis names its bus
     interface: str = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
-    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that must be told
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that need it
     options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
 
 
@@ -49,7 +49,7 @@ DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco",
 
 
 class DriveSettings(Quirks, frozen=True, kw_only=True):
-    """CiA 402 drive and its motor's electronics; what it does otherwise than the standard is in `Quirks`."""
+    """CiA 402 drive and its motor's electronics; its deviations from the standard are in `Quirks`."""
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
     slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
@@ -66,7 +66,7 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
     torque_sign: Sign = 1
     position_sign: Sign = 1
     torque_time_constant: NonNegative = 0.5e-3  # s, current loop
-    peak_torque: Positive = 3.0  # N*m at the motor, what the power stage can do
+    peak_torque: Positive = 3.0  # N*m at the motor, limit of the power stage
     torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
 
 
@@ -88,7 +88,9 @@ class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What the joint pulley drives. All loads but "imposed" and "held" move by the delivered torque; see `load`."""
+    """Define the load of the joint pulley. All loads but "imposed" and "held" move by the delivered torque; see
+    `load`.
+    """
 
     load: Literal["imposed", "held", "free", "spring", "weight", "limb", "wearer"] = "imposed"
     inertia: Positive | None = None  # kg*m^2; default 0.02, of limb and wearer 0.05
@@ -108,7 +110,7 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     kind: Literal["gait", "sine", "file", "still"] = "gait"
     amplitude: float = 0.5  # rad, of the sine
     frequency: Annotated[float, Meta(ge=1e-3, le=1e3)] = 0.5  # Hz, of the sine
-    offset: float = 0.0  # rad, of the sine, or where it stands still
+    offset: float = 0.0  # rad, mean of the sine, or the constant angle
     phase: float = 0.0  # rad, of the sine
     period: Annotated[float, Meta(ge=1e-2, le=1e3)] = 1.6  # s, of the gait cycle
     scale: float = 1.0  # of the gait profile or of the file
@@ -158,7 +160,7 @@ class PerturbationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
 
 class EnvironmentSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What changes around the sheaths while the plant runs; tables of [time in s, value], linear in between."""
+    """Define changes around the sheaths while the plant runs; tables of [time in s, value], linear in between."""
 
     bending: list[tuple[float, float]] = []  # factor on the bending angle; the path length follows (3.50)
     temperature: list[tuple[float, float]] = []  # deg C; empty: 25
@@ -268,7 +270,7 @@ def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
         for table, given, kept in (("joint", axis.joint, start), ("motion", axis.motion, MotionSettings())):
             if given != kept:
                 raise UsageError(
-                    f"{path}: axis '{axis.name}': [axis.{table}] describes a joint of its own, and [mechanism] "
+                    f"{path}: axis '{axis.name}': [axis.{table}] describes a separate joint, and [mechanism] "
                     'kind "mujoco" a limb; allowed are initial_angle, hand and hand_repeat of [axis.joint]; '
                     "take the rest out"
                 )
@@ -329,14 +331,14 @@ def _check_unique(axes: list[AxisSettings], path: Path) -> None:
     names: set[str] = set()
     for axis in axes:
         if axis.name in names:
-            raise UsageError(f"{path}: two axes are called '{axis.name}'; give each a name of its own")
+            raise UsageError(f"{path}: two axes are called '{axis.name}'; give each a different name")
         names.add(axis.name)
         sensors = [node.node_id for node in (axis.encoder, axis.torque_sensor) if node.present]
         place = (axis.drive.node_id, axis.drive.slot)
         if place in slots:
             raise UsageError(
                 f"{path}: axis '{axis.name}': slot {axis.drive.slot} of node {axis.drive.node_id} is already that of "
-                f"axis '{slots[place]}'; give each axis of one device a slot of its own"
+                f"axis '{slots[place]}'; give each axis of one device a different slot"
             )
         shared = any(node_id == axis.drive.node_id for node_id, _ in slots)
         slots[place] = axis.name
@@ -344,6 +346,6 @@ def _check_unique(axes: list[AxisSettings], path: Path) -> None:
             if node_id in used:
                 raise UsageError(
                     f"{path}: axis '{axis.name}': node {node_id} is already {used[node_id]}; "
-                    "give each node an id of its own"
+                    "give each node a different id"
                 )
             used[node_id] = f"a node of axis '{axis.name}'"

@@ -33,7 +33,7 @@ PARAMETERS = np.dtype(
         ("stiffness", _F),  # E A, N
         ("length", _F),  # l_us, m
         ("series_length", _F),  # E A / k_s, m
-        ("series_at_joint", _I),  # the end at which the series spring stands
+        ("series_at_joint", _I),  # the end at which the series spring is
         ("pretension", _F),  # T_p0, N at the nominal bending angle
         ("tendon_stiffness", _F),  # k_t, N/m
         ("bending_arm", _F),  # p + d/2, m (3.50)
@@ -80,8 +80,8 @@ STATE = np.dtype(
         ("q_j", _F),
         ("omega_j", _F),
         ("acceleration_j", _F),
-        ("torque_loop", _F),  # N*m, what the drive's current says
-        ("tau_m", _F),  # N*m, what acts on the motor pulley
+        ("torque_loop", _F),  # N*m, measured by the current of the drive
+        ("tau_m", _F),  # N*m, torque on the motor pulley
         ("t1", _F),
         ("t2", _F),
         ("t3", _F),

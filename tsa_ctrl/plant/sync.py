@@ -13,7 +13,7 @@ _LATE = 1.5  # periods without a SYNC that are an error
 
 
 class Heard(Enum):
-    """What a SYNC frame is to the node."""
+    """Define the effect of a SYNC frame on the node."""
 
     GOOD = "good"
     WRONG_LENGTH = "wrong length"
@@ -55,12 +55,12 @@ class SyncPort:
         return Heard.GOOD
 
     def closed(self, now: float) -> bool:
-        """Whether synchronous PDOs come too late after the last SYNC to be taken."""
+        """Return True if synchronous PDOs come too late after the last SYNC."""
         window = self._values.get((0x1007, 0), 0) * 1e-6
         return window > 0.0 and self._last is not None and now - self._last > window
 
     def overdue(self, now: float) -> bool:
-        """Whether a SYNC is missed; told once."""
+        """Return True if a SYNC is missed; reported once."""
         period = self._values.get((0x1006, 0), 0) * 1e-6
         if period <= 0.0 or self._last is None or now - self._last <= _LATE * period or self._produces:
             return False
@@ -68,7 +68,7 @@ class SyncPort:
         return True
 
     def made(self, now: float) -> bool:
-        """Whether this node is to send a SYNC now."""
+        """Return True if this node must send a SYNC now."""
         if now < self._due or not self._produces:
             return False
         period = self._values.get((0x1006, 0), 0) * 1e-6

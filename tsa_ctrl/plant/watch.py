@@ -44,7 +44,7 @@ class _Consumer:
 
 
 class Consumers:
-    """Heartbeats of others; `overdue` says once that one is missed."""
+    """Heartbeats of others; `overdue` reports once that one is missed."""
 
     def __init__(self, dictionary: ObjectDictionary, count: int, changed: Callable[[], None]) -> None:
         self._values = dictionary.values
@@ -67,7 +67,7 @@ class Consumers:
         ]
 
     def handlers(self) -> dict[int, Callable[[bytes, float], None]]:
-        """What to call for which identifier."""
+        """Return the callback of each identifier."""
         return {0x700 + entry.node_id: self._handler(entry) for entry in self._entries if entry.node_id}
 
     def overdue(self, now: float) -> bool:

@@ -1,1 +1,1 @@
-"""What keeps the torque safe, whatever law asks for it. Imports the bus only: what a model predicts is handed in."""
+"""Keep the torque safe, whatever law requests it. Imports the bus only: predictions of a model are arguments."""

@@ -1,4 +1,4 @@
-"""How long, or how often, something has been wrong of late: what one good sample does not clear."""
+"""Measure how long, or how often, an error was recently present: one good sample does not clear it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import deque
 
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 
-LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth of the time is found in the end
+LEAK = 0.25  # s taken back per s of agreement: an error in more than a fifth of the time is found in the end
 SECOND = 1.0  # s in which `Often` counts
 
 
@@ -22,13 +22,13 @@ class Debounce:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is wrong, nor was of late."""
+        """No error is present, and none was recently."""
         self.idle = True
         self._since = 0.0  # s, when it had begun, were it wrong without a break
         self._last = 0.0
 
     def update(self, now: float, wrong: bool) -> bool:
-        """Whether it has been wrong for long enough; `now` in s, call it with every sample."""
+        """Return True if the error has been present for long enough; `now` in s, call it with every sample."""
         if wrong:
             if self.idle:
                 self.idle = False

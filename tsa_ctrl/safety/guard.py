@@ -172,7 +172,7 @@ class Guard:
         self._back_off = self.damping = 1.0
         self.reason = Reason.NONE
         self.latched = False
-        self._left = self._held = 0.0  # s, of what is forgiven and of the hold
+        self._left = self._held = 0.0  # s, of the tolerance and of the hold
         self._drove, self._unwinding = 0.0, 0  # 1, what drove the joint, and cycles against that
         self._falling = 0.0  # 1, of the share that a buzzing motor still has
 
@@ -248,8 +248,8 @@ class Guard:
             self.ratio = max(0.0, ratio)
             share = max(0.0, ratio)
             cause = (
-                f"friction and pretension together are about {100.0 * share:.0f} % of what the model file says (a "
-                "tensioner that gave way, a straighter or smoother sheath): mend that, or calibrate anew"
+                f"friction and pretension together are about {100.0 * share:.0f} % of the model file's values (a "
+                "tensioner that gave way, a straighter or smoother sheath): correct that, or calibrate again"
             )
         else:
             share = CLEAR
@@ -276,7 +276,7 @@ class Guard:
             Reason.OSCILLATION,
             LEFT,
             f"oscillation: the motor buzzes at about {self._buzz.frequency:.0f} Hz",
-            "the delay, the tendons' stiffness or the motor's inertia is not what the files say: tune anew",
+            "the delay, the tendons' stiffness or the motor's inertia differs from the files: tune again",
         )
         self._falling = max(0.0, before - self._back_off)
 

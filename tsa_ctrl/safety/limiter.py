@@ -2,7 +2,7 @@
 
 Order: enabled? fresh? finite? over-speed? then rate, joint speed, joint travel, distance of command to measured, and
 absolute. Faults give exactly 0 in the same cycle; limits bend the torque. The rate bounds how fast the torque's size
-may grow, never how fast it may fall: what a limit demands comes at once. No limit takes a torque further from 0 than
+may grow, never how fast it may fall: a limit acts at once. No limit takes a torque further from 0 than
 was asked: a lying measurement can only weaken the motor. The absolute limit has the last word.
 """
 
@@ -21,7 +21,9 @@ Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
 class Reason(IntEnum):
-    """Why the torque sent is not the torque wanted; the strongest one that acted. Values are the log's codes."""
+    """List the reasons why the sent torque differs from the desired torque; the strongest one that acted. Values are
+    the log's codes.
+    """
 
     NONE = 0
     DISABLED = 1
@@ -33,9 +35,9 @@ class Reason(IntEnum):
     DISTANCE = 7
     RATE = 8
     ABSOLUTE = 9
-    OSCILLATION = 10  # the torque is as wanted, but the motor buzzed and the guard holds the compensation back
+    OSCILLATION = 10  # the torque is as desired, but the motor oscillated and the guard limits the compensation
     DOMAIN = 11  # limited by the law before this check: beyond it one tendon goes slack
-    PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
+    PASSIVITY = 12  # as desired, but the compensation moved the joint and the guard limits it
     SENSE = 13  # small until the motor has proven its polarity since the enable: see safety.polarity_check
     UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
 

@@ -1,4 +1,4 @@
-"""Commands that a drive does not hear, too many of them within a second: its torque is then that of some cycles ago."""
+"""Count commands that a drive does not receive: with many of them in a second, its torque is some cycles old."""
 
 from __future__ import annotations
 

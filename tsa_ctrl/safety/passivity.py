@@ -51,7 +51,7 @@ REACTION = 5e-3  # s from a back-off to its torque at the joint: command, torque
 SWUNG = 0.03  # s in which the peak of a swing decays: half a period of 16 Hz, before it reaches the joint
 SWING = 2.0  # of the allowed energy that a swing excuses at most: 6 mJ and those 3, at 1 rad/s the joint has 10
 WARY = 0.5  # of threshold and uncertainties after a recent detection: no healthy rig reaches it
-FEWEST = 2  # cycles that must agree: one wrong value of a sensor is no motion
+FEWEST = 2  # cycles that must agree: one wrong value of a sensor is not a motion
 _WILD = 1e6  # N*m: no real torque; values that are not finite also exceed it
 
 
@@ -76,7 +76,7 @@ class Passivity:
         self._keep = math.exp(-period / MEMORY)
         self._calm = math.exp(-period / SWUNG)
         self._most_swing = SWING * threshold
-        self._swing = 0.0  # J, fastest of late
+        self._swing = 0.0  # J, fastest recently
         self._side = 0.0  # 1 or -1, of the joint's last motion
         self._returned = 0.0  # J, that tendons return since a reversal
         self._periods = 1  # since the last update
@@ -135,7 +135,7 @@ class Passivity:
             self._side = side
             if 0.0 < excess < _WILD:
                 self._returned = max(self._returned, self._half_compliance * excess * excess)
-        if not -_WILD < excess < _WILD:  # nan, too: nothing is known of this cycle
+        if not -_WILD < excess < _WILD:  # also nan: nothing is known of this cycle
             return False
         over = excess - self._model * half_loop
         beyond = 0.0

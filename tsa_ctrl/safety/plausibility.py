@@ -92,7 +92,7 @@ class Plausibility:
         self._noise.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
-        self._moved_at = math.inf  # s, since when the command is away from what it was
+        self._moved_at = math.inf  # s, since when the command differs from its earlier value
         self._low = self._high = 0.0
 
     def learn(self, tau_j: float) -> None:

@@ -49,13 +49,13 @@ SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
 MEMORY = 0.2  # s of the correlation
 UNKNOWN = 0.012  # of that limit, RMS in the band: ripple and gear friction that the drive's reading does not contain
-STRONG = 3.0  # times that ripple, from which it is said how much the tendons give: a heavy motor's swing adds to less
-ALIKE = 0.9  # correlation of the stretch with the torque, from which that is said
+STRONG = 3.0  # times that ripple, from which the elongation is reported: a heavy motor's swing adds to less
+ALIKE = 0.9  # correlation of elongation and torque, from which it is reported
 SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness that is a fifth less than its file's, and for a heavy motor's swing
-SLOW = 50.0  # rad/s of the stretch, RMS, up to which that is said: nearer to its ringing, from 40 Hz on, a motor swings
+SLOW = 50.0  # rad/s of the elongation, RMS, up to which it is reported: nearer to its ringing a motor swings
 GIVING = 0.04  # s: a heavy motor that a wearer shakes looks so for 0.025, on tendons that are a fifth softer
 SHOWN = 0.5  # correlation from which the sense is right, or wrong
-CLEAR = 0.8  # correlation from which it is said how much the joint gets
+CLEAR = 0.8  # correlation from which the share of the joint is reported
 EXCESS = 1.3  # of the largest gain that the joint may get
 FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
@@ -116,7 +116,7 @@ class PolarityCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Torque is not permitted: the next enable shows it anew."""
+        """Torque is not permitted: the next enable shows it again."""
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
         self._resting = False  # no comparison at present
@@ -142,7 +142,7 @@ class PolarityCheck:
         self._forget()
 
     def _forget(self) -> None:
-        """What was seen before does not count."""
+        """Earlier observations do not count."""
         self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
         self._least_apart, self._most_apart = math.inf, -math.inf
         self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = self._ay = self._yy = 0.0
@@ -156,7 +156,7 @@ class PolarityCheck:
     def update(
         self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float
     ) -> Finding | None:
-        """What is wrong, in words; None while all is well.
+        """Return the error in words; None while all is well.
 
         `torque`: N*m, as the drive reports it; `apart`: rad, of motor and geared joint; `tau_j`: N*m, of the joint
         torque sensor, nan each where it is not known; `sigma`: the law's, 1, of the tendon's motion; `omega_j`: rad/s.
@@ -196,7 +196,7 @@ class PolarityCheck:
             self._resting = False
             self._forget()
         winds_up = self._winds_up()
-        if winds_up is not self._winding:  # what was seen of the one says nothing of the other
+        if winds_up is not self._winding:  # observations of the one do not hold for the other
             self._winding = winds_up
             self._forget()
         if apart == apart:
@@ -252,7 +252,8 @@ class PolarityCheck:
         if self._gives.update(now, held and slow and softer > beyond and by_stretch > ALIKE):
             return Finding(
                 Cause.SOFT_TENDONS,
-                f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "
+                f"the tendons give {softer:.1f} times the elongation expected from the motor torque: the motor "
+                "gives more "
                 "than it reports, a tendon hangs, or axial_stiffness is that much too high",
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
@@ -288,7 +289,9 @@ def _correlation(product: float, squares: float) -> float:
 
 
 class _Band:
-    """What of a signal is neither too quick nor too slow; it begins with the first sample that is known."""
+    """Return the band of a signal that is neither too quick nor too slow; it begins with the first sample that is
+    known.
+    """
 
     def __init__(self, quick: float, slow: float) -> None:
         self._quick = quick

@@ -1,6 +1,6 @@
 """Settings of the plausibility checks and the passivity observer of an axis, from [axis] of the controller file.
 
-Settings stand apart from the classes that use them: mypyc, which compiles those, ignores `frozen` and
+Settings are separate from the classes that use them: mypyc, which compiles those, ignores `frozen` and
 `forbid_unknown_fields` of a `msgspec.Struct`.
 """
 
@@ -25,7 +25,7 @@ class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
 
 class PassivitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.passivity]: when the compensation counts as a motor of its own, and backs off."""
+    """[axis.passivity]: when the compensation counts as a source of energy, and backs off."""
 
     energy: Annotated[float, Meta(gt=0.0, le=100.0)] = 3e-3  # J; at 1 rad/s 0.02 kg*m^2 have 10 mJ
     buzz: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.03  # N*m RMS at the motor above 20 Hz, for 0.4 s

@@ -26,13 +26,14 @@ _LAST_COMMANDS = 3  # cycles of "disable voltage" after the confirmation, or in 
 def shut_down(
     rig: Rig, period: float, timeout: float = 1.0, say: Callable[[str], None] = lambda line: None
 ) -> list[str]:
-    """Disable all drives and leave their nodes pre-operational; returns what was not confirmed, one line each.
+    """Disable all drives and leave their nodes pre-operational; returns the unconfirmed steps, one line each.
 
     A drive that does not confirm is stopped by NMT instead. One that does is told, while our heartbeat goes on, that it
     need not watch for it any longer (`say` gets a line for one that does not take that). A rig that commands nothing,
     because its nodes never were found to be as configured, sends nothing.
 
-    Cycles at `period` s until every drive says in a fresh PDO that it is off, at most `timeout` s. May be called in any
+    Run cycles of `period` s until every drive reports in a fresh PDO that it is off, at most `timeout` s. May be
+    called in any
     state, twice, and on a bus that has failed: it never raises for that.
     """
     if not rig.commands:
@@ -55,7 +56,7 @@ def shut_down(
             after += 1
     on = {axis.nodes.drive.node_id for axis in rig.axes if axis.name not in off}
     for node_id in dict.fromkeys(health.node_id for axis in rig.axes for health in axis.image.nodes):
-        # Stopped is what a drive's reaction to a lost connection (0x6007) answers to; pre-operational is not.
+        # The state Stopped triggers a drive's reaction to a lost connection (0x6007); pre-operational is not.
         rig.nmt(NmtCommand.STOP if node_id in on else NmtCommand.PRE_OPERATIONAL, node_id)
     unconfirmed = [_unconfirmed(axis) for axis in rig.axes if axis.name not in off]
     for bus in [rig.bus] if rig.bus.fault is None else [wire for wire in wires_of(rig.bus) if wire.fault is None]:
@@ -76,7 +77,7 @@ def _disarm(bus: Bus, settings: BusSettings, node_ids: Sequence[int], say: Calla
 
 
 def _unknown(name: str) -> str:
-    return f"axis '{name}': the drive was not brought up again, and what it does now is not known; cut its power"
+    return f"axis '{name}': the drive was not brought up again, and its state is not known; cut its power"
 
 
 def _unconfirmed(axis: Axis) -> str:

@@ -1,6 +1,6 @@
-"""Whether torque is permitted on one axis, and which controlword goes out. Pure: no bus, no clock, no log.
+"""Decide whether torque is permitted on one axis, and which controlword is sent. Pure: no bus, no clock, no log.
 
-A fault latches with its cause, keeps torque at zero and the drive disabled, and stays until somebody asks for a reset.
+A fault latches with its cause, keeps torque at zero and the drive disabled, and stays until a reset is requested.
 After it, torque needs a new request: an ENABLE that was standing while the fault happened enables nothing.
 """
 
@@ -25,11 +25,11 @@ _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if 
 _POWER_BITS = cia402.VOLTAGE_ENABLED | cia402.REMOTE  # which a drive that shows them must go on showing
 _REPEATED_SHARE = 0.05  # of the cycles of a second; a sound bus repeats a frame when an error hits its last bit
 _LEAST_REPEATED = 3  # cycles, of a slow loop
-_OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
+_OBEY_TIME = 0.05  # s in which a drive must leave operation enabled after the command
 
 
 class Request(Enum):
-    """What the operator wants now."""
+    """List the requests of the operator."""
 
     DISABLE = "disable"
     ENABLE = "enable"
@@ -37,7 +37,7 @@ class Request(Enum):
 
 
 class Phase(Enum):
-    """What the supervisor does now."""
+    """List the phases of the supervisor."""
 
     STANDBY = "standby"
     ENABLING = "enabling"
@@ -57,7 +57,7 @@ class Supervisor:
     Hz of the cycles.
 
     Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
-    `cut_off` (in this cycle the drive is to be stopped by NMT: it did not say that it obeyed).
+    `cut_off` (in this cycle the drive is to be stopped by NMT: it did not confirm).
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Supervisor:
 
     @property
     def fault(self) -> Fault | None:
-        """The cause of the stop; None when there is none."""
+        """The cause of the stop; None without one."""
         return self.faults[0] if self.faults else None
 
     def update(self, image: Image, now: float, request: Request) -> tuple[Controlword, bool, Fault | None]:
@@ -155,14 +155,14 @@ class Supervisor:
         self._emcys = {health.node_id: health.emcys for health in image.nodes}
 
     def _watch(self, image: Image, now: float) -> None:
-        """What stops an axis in every phase."""
+        """Return the fault that stops an axis in every phase."""
         lossy, late = self._losses.update(image, now)
         if late:  # first, because what nodes do without commands follows from it
             self._latch(Cause.SKIPPED, blame.skipped(image, now - SECOND, self._planned), now)
         if image.bus_fault is not None:
             self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
         if image.intruder is not None:
-            self._latch(Cause.SECOND_MASTER, f"somebody else sent a master's frame 0x{image.intruder:03X}", now)
+            self._latch(Cause.SECOND_MASTER, f"another node sent a master's frame 0x{image.intruder:03X}", now)
         for cause, detail in ((Cause.ALTERED, image.altered), (Cause.EMERGENCY_STOP, image.pressed)):
             if detail is not None:
                 self._latch(cause, detail, now)
@@ -211,12 +211,13 @@ class Supervisor:
             which = "4 (voltage)" if missing & cia402.VOLTAGE_ENABLED else "9 (remote)"
             self._latch(
                 Cause.STATE_LOST,
-                f"drive says that it is enabled, but bit {which} of statusword 0x{image.statusword:04X} went low: the "
-                "power stage is off, or somebody else has taken it over",
+                f"drive reports that it is enabled, but bit {which} of statusword 0x{image.statusword:04X} went "
+                "low: the "
+                "power stage is off, or another master controls it",
                 now,
             )
         elif image.mode != Mode.CYCLIC_SYNC_TORQUE:
-            self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode}, wanted is 10 (cyclic torque)", now)
+            self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode}, required is 10 (cyclic torque)", now)
         elif image.statusword & self._following_mask != self._following_mask:
             self._latch(Cause.COMMAND_IGNORED, f"bit 12 of statusword 0x{image.statusword:04X} is low", now)
 

@@ -301,7 +301,8 @@ class Session:
             before = kept[controller].read_text(encoding="utf-8")
             if not differ_in_law_alone(before, self._configuration.text, self.axis.name):
                 raise UsageError(
-                    f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] to that of "
+                    f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] to the "
+                    "values of "
                     f"{kept[controller].name}, remove that file, and undo again"
                 )
         undo(kept)

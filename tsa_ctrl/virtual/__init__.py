@@ -1,1 +1,1 @@
-"""The real loop and the real plant in one process under one clock of their own: no bus, no rights, no waiting."""
+"""Run the real loop and the real plant in one process under one virtual clock: no bus, no rights, no waiting."""

@@ -1,8 +1,8 @@
-"""A CAN bus in the process, and its time: it passes only while somebody waits for it.
+"""A CAN bus in the process, and its time: it passes only while a caller waits for it.
 
 The wire carries one frame at a time, (47 + 8 n) bits long; of those that wait, the lowest identifier goes next (CAN
 arbitration), and who sent it never hears it. Whoever waits on the host's end lets happen, in the order of time, what is
-due until then: frames that arrive, the machine's timers, and what was scheduled. So the same calls give the same bytes.
+due until then: arriving frames, timers of the machine, and scheduled events. So the same calls give the same bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Action = Callable[[float], None]
 
 
 class Nodes(Protocol):
-    """What hangs on the other end of the wire: the simulated machine."""
+    """Describe the other end of the wire: the simulated machine."""
 
     @property
     def due(self) -> float:
@@ -36,7 +36,7 @@ class Nodes(Protocol):
 
 
 class Wire:
-    """The time (`now`, s), the frames on their way between the two ends, and what is scheduled."""
+    """The time (`now`, s), the frames on their way between the two ends, and the scheduled events."""
 
     def __init__(self, bitrate: float, queue: int = 128) -> None:
         """`bitrate` in bit/s; `queue`: frames of one end that may wait, more are dropped."""
@@ -62,7 +62,7 @@ class Wire:
         self._nodes = nodes
 
     def at(self, time: float, action: Action) -> None:
-        """Call `action(time)` when the clock gets there; at once, when it is past, as soon as somebody waits."""
+        """Call `action(time)` when the clock gets there; at once if it is past, as soon as a caller waits."""
         heapq.heappush(self._script, (time, next(self._scheduled), action))
 
     def send(self, sender: End, can_id: int, data: bytes) -> bool:
@@ -96,7 +96,7 @@ class Wire:
             self.host.queued = self.plant.queued = 0
 
     def pass_until(self, until: float, wanted: Callable[[], bool] | None = None) -> None:
-        """Let time pass to `until`, or to when `wanted` says so after something has happened."""
+        """Let time pass to `until`, or until `wanted` returns True after an event."""
         nodes = self._nodes
         assert nodes is not None
         while True:
@@ -172,7 +172,7 @@ class FurtherWire(Wire):
 
 
 class End:
-    """One end of the wire; the plant's, which is told by `Nodes.step` what arrives. See `bus.seam.Bus`."""
+    """One end of the wire; the plant's, which receives arrivals by `Nodes.step`. See `bus.seam.Bus`."""
 
     def __init__(self, wire: Wire) -> None:
         self.name = NAME

@@ -1,4 +1,4 @@
-"""What a simulated run gave: log and truth as arrays, and the error of the delivered joint torque."""
+"""Hold the results of a simulated run: log and truth as arrays, and the error of the delivered joint torque."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class AxisResult(Displayed):
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
-        """Delivered joint torque less the one wanted, N*m, over the cycles that count."""
+        """Return the delivered less the desired joint torque, N*m, over the cycles that count."""
         return (self.delivered - self.log["tau_j_des"])[self.counted]
 
     def facts(self) -> dict[str, str]:
@@ -100,7 +100,7 @@ class AxisResult(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Simulation(Displayed):
-    """One run; `axes` in the controller's order. `log` and `truth` are those of the first axis."""
+    """One run; `axes` in the controller's order. `log` and `truth` belong to the first axis."""
 
     seconds: float
     axes: tuple[AxisResult, ...]

@@ -1,4 +1,4 @@
-"""What happens during a simulated run: faults of the plant and parameters of the controller, each at its time."""
+"""Define the events of a simulated run: faults of the plant and parameters of the controller, each at its time."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def _clear(machine: Machine, now: float) -> None:
 
 
 def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Change]) -> list[tuple[Command, float]]:
-    """What the mailbox is given, and when; raises UsageError as the socket's server does."""
+    """Return the commands for the mailbox with their times; raises UsageError as the socket's server does."""
     found = []
     for change in changes:
         if change.name == RECOVERY:
@@ -120,7 +120,7 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
             continue
         axis, dot, name = change.name.rpartition(".")
         if not dot and len(axes) > 1:
-            raise UsageError(f"'{name}': say of which axis: {', '.join(f'{axis}.{name}' for axis in axes)}")
+            raise UsageError(f"'{name}': name the axis: {', '.join(f'{axis}.{name}' for axis in axes)}")
         if dot and axis not in axes:
             raise UsageError(f"no axis '{axis}'; known are {', '.join(axes)}")
         place = axes.index(axis) if dot else 0

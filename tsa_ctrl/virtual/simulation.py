@@ -425,7 +425,7 @@ class Run:
 
     def _notes(self) -> tuple[str, ...]:
         silent = [
-            f"axis '{axis.name}': serial {sensor.quantity} is not simulated and says nothing"
+            f"axis '{axis.name}': serial {sensor.quantity} is not simulated and sends nothing"
             for axis in self._configuration.file.axes
             for sensor in axis.serial
         ]

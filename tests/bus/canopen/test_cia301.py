@@ -84,7 +84,7 @@ def test_every_error_code_has_a_text() -> None:
     [
         (0x20000040, bytes(8), "bus-off"),
         (0x20000004, b"\x00\x30" + bytes(6), "controller problem, receive error passive, transmit error passive"),
-        (0x20000020, bytes(8), "no acknowledge: nobody else is on the bus"),
+        (0x20000020, bytes(8), "no acknowledge: no other node is on the bus"),
         (0x20000200, bytes(8), "error frame 0x00000200"),
     ],
 )

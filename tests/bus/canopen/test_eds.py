@@ -108,7 +108,7 @@ def test_a_slip_of_a_vendor_is_mended_and_told(tmp_path: Path, slip: str) -> Non
 def test_a_read_only_object_that_is_as_wanted_is_no_contradiction(tmp_path: Path) -> None:
     path = write(tmp_path, GOOD.replace("AccessType=rw\n", "AccessType=const\nDefaultValue=1000\n"))
     assert check_plan(load_eds(path), path, [Write(MAX_TORQUE, 1000)]) == [
-        "its EDS says that 0x6072:0 max torque cannot be written"
+        "its EDS states that 0x6072:0 max torque cannot be written"
     ]
 
 

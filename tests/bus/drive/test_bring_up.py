@@ -148,7 +148,7 @@ def test_remembered_errors_are_shown() -> None:
 def test_encoder_with_another_resolution_is_refused() -> None:
     with (
         bench(encoder={(0x6001, 0): (U32, 4096)}) as nodes,
-        pytest.raises(UsageError, match=r"is 4096, the configuration says 1048576; correct counts_per_revolution"),
+        pytest.raises(UsageError, match=r"is 4096, the configuration has 1048576; correct counts_per_revolution"),
     ):
         start(nodes)
 
@@ -158,7 +158,7 @@ def test_encoder_with_another_resolution_is_refused() -> None:
     [
         ({(0x607E, 0): (U8, 0xE0)}, r"turns the sign of position and velocity and torque; write polarity = 0xE0"),
         ({(0x607E, 0): (U8, 0x20)}, r"polarity \(0x607E\) is 0x20, the drive turns the sign of torque"),
-        ({(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}, r"counts 4096 in a revolution .* says 65536; correct"),
+        ({(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}, r"counts 4096 in a revolution .* has 65536; correct"),
         ({(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1)}, r"gear ratio \(0x6091\) is 7, .* write absent = "),
         (
             {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 2), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},

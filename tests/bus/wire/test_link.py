@@ -103,7 +103,7 @@ def test_a_vcan_is_made_up_switched_and_seen(vcan: str) -> None:
 @pytest.mark.parametrize(
     ("found", "message"),
     [
-        (Interface(True, "can", 128, 250_000, CanState.ERROR_ACTIVE), "its bit rate is 250000 bit/s, .* says 1000000"),
+        (Interface(True, "can", 128, 250_000, CanState.ERROR_ACTIVE), "its bit rate is 250000 bit/s, .* has 1000000"),
         (
             Interface(True, "can", 128, 1_000_000, CanState.ERROR_PASSIVE, (136, 0)),
             r"state error_passive, error counters 136 \(tx\) and 0 \(rx\)",

@@ -1,6 +1,6 @@
 """CiA 402 power state machine as tables: statusword -> state, and (state, target) -> controlword.
 
-No I/O, no time. Nothing here leaves a fault by itself: `next_controlword` never yields a fault reset.
+No I/O, no time. Nothing here leaves a fault without a request: `next_controlword` never yields a fault reset.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ CST_SUPPORTED = 1 << 9  # bit of object 0x6502
 VOLTAGE_ENABLED = 1 << 4  # bit of the statusword: there is voltage for the motor
 WARNING = 1 << 7  # a warning is present, as of temperature; the state stays
 REMOTE = 1 << 9  # the controlword is processed
-INTERNAL_LIMIT = 1 << 11  # a limit of the drive's own is active: it may give less than it is told
+INTERNAL_LIMIT = 1 << 11  # a limit of the drive's own is active: it may give less than the command
 FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
 
 

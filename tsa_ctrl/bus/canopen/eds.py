@@ -1,6 +1,7 @@
-"""A vendor's EDS file, where there is one: what it says of the objects that we write is compared before they are.
+"""A vendor's EDS file, where there is one: its values for the objects that we write are compared before writing.
 
-EDS files are often broken. Slips are mended (`eds_mending`), and canopen judges the rest; when it cannot read one, the
+EDS files are often broken. Slips are corrected (`eds_mending`), and canopen judges the rest; when it cannot read one,
+the
 section that it stumbles over is named.
 """
 
@@ -122,11 +123,11 @@ def _values(section: str, values: dict[str, str], notes: list[str]) -> dict[str,
         elif name not in _OPTIONAL:
             mended[name] = value
         if name is not None and number is None and value.strip():
-            notes.append(f"its EDS says {key} = {value.strip()} in [{section}], which is no number")
+            notes.append(f"its EDS has {key} = {value.strip()} in [{section}], which is not a number")
     if _OBJECT.match(section.strip()):
         mended.setdefault("ParameterName", _name(section))
         if "AccessType" not in mended and "DataType" in mended:
-            notes.append(f"its EDS does not say who may write [{_name(section)}]")
+            notes.append(f"its EDS does not define who may write [{_name(section)}]")
             mended["AccessType"] = "rw"
     return mended
 
@@ -165,7 +166,7 @@ def load_eds(path: str | Path) -> ObjectDictionary:
 
 
 def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
-    """An EDS file, and what had to be mended or left out of it; raises UsageError that names the broken section.
+    """Hold an EDS file, and the corrections and omissions; raises UsageError that names the broken section.
 
     A section is left out when it cannot be read and this controller has no use for its object.
     """
@@ -177,7 +178,7 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")  # what the vendors' editors write
+        text = data.decode("latin-1")  # the text of the vendors' editors
     try:
         parser, notes = read(text)
     except configparser.Error as error:
@@ -220,11 +221,11 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
                     f"{path}: section {section}: {entry} is '{variable.access_type}' with {variable.default}, but must "
                     f"be {write.value}; repair the EDS, or work without one"
                 )
-            notes[f"its EDS says that {entry} cannot be written"] = None
+            notes[f"its EDS states that {entry} cannot be written"] = None
             continue
         low, high = (None, None) if entry.type.real else (variable.min, variable.max)  # of the bits they mean nothing
         if low is not None and high is not None and low > high:
-            continue  # limits of nothing are no limits
+            continue  # empty limits are not limits
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):
             raise UsageError(
                 f"{path}: section {section}: {entry} shall be {write.value}, allowed is {low} to {high}; "
@@ -245,7 +246,7 @@ def _variable(dictionary: ObjectDictionary, index: int, subindex: int) -> ODVari
 
 
 def _try(parser: configparser.RawConfigParser, sections: list[str]) -> tuple[ObjectDictionary | None, str]:
-    """canopen's opinion of an EDS with these sections: the dictionary, or what is wrong."""
+    """canopen's opinion of an EDS with these sections: the dictionary, or the error."""
     part = configparser.RawConfigParser()
     part.optionxform = str  # type: ignore[assignment, method-assign]
     for section in sections:

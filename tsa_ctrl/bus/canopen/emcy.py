@@ -120,7 +120,7 @@ class Emcy:
 
     @property
     def is_reset(self) -> bool:
-        """The node says that its errors are gone."""
+        """The node reports the end of its errors."""
         return self.code == 0
 
     def __str__(self) -> str:
@@ -134,7 +134,7 @@ def decode(data: bytes) -> Emcy | None:
 
 
 def text(code: int) -> str:
-    """What an error code means: the most specific line of the table (0x2311, else 0x2310, 0x2300, 0x2000)."""
+    """Return the meaning of an error code: the most specific line (0x2311, else 0x2310, 0x2300, 0x2000)."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         found = ERROR_CODES.get(code & mask)
         if found is not None and (code & mask or code == 0):

@@ -1,6 +1,6 @@
 """The CANopen objects that this master reads and writes: the built-in dictionary, one line each, used both ways.
 
-Works without an EDS. Types and numbers are those of CiA 301, 402, 404 and 406.
+Works without an EDS. Types and numbers are from CiA 301, 402, 404 and 406.
 """
 
 from __future__ import annotations
@@ -124,8 +124,8 @@ class Write:
     value: int
     optional: bool = False  # a node that does not have it is fine
     kept: int = 0
-    rated: Object | None = None  # then `value` is per mille of what this object holds
-    watchdog: bool = False  # makes the drive stop by itself when this computer does
+    rated: Object | None = None  # then `value` is per mille of the value of this object
+    watchdog: bool = False  # makes the drive stop if this computer fails
     fine: frozenset[int] = frozenset()  # values that do as well, where the node does not take this one
 
 

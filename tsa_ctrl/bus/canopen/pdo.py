@@ -21,7 +21,7 @@ class Transmission(IntEnum):
 
 @dataclass(frozen=True)
 class Pdo:
-    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and what it carries in order.
+    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and its content in order.
 
     `place` of its identifier in the predefined connection set, 1 to 4; 0: that of its number. `every`: SYNCs from one
     to the next, the transmission type of a TPDO.
@@ -109,7 +109,7 @@ def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None,
     """PDOs of the axis in this slot of a device.
 
     A node has identifiers for two axes: the second takes its second RPDO and its third and fourth TPDO. Any axis may
-    take those of a node id that nobody has, `identifiers_of`.
+    take the identifiers of an unused node id, `identifiers_of`.
     """
     motion, position = (LEAN_MOTION, LEAN_STATE) if lean else (MOTION, POSITION)
     if slot == 2 and identifiers_of is None:

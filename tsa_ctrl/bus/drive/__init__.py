@@ -1,1 +1,1 @@
-"""The nodes before the loop: what each is, what is written to it, and what it said."""
+"""The nodes before the loop: their kind, the objects written to them, and their answers."""

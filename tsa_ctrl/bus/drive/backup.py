@@ -1,4 +1,4 @@
-"""What a drive holds, as a file: the objects that this master writes, read, written back, and compared.
+"""Write the values of a drive as a file: the objects that this master writes, read, written back, and compared.
 
 The file is TOML: which drive it was, and one `[[object]]` per entry with its type and value.
 """
@@ -36,7 +36,7 @@ _COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
 
 
 class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One object of a dump: where it lies, and what was in it."""
+    """One object of a dump: its path and its content."""
 
     index: Index
     subindex: Subindex
@@ -142,7 +142,7 @@ def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
 
 
 def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
-    """Read these objects and the identity; what the drive does not have is left out."""
+    """Read these objects and the identity; objects that the drive does not have are left out."""
     stored = []
     mapped: dict[int, int] = {}  # mapping parameter -> objects in it; those beyond mean nothing
     for entry in entries:
@@ -191,17 +191,17 @@ def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
             )
     state = cia402.decode(session.read(node_id, objects.STATUSWORD))
     if state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE):
-        raise BusError(f"{name}: the drive is enabled ({state.value}); stop what drives it, then restore")
+        raise BusError(f"{name}: the drive is enabled ({state.value}); stop the program that controls it, then restore")
     session.nmt(NmtCommand.PRE_OPERATIONAL, node_id)
     return write_all(session, node_id, name, restore_plan(backup.object), _cure)
 
 
 def _cure(entry: Object, code: int | None) -> str:
-    return "the drive does not take back what it held: it may be locked, or of another firmware; correct the backup"
+    return "the drive rejects its earlier values: it may be locked, or have another firmware; correct the backup"
 
 
 def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
-    """The writes of a backup in an order that a drive accepts: PDOs by the mapping procedure, the rest as it stands."""
+    """The writes of a backup in an order that a drive accepts: PDOs by the mapping procedure, the rest directly."""
     values = {(item.index, item.subindex): item for item in stored}
     plan = []
     done: set[tuple[int, int]] = set()
@@ -219,7 +219,7 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
 
 
 def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tuple[Object, int]]:
-    """What each object holds after a plan; of objects that the drive does not need, only those that it has."""
+    """Return the value of each object after a plan; of objects that the drive does not need, only those that it has."""
     wanted: dict[tuple[int, int], tuple[Object, int]] = {}
     for write in plan:
         entry, value = write.entry, write.value
@@ -235,7 +235,7 @@ def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tup
 
 
 def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]) -> list[Difference]:
-    """Objects whose value at the drive is another one than wanted."""
+    """Return the objects whose value at the drive differs from the required value."""
     differences = []
     for entry, value in wanted:
         found = session.read_if_there(node_id, entry)

@@ -67,7 +67,7 @@ def _check_polarity(session: Session, node: Node) -> None:
         raise UsageError(
             f"{node.name}: polarity (0x607E) is 0x{found:02X}, the drive turns the sign of {' and '.join(turned)}; "
             f"write polarity = 0x{found:02X} in [axis.drive], if torque_sign and position_sign were found with that, "
-            "or polarity = 0 to have it written, and find the signs anew"
+            "or polarity = 0 to have it written, and find the signs again"
         )
 
 
@@ -82,7 +82,8 @@ def _check_counts(session: Session, node: Node) -> None:
     wanted = node.axis.drive.counts_per_revolution
     if gear != 1 and (feed is None or feed / gear != wanted):
         raise UsageError(
-            f"{node.name}: its gear ratio (0x6091) is {gear}, so what a position of it means is not known; set it to 1 "
+            f"{node.name}: its gear ratio (0x6091) is {gear}, so the meaning of its positions is not known; set "
+            "it to 1 "
             f'with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file}, if it '
             "leaves 0x6064 and 0x6071 as the motor's, and be sure of counts_per_revolution in [axis.drive]"
         )
@@ -90,7 +91,7 @@ def _check_counts(session: Session, node: Node) -> None:
     if known and wanted not in known:
         shown = " or ".join(f"{value:g}" for value in dict.fromkeys(known))
         raise UsageError(
-            f"{node.name}: it counts {shown} in a revolution of the motor (0x608F, 0x6092), the configuration says "
+            f"{node.name}: it counts {shown} in a revolution of the motor (0x608F, 0x6092), the configuration has "
             f'{wanted}; correct counts_per_revolution in [axis.drive], or write absent = ["'
             f'{objects.ENCODER_INCREMENTS.name}", "{objects.FEED.name}"] in {node.profile_file}, if its 0x6064 counts '
             "otherwise"
@@ -120,10 +121,10 @@ def check_twins(nodes: Sequence[Node], reports: Sequence[NodeReport]) -> None:
         serials = [report.identity.get(objects.SERIAL_NUMBER.name) for report in (first, second)]
         if None in serials or serials[0] == serials[1]:
             for report in (first, second):
-                report.notes.append("an equal drive is on this bus, and no serial number (0x1018:4) tells them apart")
+                report.notes.append("an equal drive is on this bus, and no serial number (0x1018:4) distinguishes them")
         elif one.settings.serial_number is None or other.settings.serial_number is None:
             raise UsageError(
-                f"{one.name} and {other.name} are equal drives: with their ids exchanged the joints would be; write "
+                f"{one.name} and {other.name} are equal drives: exchanged ids would exchange the joints; write "
                 f"serial_number = {serials[0]} into the [axis.drive] of the one and serial_number = {serials[1]} into "
                 "that of the other, or let tsa doctor CONTROLLER.toml --serial-numbers do it"
             )
@@ -199,11 +200,11 @@ def bring_up(
                 _configure(session, node, plan, settings, report, reset_faults, resets_later)
             _start(bus, session, nodes, tell)
             for node, report in zip(nodes, reports, strict=True):
-                report.notes += [f"said during the bring-up: {found}" for found in session.emcys(node.node_id)]
+                report.notes += [f"reported during the bring-up: {found}" for found in session.emcys(node.node_id)]
         except BaseException as error:
             if isinstance(error, TsaError) and not isinstance(error, StoppedError):
                 error.args = (f"{error}{_what_they_said(session, nodes)}",)
-            with contextlib.suppress(TsaError):  # the first cause is the one to tell
+            with contextlib.suppress(TsaError):  # the first cause is the one to report
                 _leave(session, nodes, settings)
             raise
     return Report(tuple(reports))

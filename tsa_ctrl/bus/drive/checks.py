@@ -1,4 +1,4 @@
-"""What a node must be before anything is written to it, and what must hold afterwards."""
+"""Check a node before anything is written to it, and afterwards."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ _SPECIAL = {  # objects for which `absent` alone is not enough
 def profile_of(drive: DriveSettings) -> str:
     """The file that a line for the drive's profile goes to."""
     if drive.profile == "generic":
-        return "a profile of its own (tsa drive probe writes one; named by profile in [axis.drive])"
+        return "a separate profile (tsa drive probe writes one; profile in [axis.drive] names it)"
     return drive.profile if drive.profile.endswith(".toml") else f"drives/{drive.profile}.toml"
 
 
@@ -111,10 +111,10 @@ def _of_a_pdo(entry: Object, code: int | None) -> str:
     if "mapped object" in entry.name and code in _NOT_MAPPABLE | _NO_OBJECT and not received and number == 2:
         return (
             f'write absent = ["{objects.ERROR_CODE.name}"] in {{profile}}, if it has no 0x603F; else look for another '
-            "firmware: it cannot map what this controller needs into one PDO"
+            "firmware: it cannot map the objects that this controller needs into one PDO"
         )
     if code in _NOT_MAPPABLE:
-        return "look for another firmware: it cannot map what this controller needs into one PDO"
+        return "look for another firmware: it cannot map the objects that this controller needs into one PDO"
     return (
         "map this PDO so with the maker's tool, store it there, and start again: what is as wanted is left alone, and "
         "this drive does not let it be changed"
@@ -245,7 +245,7 @@ class Node:
         return profile_of(self.axis.drive)
 
     def cure(self, entry: Object, code: int | None) -> str:
-        """What to do about an object that it refuses."""
+        """Return the remedy for an object that it rejects."""
         return cure(entry, self.settings, self.profile, code)
 
     def read(self, session: Session, entry: Object) -> int:
@@ -266,7 +266,7 @@ class Node:
 
 
 def check_identity(session: Session, node: Node, report: NodeReport) -> None:
-    """Device type (0x1000) and identity (0x1018) are those of the configuration; raises BusError."""
+    """Device type (0x1000) and identity (0x1018) equal the configuration; raises BusError."""
     device_type = session.read(node.node_id, objects.DEVICE_TYPE)
     report.identity[objects.DEVICE_TYPE.name] = device_type
     _check_device_type(session, node, device_type)
@@ -293,7 +293,7 @@ def _check_device_type(session: Session, node: Node, found: int) -> None:
             return
         found = ours
     raise BusError(
-        f"{node.name}: device type is 0x{found:08X}, wanted is CiA {expected.value} "
+        f"{node.name}: device type is 0x{found:08X}, required is CiA {expected.value} "
         f"(low word 0x{expected.value:04X}); another device has this node id: correct node_id"
     )
 
@@ -367,7 +367,7 @@ def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) 
     if node.profile.has(objects.SUPPORTED_MODES):
         modes = node.look(session, objects.SUPPORTED_MODES)
         if modes is None:
-            report.notes.append("does not say which modes it supports (0x6502)")
+            report.notes.append("does not report which modes it supports (0x6502)")
         elif not modes & cia402.CST_SUPPORTED:
             raise BusError(f"{node.name}: supported modes 0x{modes:08X}{_instead(modes)}")
     _check_rated_torque(session, node, report)
@@ -385,7 +385,7 @@ def _instead(modes: int) -> str:
     has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
     return (
         f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission a position error is a torque that "
-        f"nobody has limited; use another drive or firmware, or, if the drive has the mode and does not say so, "
+        f"nobody has limited; use another drive or firmware, or, if the drive has the mode and does not report it, "
         f'absent = ["{objects.SUPPORTED_MODES.name}"] in its profile'
     )
 
@@ -399,7 +399,7 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
     digits = node.look(session, objects.RATED_TORQUE)
     if digits is None:
         raise BusError(
-            f"{node.name}: there is no rated torque (0x6076) to compare with; write absent = "
+            f"{node.name}: it has no rated torque (0x6076) to compare with; write absent = "
             f'["{objects.RATED_TORQUE.name}"] in {node.profile_file}, and be sure of rated_torque in [axis.drive]: '
             "nothing checks it then"
         )
@@ -407,7 +407,7 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
     if abs(found - wanted) <= max(_RATED_TOLERANCE * wanted, 0.5 * unit):
         return
     raise UsageError(
-        f"{node.name}: rated torque is {digits} digits of {unit:g} N*m = {found:g} N*m, the configuration says "
+        f"{node.name}: rated torque is {digits} digits of {unit:g} N*m = {found:g} N*m, the configuration has "
         f"{wanted:g} N*m{rated_torque_hint(found, wanted)}; correct rated_torque in [axis.drive], or "
         f"[units] rated_torque in {node.profile_file}"
     )
@@ -431,7 +431,7 @@ def rated_torque_hint(found: float, wanted: float) -> str:
 
 
 def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None:
-    """Resolution and range of an encoder (0x6001, 0x6002) are those of the configuration; raises UsageError."""
+    """Resolution and range of an encoder (0x6001, 0x6002) equal the configuration; raises UsageError."""
     for entry, wanted, key in (
         (objects.MEASURING_UNITS, encoder.counts_per_revolution, "counts_per_revolution"),
         (objects.TOTAL_RANGE, encoder.counts_range, "counts_range"),
@@ -439,7 +439,7 @@ def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None
         found = session.read_if_there(encoder.node_id, entry)
         wraps_at_32_bits = entry is objects.TOTAL_RANGE and wanted == 1 << 32 and found in (0, 0xFFFFFFFF)
         if found is not None and found != wanted and not wraps_at_32_bits:
-            raise UsageError(f"{name}: {entry} is {found}, the configuration says {wanted}; correct {key}")
+            raise UsageError(f"{name}: {entry} is {found}, the configuration has {wanted}; correct {key}")
 
 
 def confirm_mode(session: Session, node: Node, now: str) -> None:
@@ -452,14 +452,14 @@ def confirm_mode(session: Session, node: Node, now: str) -> None:
         found = node.read(session, objects.MODE_DISPLAY)
         later = '"enabled"' if when == "operational" else '"operational" or "enabled"'
         raise BusError(
-            f"{node.name}: mode of operation display (0x6061) is {found}, wanted is 10 (cyclic synchronous torque) "
+            f"{node.name}: mode of operation display (0x6061) is {found}, required is 10 (cyclic synchronous torque) "
             f"within {_MODE_TIMEOUT:g} s of being {now}; if this drive shows its mode later, mode_shows = {later} in "
             f"{node.profile_file}; else set its motor and sensors up for torque with the maker's tool"
         )
 
 
 def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> None:
-    """The drive stops by itself when this computer is gone; raises BusError unless that is waived."""
+    """The drive stops if this computer fails; raises BusError unless that is waived."""
     there = {row.entry.key for row in report.rows if row.after is not None}
     watched = any(write.watchdog and write.entry.key in there for write in plan)
     reacts = objects.CONNECTION_LOSS.of(node.axis.drive.slot).key in there

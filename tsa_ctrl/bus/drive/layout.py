@@ -1,4 +1,4 @@
-"""Which PDOs a configured drive has, and who may have which node id."""
+"""Decide the PDOs of a configured drive, and the permitted node ids."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
 
 
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
-    """Every node has an id of its own, but for axes of one device and for an encoder of two axes; else UsageError."""
+    """Every node has a different id, except axes of one device and an encoder of two axes; else UsageError."""
     owners: dict[int, tuple[str, NodeSettings | None]] = {
         settings.host_node_id: ("[bus] host_node_id", None),
     }
@@ -96,7 +96,7 @@ def _check_slots(axes: Sequence[AxisNodes]) -> None:
         other = slots.setdefault((drive.node_id, drive.slot), axis.name)
         if other != axis.name:
             raise UsageError(
-                f"axis '{axis.name}' drive: slot {drive.slot} of node {drive.node_id} is that of axis '{other}'; "
+                f"axis '{axis.name}' drive: slot {drive.slot} of node {drive.node_id} belongs to axis '{other}'; "
                 "give each axis of one device its own slot"
             )
         layout = layout_of(drive)

@@ -15,7 +15,7 @@ _WAITING, _CONFIGURING = 0, 1
 _INQUIRE = {"vendor": 0x5A, "product code": 0x5B, "revision": 0x5C, "serial number": 0x5D}
 _INQUIRE_NODE_ID = 0x5E
 _ANSWER_TIMEOUT = 0.5  # s
-_SECOND = 0.1  # s, in which a second node would answer, too
+_SECOND = 0.1  # s, in which a second node would also answer
 _LISTENING = 0.5  # s, for whoever else is on the bus
 _BOOT_TIMEOUT = 5.0  # s
 
@@ -29,7 +29,7 @@ class Found:
 
 
 def find(bus: Bus) -> Found:
-    """Ask who is there; raises BusError when it is nobody, or more than one. Leaves it waiting, as it was."""
+    """Ask who is there; raises BusError for no node, or more than one. Leaves it waiting, as it was."""
     _quiet(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
@@ -41,7 +41,7 @@ def find(bus: Bus) -> Found:
 
 
 def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line: None) -> Found:
-    """Give the one node on the bus an id and have it keep it; returns what it was before. Raises BusError."""
+    """Give the one node on the bus an id and have it keep it; returns the earlier one. Raises BusError."""
     found = find(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
@@ -92,7 +92,8 @@ def _ask(bus: Bus, request: bytes) -> bytes:
     first = _receive(bus, request[0], _ANSWER_TIMEOUT)
     if first is None:
         raise BusError(
-            f"{bus.name}: nobody answers to LSS; check power, wiring and bit rate; a drive whose id is set by switches "
+            f"{bus.name}: no node answers to LSS; check power, wiring and bit rate; a drive whose id is set by "
+            "switches "
             "or by its maker's tool does not know LSS"
         )
     if _receive(bus, request[0], _SECOND) is not None:

@@ -1,4 +1,6 @@
-"""What is written to each node before it may move: pure functions from settings to a list of writes, in order."""
+"""List the objects written to each node before it may move: pure functions from settings to a list of writes, in
+order.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ _COB_ID_BITS = 0x7FFFFFFF  # all but "invalid"
 _CONNECTION_LOSS = {"fault": 1, "disable_voltage": 2, "quick_stop": 3}  # values of 0x6007
 _MILLISECONDS = -3  # the exponent of 0x60C2 that every drive takes, some of them no other
 _MAX_EXPONENT, _MIN_EXPONENT = 0, -9
-# What else does as well where a drive does not take our value: each of these ends without torque.
+# Other sufficient values if a drive rejects our value: each of these ends without torque.
 _ENDS_WITHOUT_TORQUE = frozenset(range(5))  # 0x605A to 0x605E
 _REACTS = frozenset({1, 2, 3})  # 0x6007: fault, disable voltage, quick stop
 _LEAVES_OPERATIONAL = frozenset({0, 2})  # 0x1029: pre-operational, stopped
@@ -73,7 +75,7 @@ def drive_plan(
         *pdo_writes(layout.position, layout.node_id, layout.position.every),
         *spare_pdos(received=True, first=2, last=profile.rpdo_count, slot=drive.slot),
         *spare_pdos(received=False, first=3, last=profile.tpdo_count, slot=drive.slot),
-        # Without it the unit of 0x606C would only be believed: then the profile must say that the drive lacks it.
+        # Without it the unit of 0x606C would only be believed: then the profile must list it as absent.
         *([] if si_code is None else [Write(objects.VELOCITY_UNIT, si_code, optional=drive.differentiates)]),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
@@ -108,9 +110,9 @@ def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings
 
 
 def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
-    """SYNC as we send it, whatever another tool has left: no counter, no window, watched by nobody.
+    """SYNC as we send it, whatever another tool has left: no counter, no window, no heartbeat consumer.
 
-    `needs_period`: the node must be told the period. The counter can be written only while it is not (CiA 301).
+    `needs_period`: the node needs the period. The counter can be written only while it is not (CiA 301).
     """
     writes = [
         Write(objects.SYNC_COB_ID, SYNC, optional=True, kept=COB_ID_INVALID),
@@ -195,7 +197,7 @@ def pdo_writes(layout: Pdo, node_id: int, transmission: int, *timers: Write) -> 
 
 
 def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Write]:
-    """Switch off the PDOs that nobody uses: they would only load the bus."""
+    """Switch off the unused PDOs: they would only load the bus."""
     return [
         Write(
             Pdo(number, received, ()).of(slot).communication(1, Type.U32, "COB-ID"),
@@ -208,7 +210,7 @@ def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Wri
 
 
 def is_rate(rate: float) -> bool:
-    """Return True if a drive can be told the period of this rate in Hz."""
+    """Return True if a drive accepts the period of this rate in Hz."""
     try:
         interpolation_period(1.0 / rate)
     except UsageError:

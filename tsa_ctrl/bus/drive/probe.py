@@ -1,4 +1,4 @@
-"""What a drive can do, read by SDO uploads alone: nothing is commanded, written or moved, and no SYNC is sent."""
+"""Read the capabilities of a drive by SDO uploads alone: nothing is written or moved, and no SYNC is sent."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ _NEEDED = (objects.STATUSWORD, objects.CONTROLWORD, objects.TARGET_TORQUE, objec
 
 @dataclass
 class Probe:
-    """What one axis of a drive said. `values`: of the objects that it has; `lengths`: bytes where they are unusual."""
+    """Hold the answers of one axis of a drive. `values`: of the objects that it has; `lengths`: bytes where they are
+    unusual.
+    """
 
     node_id: int
     slot: int
@@ -77,7 +79,7 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
         raise BusError(another_master(name, heard))
     found = Probe(node_id, slot, sync_heard=bool(heard))
     session.be_patient(node_id, PATIENCE)
-    first = session.read(node_id, objects.DEVICE_TYPE)  # raises when nobody is there
+    first = session.read(node_id, objects.DEVICE_TYPE)  # raises without an answer
     for entry in READ:
         _read(session, found, entry)
     for text in (_NAME, _HARDWARE, _SOFTWARE):

@@ -1,4 +1,4 @@
-"""A profile from what a drive said, with comments for whoever finishes it. Pure: text from findings."""
+"""Write a profile from the answers of a drive, with comments for its completion. Pure: text from findings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ _OPTIONAL = (
 
 
 def profile_text(found: Probe, where: str) -> str:
-    """The file's text; `where` names interface and channel. It loads as it is, or says what must be finished first."""
+    """The file's text; `where` names interface and channel. It loads without change, or lists the values to complete
+    first.
+    """
     return "\n".join(_lines(found, where)) + "\n"
 
 
@@ -53,7 +55,7 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
     yield f"# What {_ASK.strip()} stands at is for you: a drive does not say it, or in a way that nobody can trust."
     yield f"name = {json.dumps(name, ensure_ascii=False)}"
     version = ", ".join(f"{key} {texts[key]}" for key in ("hardware version", "software version") if texts.get(key))
-    yield f"sources = [{json.dumps(f'what it said itself: {version or name}', ensure_ascii=False)}]"
+    yield f"sources = [{json.dumps(f'values that the drive reported: {version or name}', ensure_ascii=False)}]"
     yield from _state(found)
     yield ""
     yield from _absent(found)
@@ -109,7 +111,7 @@ def _absent(found: Probe) -> Iterator[str]:
 def _modes(found: Probe) -> Iterator[str]:
     modes = found.modes
     if modes is None:
-        yield f"# {_ASK}it does not say which modes it has (0x6502); mode 10 (cyclic synchronous torque) is needed"
+        yield f"# {_ASK}it does not report its modes (0x6502); mode 10 (cyclic synchronous torque) is needed"
     else:
         yield f"# Modes 0x{modes:08X}: {', '.join(name for bit, name in _MODES if modes >> bit & 1) or 'none known'}"
         if not modes & cia402.CST_SUPPORTED:
@@ -119,7 +121,7 @@ def _modes(found: Probe) -> Iterator[str]:
         yield f"# 0x6060 is {asked} and 0x6061 shows {shown} while it is {found.state}: it shows its mode later"
         yield f'mode_shows = "enabled"          # {_ASK}or "operational"'
         return
-    yield 'mode_shows = "written"          # else "operational" or "enabled"; the start says so when it must be changed'
+    yield 'mode_shows = "written"          # else "operational" or "enabled"; startup reports if it must be changed'
 
 
 def _watchdogs(found: Probe) -> Iterator[str]:
@@ -136,7 +138,7 @@ def _watchdogs(found: Probe) -> Iterator[str]:
     reaction = found.get(objects.CONNECTION_LOSS)
     yield "# Reaction to a lost connection 0x6007: " + ("not there" if reaction is None else f"{reaction} as found")
     if not found.has(objects.HEARTBEAT_PRODUCER):
-        yield 'supervision = "guarding"        # there is no heartbeat 0x1017'
+        yield 'supervision = "guarding"        # the drive has no heartbeat 0x1017'
     elif not consumers and held is None and found.has(objects.LIFE_TIME_FACTOR):
         yield 'supervision = "guarding"        # its only watchdog is life guarding 0x100D'
 
@@ -144,7 +146,7 @@ def _watchdogs(found: Probe) -> Iterator[str]:
 def _sync(found: Probe) -> Iterator[str]:
     raw = found.get(objects.SYNC_COB_ID)
     if (raw is not None and raw & cia301.PRODUCES_SYNC) or found.sync_heard:
-        yield "produces_sync = true            # 0x1005 bit 30 was set: it makes SYNC itself, and is told to stop"
+        yield "produces_sync = true            # 0x1005 bit 30 was set: it sends SYNC; startup disables that"
     for entry in (objects.SYNC_PERIOD, objects.SYNC_COUNTER, objects.SYNC_WINDOW):
         if found.get(entry):
             yield f"# {entry} is {found.get(entry)} and is set to 0 at the start"
@@ -203,7 +205,7 @@ def _velocity(found: Probe) -> Iterator[str]:
     unit = known.get(code)
     name = unit.value if unit is not None else "a unit that is not known here"
     yield f"# 0x60A9 is 0x{code:08X}: {name}; finer is better near zero."
-    yield 'velocity = "mrpm"               # what 0x60A9 is set to; a coarser one if the start says that it is refused'
+    yield 'velocity = "mrpm"               # value for 0x60A9; coarser if startup reports that it is rejected'
 
 
 def _reactions(found: Probe) -> Iterator[str]:
@@ -211,7 +213,7 @@ def _reactions(found: Probe) -> Iterator[str]:
     for entry, key in _REACTIONS:
         value = found.get(entry)
         if value is None:
-            yield f'{key} = "keep"'.ljust(32) + "# there is no such object"
+            yield f'{key} = "keep"'.ljust(32) + "# the drive has no such object"
         else:
             wanted = '"keep"' if key == "halt" or value not in _USUAL else "0"
             yield f"{key} = {wanted}".ljust(32) + f"# {value} as found"
@@ -241,7 +243,7 @@ def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
-    """What belongs into [axis.drive]: as comments, as it is about this drive and its motor."""
+    """Return the keys for [axis.drive]: as comments, as it is about this drive and its motor."""
     yield "# For [axis.drive] of the controller's file:"
     yield f"#   node_id = {found.node_id}"
     if found.slot > 1:

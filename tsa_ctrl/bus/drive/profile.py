@@ -1,6 +1,6 @@
-"""Drive profiles: what the public documentation of a drive says of its units and of the objects that it has.
+"""Drive profiles: the units and objects of a drive from its public documentation.
 
-A profile is a TOML file in `drives/` beside the configuration; "generic" needs none.
+A profile is a TOML file in `drives/` next to the configuration; "generic" needs none.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ _SI_CODES = {  # CiA 303-2: prefix exponent in the high byte, 0xB4 revolutions, 
 
 
 class Identity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """0x1018; what is not given is shown and not compared."""
+    """0x1018; missing values are shown and not compared."""
 
     vendor_id: Word | None = None
     product_codes: list[Word] = []
@@ -104,9 +104,9 @@ class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
 
 
 class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The object that limits torque on a drive without 0x6072, and what it holds at rated torque.
+    """The object that limits torque on a drive without 0x6072, and its value at rated torque.
 
-    That is what another object says (`rated_index`), or a number, `rated`; then `zero` is what it holds at no torque.
+    That is what another object says (`rated_index`), or a number, `rated`; then `zero` is its value without torque.
     """
 
     index: Index
@@ -139,19 +139,19 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     name: str = "generic CiA 402 drive"
     sources: list[str] = []  # documents that the figures come from
-    unknown: list[str] = []  # what they do not say, and who uses it must find out
-    eds: str | None = None  # EDS file beside the profile; default: none, the built-in dictionary is enough
+    unknown: list[str] = []  # missing values that the user must find out
+    eds: str | None = None  # EDS file next to the profile; default: none, the built-in dictionary is enough
     identity: Identity = Identity()
     units: Units = Units()
     reactions: Reactions = Reactions()
-    absent: list[str] = []  # names (of the object table) of what this drive does not have
+    absent: list[str] = []  # names (of the object table) of missing objects
     torque_clamp: TorqueClamp | None = None  # where there is no 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
     mode_shows: Literal["written", "operational", "enabled"] = "written"  # from when on 0x6061 is what 0x6060 is
-    warnings: list[EmcyCode] = []  # error codes of emergencies that are told and stop nothing
+    warnings: list[EmcyCode] = []  # error codes of emergencies that are reported and stop nothing
     supervision: Literal["heartbeat", "guarding"] = "heartbeat"  # how the drive knows that we are there, and we of it
     needs_sync_period: bool = False  # 0x1006 must be our period; else it is 0
-    produces_sync: bool = False  # it may make SYNC itself at power-on, and is told to stop (0x1005 bit 30)
+    produces_sync: bool = False  # it may send SYNC at power-on, which startup disables (0x1005 bit 30)
     boot_timeout: Patience = 3.0  # s, from a reset to the boot-up
     answer_timeout: Patience = 0.5  # s, of one SDO answer
     rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # those that we do not use are switched off

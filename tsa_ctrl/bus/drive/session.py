@@ -1,7 +1,7 @@
 """A configuration session: SDO, NMT, EMCY and heartbeats through canopen, on the bus that the loop uses afterwards.
 
 Everything happens in the caller's thread and in the bus' own time: while an answer is waited for, frames are taken and
-our heartbeat is sent. canopen's thread of its own is never started.
+our heartbeat is sent. canopen's own thread is never started.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tsa_ctrl.errors import BusError, StoppedError
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
 
-ANSWER_TIMEOUT = 0.5  # s, for one SDO answer, unless the configuration says otherwise
+ANSWER_TIMEOUT = 0.5  # s, for one SDO answer, unless the configuration has otherwise
 _ATTEMPTS = 3  # SDO reads and writes are repeated, as the configuration of a drive is idempotent
 _ANSWER_LENGTH = 8  # bytes of every SDO frame
 _LISTENING = 0.1  # s, for another master before anything is sent
@@ -50,7 +50,7 @@ class SdoRefusedError(BusError):
 
 
 class _Network(canopen.Network):  # type: ignore[misc]  # canopen is not followed by mypy
-    """canopen's network over a `Bus`; what is received is handed to `notify` by the session."""
+    """canopen's network over a `Bus`; the session passes received frames to `notify`."""
 
     def __init__(self, bus: Bus) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class _Client(SdoClient):  # type: ignore[misc]
         network.subscribe(cia301.SDO_ANSWER + node_id, self._take)
 
     def _take(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Answers of a wrong length are no answers: canopen would unpack them all the same."""
+        """Answers of a wrong length are ignored: canopen would unpack them all the same."""
         if len(data) == _ANSWER_LENGTH:
             self.on_response(can_id, data, timestamp)
 
@@ -90,7 +90,7 @@ class Session:
     """
 
     def __init__(self, bus: Bus, settings: BusSettings, stopped: Callable[[], str | None] = lambda: None) -> None:
-        """`stopped`: why nobody wants to wait any longer, if so; raised as StoppedError, once, while it waits."""
+        """`stopped`: the reason to stop waiting, if any; raised as StoppedError, once, while it waits."""
         self._bus = bus
         self._settings = settings
         self._stopped = stopped
@@ -160,7 +160,7 @@ class Session:
         while not reached():
             cause = self._stopped()
             if cause is not None:
-                self._stopped = lambda: None  # what is sent on the way out is waited for
+                self._stopped = lambda: None  # the last frames are waited for
                 raise StoppedError(cause)
             now = self._bus.clock()
             self._beat(now)
@@ -175,7 +175,7 @@ class Session:
         return True
 
     def _catch_up(self) -> None:
-        """Take what waits already: an answer that came too late is none to the next request."""
+        """Take what waits already: a late answer does not belong to the next request."""
         now = self._bus.clock()
         for frame in self._bus.gather(0.0, _MOST_WAITING):
             self._take(frame, now)
@@ -233,7 +233,7 @@ class Session:
         return "".join(c for c in data.decode("latin-1") if c.isprintable()).strip()
 
     def ask(self, node_id: int, entry: Object) -> int | None:
-        """Read an object once; None when there is no answer, or the node refuses."""
+        """Read an object once; None without an answer, or if the node rejects it."""
         try:
             return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key), attempts=1))
         except BusError:
@@ -257,7 +257,7 @@ class Session:
             raise
 
     def emcys(self, node_id: int) -> tuple[Emcy, ...]:
-        """Emergencies of a node since the session began, without those that say that an error is gone."""
+        """Emergencies of a node since the session began, without those that report the end of an error."""
         return tuple(self._emcys.get(node_id, ()))
 
     def _transfer(
@@ -331,12 +331,13 @@ class Session:
 
 
 def another_master(name: str, heard: Collection[int]) -> str:
-    """What to say of frames that only a master sends."""
+    """Return the message for frames that only a master sends."""
     frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
     if set(heard) == {cia301.SYNC}:
         return (
             f"{name}: somebody sends SYNC (0x080), another master or a drive that makes it itself (0x1005 bit 30); "
-            "stop the other program, or write produces_sync = true into that drive's profile: then it is told to stop"
+            "stop the other program, or write produces_sync = true into that drive's profile: startup then "
+            "disables its SYNC"
         )
     return (
         f"{name}: another master is active (heard its frames {frames}); nothing was sent: "

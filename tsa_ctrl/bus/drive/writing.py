@@ -27,9 +27,9 @@ def write_all(
 ) -> list[Row]:
     """Write a plan in order, each object read before and after; one row per object.
 
-    Objects that must be taken out of service to be changed (PDOs, the identifier of emergencies) are left alone when
-    all of them are as wanted: many nodes cannot write them. `cure` says what to do about an object that is refused with
-    a code, or (None) does not keep its value; `notes` gets what was forgiven. Raises BusError.
+    Objects that must be taken out of service to be changed (PDOs, the identifier of emergencies) are not changed if
+    all of them are as required: many nodes cannot write them. `cure` is the remedy for an object that is rejected with
+    a code, or (None) does not keep its value; `notes` receives the tolerated deviations. Raises BusError.
     """
     rows: dict[tuple[int, int], Row] = {}
     settled = _settled(session, node_id, plan, rows)
@@ -99,7 +99,7 @@ def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[
 
 
 def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: int) -> list[Write]:
-    """The plan with the entry of 0x1016 that suits: one that has our id already, else one that nobody has."""
+    """The plan with the entry of 0x1016 that suits: one with our id already, else an unused one."""
     if not any(write.entry.key == objects.HEARTBEAT_CONSUMER.key for write in plan):
         return list(plan)
     count = session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 1

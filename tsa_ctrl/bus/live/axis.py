@@ -130,7 +130,7 @@ class Inbox:
         return self.armed if self.every == 1 else self.is_overdue
 
     def share(self, store: Callable[[tuple[Any, ...]], None]) -> None:
-        """Give what comes to another axis, too: one encoder of two."""
+        """Also pass received frames to another axis: one encoder of two."""
         first = self.store
 
         def both(values: tuple[Any, ...]) -> None:
@@ -303,7 +303,7 @@ class Axis:
     def command(self, controlword: int, tau_m: float) -> bool:
         """Send one RPDO: `controlword`, and `tau_m` (N*m at the motor pulley) clamped to the drive's limit.
 
-        What is not finite is sent as zero and counted in `refused`. False when the frame was dropped.
+        A value that is not finite is sent as zero and counted in `refused`. False when the frame was dropped.
         """
         if self.stands_off:
             self.tau_m_sent = 0.0
@@ -326,7 +326,7 @@ class Axis:
         return False
 
     def rearm(self, now: float) -> None:
-        """Forget what was latched, after the nodes of this axis have been configured again."""
+        """Clear the latches, after the nodes of this axis have been configured again."""
         image = self.image
         for health in image.nodes:
             health.heard = now

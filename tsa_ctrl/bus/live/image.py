@@ -1,4 +1,4 @@
-"""The process image of one axis: what its nodes said last, in SI. Written by the rig, read by everybody else."""
+"""The process image of one axis: the last values of its nodes, in SI. Written by the rig, read by everybody else."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class NodeHealth:
         self.boot_ups = 0
         self.emcys = 0  # emergencies other than "error reset"
         self.emcy: Emcy | None = None  # the last of them
-        self.told: frozenset[int] = frozenset()  # codes of emergencies that are told and stop nothing
+        self.told: frozenset[int] = frozenset()  # codes of emergencies that are reported and stop nothing
         self.warnings = 0  # emergencies with such a code
         self.warning: Emcy | None = None  # the last of them
         self.untoggled = 0  # answers to node guarding that repeated their toggle bit
@@ -94,7 +94,7 @@ class Image:
         self.statusword = 0  # 0x6041
         self.mode = 0  # 0x6061
         self.error_code = 0  # 0x603F
-        self.tau_m = math.nan  # N*m, what the drive reports, at the motor pulley
+        self.tau_m = math.nan  # N*m, reported by the drive, at the motor pulley
         self.q_m = math.nan  # rad, motor pulley
         self.omega_m = math.nan  # rad/s, motor pulley
         self.q_j = math.nan  # rad, joint
@@ -113,7 +113,7 @@ class Image:
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
         self.intruder: int | None = None  # identifier of a frame that only a second master would send
-        self.altered: str | None = None  # what a node no longer holds as it was written
+        self.altered: str | None = None  # objects of a node that no longer have the written value
         self.pressed: str | None = None  # the emergency stop at the drive: pressed, or its state is unknown
         self.bus_fault: BusFault | None = None
 

@@ -22,8 +22,8 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead
 
-_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
-_OTHERS = 16  # emergencies and heartbeats that may stand between answers that came in time
+_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old and new answers cannot be distinguished
+_OTHERS = 16  # emergencies and heartbeats that may lie between timely answers
 _MISJUDGED = 8  # answers in a row that came after the one that was thought to be the last
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
@@ -37,7 +37,7 @@ class Rig:
 
     `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
     the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
-    the last one said), `flooded` (cycles whose answers could not be told from old ones).
+    the last one said), `flooded` (cycles whose answers could not be distinguished from old ones).
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class Rig:
 
     @property
     def commands(self) -> bool:
-        """Whether any drive is commanded; see `stand_off`."""
+        """Return True if any drive is commanded; see `stand_off`."""
         return any(not axis.stands_off for axis in self.axes)
 
     @property
@@ -344,7 +344,7 @@ class Rig:
                     axis.image.altered = f"{health}: {reader.altered[node_id]}"
 
     def _meet_request(self, can_id: int, data: bytes) -> None:
-        """An SDO of somebody else: who writes may take a watchdog or a clamp away; who only asks does no harm."""
+        """An SDO of another master: a write may remove a watchdog or a clamp; who only asks does no harm."""
         if data and data[0] >> 5 in _WRITES:
             self._meet_intruder(can_id, data)
 

@@ -1,4 +1,4 @@
-"""Whether every node answers as it should, once, before torque: SYNC at the period without any command."""
+"""Check once before torque that every node answers as it should: SYNC at the period without any command."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
 
 
 def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in [controller], and the cable") -> str:
-    """What the node itself sent meanwhile, which is more than anybody here can guess."""
+    """Return the emergencies that the node sent meanwhile."""
     if health.emcy is None:
         return otherwise
-    return f"; it sent {health.emcy}: remove what it names, power the node off and on, and start again"
+    return f"; it sent {health.emcy}: remove the reported cause, power the node off and on, and start again"

@@ -5,7 +5,7 @@ a connection that keeps frames apart (SOCK_SEQPACKET). SOCK_DGRAM without connec
 net.unix.max_dgram_qlen frames, often 10. The names are abstract, so that no files remain.
 
 Limits: there is no arbitration, bit rate, error frame, bus-off, acknowledgement or filter in the kernel.
-Each sender's frames keep their order; those of several senders mix. A frame without a receiver counts as sent. A
+Each sender's frames keep their order; frames of several senders mix. A frame without a receiver counts as sent. A
 participant that does not read loses frames. All participants are processes of one user in one network namespace.
 """
 
@@ -62,7 +62,7 @@ class DatagramBus(BusInProcess):
         self._connect()
 
     def _connect(self) -> None:
-        """Connect to the participants to which there is no connection, or none any more."""
+        """Connect to the participants without a connection."""
         for name, receiver in self._receivers.items():
             with suppress(BlockingIOError):
                 if receiver is not None:

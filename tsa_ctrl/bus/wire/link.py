@@ -51,7 +51,7 @@ class CanState(IntEnum):
 
 @dataclass(frozen=True)
 class Interface:
-    """One link; what it does not have (a vcan has no bit rate) is None."""
+    """One link; a missing value (a vcan has no bit rate) is None."""
 
     up: bool
     kind: str | None = None  # "can", "vcan", "slcan", ...
@@ -60,7 +60,7 @@ class Interface:
     state: CanState | None = None
     errors: tuple[int, int] | None = None  # transmit and receive error counters
     is_can: bool = False  # of whatever kind
-    restart_ms: int | None = None  # after which the kernel leaves bus-off by itself; 0: never
+    restart_ms: int | None = None  # after which the kernel leaves bus-off; 0: never
     lost: int = 0  # frames since it is up: errors and drops, both ways
     name: str = ""
 
@@ -119,7 +119,7 @@ def delete(name: str) -> None:
 
 
 def parse(body: bytes) -> Interface:
-    """Decode what the kernel says of one link (RTM_NEWLINK without its header)."""
+    """Decode the kernel's message on one link (RTM_NEWLINK without its header)."""
     _, link_type, _, flags, _ = LINK.unpack_from(body)
     of = attributes(body[LINK.size :])
     info = attributes(of.get(_IFLA_LINKINFO, b""))
@@ -148,7 +148,7 @@ def check(channel: str, bitrate: int) -> None:
     restart = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bitrate}"
     if found.bitrate is not None and found.bitrate != bitrate:
         raise BusError(
-            f"[bus] channel '{channel}': its bit rate is {found.bitrate} bit/s, the configuration says {bitrate}; "
+            f"[bus] channel '{channel}': its bit rate is {found.bitrate} bit/s, the configuration has {bitrate}; "
             f"correct bitrate, or: {restart}"
         )
     if found.state is not None and found.state is not CanState.ERROR_ACTIVE:

@@ -24,9 +24,9 @@ _TIMEOUT = 1.0  # s
 
 
 def request(kind: int, flags: int, body: bytes) -> list[bytes]:
-    """Ask, and wait for the acknowledgement; the bodies of what the kernel answers before it.
+    """Ask, and wait for the acknowledgement; the bodies of the answers before it.
 
-    Raises OSError with the kernel's reason, or where there is no netlink.
+    Raises OSError with the kernel's reason, or without netlink.
     """
     if not hasattr(socket, "AF_NETLINK"):
         raise OSError("this system has no netlink")
@@ -60,7 +60,7 @@ def attribute(kind: int, value: bytes) -> bytes:
 
 
 def attributes(data: bytes) -> dict[int, bytes]:
-    """Attributes by type, up to the first that is none."""
+    """Return attributes by type, up to the first invalid one."""
     found = {}
     while len(data) >= _ATTRIBUTE.size:
         length, kind = _ATTRIBUTE.unpack_from(data)

@@ -17,7 +17,7 @@ from tsa_ctrl.errors import BusError
 Option = str | int | float | bool
 
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
-_ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
+_ECHOING = frozenset({"udp_multicast"})  # interfaces that cannot leave out the own frames
 # Options for a loop at a fixed rate, unless [bus] options contain them. A read of slcan without frames blocks for its
 # `timeout`, 1 ms by default, which is a whole period. Without `tcp_tune` the kernel delays small frames of socketcand
 # until the last one is acknowledged. The frames of udp_multicast never leave this machine.
@@ -130,7 +130,7 @@ def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Opt
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """Linux gives a socket the groups that anybody on the machine has joined, unless told not to.
+    """By default, Linux gives a socket the groups that any process of the machine has joined.
 
     What has come before it was told, since it was opened, may be of any group: it is thrown away.
     """

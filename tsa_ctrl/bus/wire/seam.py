@@ -1,4 +1,4 @@
-"""The one seam to the world: what the rest of the package asks of a CAN bus, whatever carries it.
+"""The one seam to the world: the interface of a CAN bus for the rest of the package.
 
 A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` set in its
 identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `ErrorClass`).
@@ -40,7 +40,7 @@ class Counters:
 
 
 class Bus(Protocol):
-    """A CAN bus. Never blocks in `send`, never queues what is stale, never hears its own frames."""
+    """A CAN bus. Never blocks in `send`, never queues stale frames, never receives its own frames."""
 
     name: str
     counters: Counters
@@ -55,7 +55,7 @@ class Bus(Protocol):
         ...
 
     def recv(self, timeout: float) -> Frame | None:
-        """The next frame, waiting at most `timeout` s; None when there is none or the bus has failed (see `fault`)."""
+        """The next frame, waiting at most `timeout` s; None without one or if the bus has failed (see `fault`)."""
         ...
 
     def gather(self, until: float, most: int) -> Sequence[Frame]:
@@ -69,7 +69,7 @@ class Bus(Protocol):
     def answers(self, timeout: float, most: int) -> Sequence[Frame]:
         """Wait for the frame named to `listen_for`, `timeout` s at most, then take what has come, `most` at most.
 
-        Spares a cycle to be woken by each answer. It may be woken early, so what is missing is to be waited for.
+        Spares a cycle to be woken by each answer. It may be woken early, so the caller waits for the rest.
         """
         ...
 
@@ -89,7 +89,7 @@ class Bus(Protocol):
         ...
 
     def clear_fault(self) -> None:
-        """Forget a latched fault, when somebody asked for a new start."""
+        """Clear a latched fault after a request for a new start."""
         ...
 
     def fileno(self) -> int:
@@ -155,7 +155,7 @@ NAMES = {
     ErrorClass.CONTROLLER: "controller problem",
     ErrorClass.PROTOCOL: "protocol violation",
     ErrorClass.TRANSCEIVER: "transceiver problem",
-    ErrorClass.NO_ACKNOWLEDGE: "no acknowledge: nobody else is on the bus",
+    ErrorClass.NO_ACKNOWLEDGE: "no acknowledge: no other node is on the bus",
     ErrorClass.BUS_OFF: "bus-off",
     ErrorClass.BUS_ERROR: "bus error",
     ErrorClass.RESTARTED: "controller restarted",
@@ -163,7 +163,7 @@ NAMES = {
 
 
 def describe(can_id: int, data: bytes) -> str:
-    """What an error frame says, in words."""
+    """Return the meaning of an error frame in words."""
     words = [name for error_class, name in NAMES.items() if can_id & error_class]
     if can_id & ErrorClass.CONTROLLER and len(data) > 1:
         words += [name for bit, name in CONTROLLER_STATES if data[1] & bit]

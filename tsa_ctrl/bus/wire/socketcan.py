@@ -141,7 +141,7 @@ class SocketCan:
             raw.bind((channel,))
         except OSError:
             names = sorted(name for _, name in socket.if_nameindex() if "can" in name)
-            found = f"CAN interfaces here: {', '.join(names)}" if names else "there is no CAN interface here"
+            found = f"CAN interfaces here: {', '.join(names)}" if names else "this machine has no CAN interface"
             raise BusError(
                 f"[bus] channel '{channel}': no such CAN interface; {found}; plug the adapter in or correct the name"
             ) from None

@@ -85,7 +85,7 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
         refuse_without_friction(problem, base, named=bool(selection.fitted.names))
         say("what is left")
         selection, findings = residual_structure(selection, testable.catalogue, rng)
-        say("what cannot be told apart")
+        say("effects that are not separately identifiable")
         selection, groups = alternatives(selection, testable.catalogue, findings)
         selection, groups = parted(selection, testable.catalogue, findings, groups)
         say("parameters and gain")

@@ -70,7 +70,7 @@ def test_a_diagnosis_uses_the_logs_that_tell_most_and_says_so(monkeypatch: pytes
     found = diagnose([log(f"{number:02d}", 0.5 + 0.2 * number, spring=0.2) for number in range(12)], drive)
     assert found.causes[0].effect == "joint_stiffness"
     assert found.details is not None
-    assert found.details.notes[0] == "5 of 12 logs, 100 s, are used: the others repeat what these show"
+    assert found.details.notes[0] == "5 of 12 logs, 100 s, are used: the others repeat them"
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_fifty_logs_are_diagnosed_as_thirty_are() -> None:
     assert found.causes[0].effect == "joint_stiffness"
     assert found.causes[0].parameters["stiffness"].low < 0.2 < found.causes[0].parameters["stiffness"].high  # type: ignore[union-attr]
     assert found.details is not None
-    assert re.match(r"\d+ of 50 logs, \d+ s, are used: the others repeat what these show", found.details.notes[0])
+    assert re.match(r"\d+ of 50 logs, \d+ s, are used: the others repeat them", found.details.notes[0])
 
 
 def test_a_pattern_that_matches_no_log_is_told_as_before() -> None:

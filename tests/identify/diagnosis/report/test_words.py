@@ -34,7 +34,7 @@ def told(verdict: Verdict, *causes: Cause, left: str = "", formula: Formula | No
 
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_the_first_sentence_has_at_most_35_words_and_names_the_first_cause(count: int) -> None:
-    found = told(Verdict.PARTLY_EXPLAINED, *[LONG] * count, left="what is left depends on the load")
+    found = told(Verdict.PARTLY_EXPLAINED, *[LONG] * count, left="the residual depends on the load")
     assert found.startswith("Direction asymmetric friction")
     assert "from 50 to 10 mN·m" in found
     assert len(found.split()) <= 35
@@ -47,19 +47,19 @@ def test_what_is_simple_is_told_whole() -> None:
 
 
 def test_a_long_list_of_what_is_left_is_cut_from_the_first_sentence() -> None:
-    left = "what is left depends on several signals at once (44% of its mean square); it also depends on the load"
+    left = "the residual depends on several signals at once (44% of its mean square); it also depends on the load"
     assert len(told(Verdict.UNEXPLAINED, left=left).split()) <= 35
 
 
 @pytest.mark.parametrize("text", ["a*tau**3", " + ".join(["a*sin(q_j)*tau"] * 9)], ids=["short", "long"])
 def test_a_formula_that_takes_most_of_what_is_left_comes_first(text: str) -> None:
     formula = Formula(text, {}, RigidDrive(), 0.96, (0.05, 0.01), 1, 1, 1)
-    found = told(Verdict.UNEXPLAINED, left="what is left is a slow drift (100% of its mean square)", formula=formula)
+    found = told(Verdict.UNEXPLAINED, left="the residual is a slow drift (100% of its mean square)", formula=formula)
     assert "no effect explains it; a formula takes 96% of it" in found
     assert (text in found) == (len(text) < 20)
     assert len(found.split()) <= 35
     little = dataclasses.replace(formula, gain=0.3)
-    assert "slow drift" in told(Verdict.UNEXPLAINED, left="what is left is a slow drift", formula=little)
+    assert "slow drift" in told(Verdict.UNEXPLAINED, left="the residual is a slow drift", formula=little)
 
 
 def test_a_long_reason_goes_on_in_a_second_sentence() -> None:
@@ -69,7 +69,7 @@ def test_a_long_reason_goes_on_in_a_second_sentence() -> None:
     first, second = found.split(". ", 1)
     assert len(first.split()) <= 35
     assert second.startswith("The motion")
-    assert insufficient_sentence("is it swapped?") == "These logs cannot tell: is it swapped?"
+    assert insufficient_sentence("is it swapped?") == "These logs cannot determine: is it swapped?"
 
 
 def test_that_parameters_are_no_rival_does_not_say_that_they_are_right() -> None:
@@ -108,7 +108,7 @@ def test_four_lines_state_error_cause_rest_and_next_step() -> None:
 
 
 def test_what_only_reversals_leave_is_not_called_more_than_noise() -> None:
-    left = "what is left depends on time (23% of its mean square); it also depends on the load"
+    left = "the residual depends on time (23% of its mean square); it also depends on the load"
     rest = four(Verdict.PARTLY_EXPLAINED, PLAIN, left=left)["Rest"]
     noisier = "it is 1.2 times the sensor noise and depends on time (23% of its mean square)"
     assert rest == f"mostly in reversals; while sliding {noisier}"
@@ -126,7 +126,7 @@ def test_with_alternatives_the_next_step_is_the_experiment() -> None:
 
 def test_without_a_cause_the_lines_say_so() -> None:
     assert four(Verdict.CONSISTENT)["Cause"] == "none"
-    assert four(Verdict.UNEXPLAINED, left="what is left is a slow drift (90% of its mean square)")["Cause"] == (
+    assert four(Verdict.UNEXPLAINED, left="the residual is a slow drift (90% of its mean square)")["Cause"] == (
         "none in the catalogue"
     )
     assert four(Verdict.INSUFFICIENT)["Error"] == "not known"

@@ -28,7 +28,7 @@ def diagnosed(case: Case) -> Diagnosis:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "shape"), list(zip(NAMES, ("even", "joint", "motor", "joint"), strict=True)))
 def test_each_is_named_alone_with_its_numbers(name: str, shape: str) -> None:
-    """Its size within 5 %; the torque gains nothing, and a slip, which happened once, is none of the model's."""
+    """Its size within 5 %; the torque gains nothing, and a slip, which happened once, is not part of the model."""
     case = two_encoder_case(f"{name}:{shape}", 0, short=True)
     found = diagnosed(case)
     (cause,) = found.causes
@@ -69,7 +69,7 @@ def test_a_rig_as_its_file_says_has_none(shape: str) -> None:
 
 @pytest.mark.slow
 def test_a_spring_is_a_wrong_stiffness_where_nobody_knows_the_shape() -> None:
-    """The file does not say where the sheath bends: only the whole softness is known, and both would add to it."""
+    """The file does not state where the sheath bends: only the whole softness is known, and both would add to it."""
     case = two_encoder_case("series_spring:joint", 0, short=True)
     lines = [line for line in case.model.splitlines() if not line.startswith("bending_centre")]
     (cause,) = diagnosed(replace(case, model="\n".join(lines))).causes

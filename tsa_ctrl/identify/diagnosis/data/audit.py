@@ -15,7 +15,7 @@ from tsa_ctrl.model.signals import hold_direction
 
 SHORTEST = 3.0  # s: a slow reversal and what comes before and after it
 FEWEST = 60  # score samples: two and a half in each of the blocks (frame.BLOCKS) that every test counts by
-CLEAR = 6.0  # times the velocity's noise, above which a motion is none of it
+CLEAR = 6.0  # times the velocity's noise, above which a motion is not noise
 LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
 # Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
 STUCK = 0.5
@@ -83,7 +83,7 @@ def _narrowed(frame: Frame) -> tuple[str, ...]:
         return ()
     return (
         f"friction follows the motion up to {band:.2g} Hz: angles and velocities derived from them are narrowed to "
-        "that, as the joint's torque does not answer to what is faster",
+        "that, because the joint torque does not respond to faster motion",
     )
 
 

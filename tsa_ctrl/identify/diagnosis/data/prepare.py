@@ -54,7 +54,7 @@ def _datasets(logs: Logs) -> list[Dataset]:
     names = [log.name for log in out]
     doubled = sorted({name for name in names if names.count(name) > 1})
     if doubled:
-        raise UsageError(f"diagnose: two logs are named {doubled[0]}; give each a name of its own")
+        raise UsageError(f"diagnose: two logs are named {doubled[0]}; give each a different name")
     return out
 
 

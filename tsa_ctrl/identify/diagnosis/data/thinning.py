@@ -48,7 +48,7 @@ def left_out(given: int, runs: Sequence[Run]) -> tuple[str, ...]:
     if len(runs) == given:
         return ()
     seconds = sum(run.raw.seconds for run in runs)
-    return (f"{len(runs)} of {given} logs, {seconds:.0f} s, are used: the others repeat what these show",)
+    return (f"{len(runs)} of {given} logs, {seconds:.0f} s, are used: the others repeat them",)
 
 
 def _chosen(own: Sequence[int], cells: Array, seconds: Sequence[float], longest: float) -> list[int]:

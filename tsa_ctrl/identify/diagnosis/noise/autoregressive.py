@@ -106,7 +106,7 @@ def _solved(factor: Array, y: Array) -> Array:
     else:
         found = np.asarray(dtrtrs(factor.T, y, lower=0, trans=1)[0])
     if not np.isfinite(found).all():
-        raise FloatingPointError("what is to be explained is not finite")
+        raise FloatingPointError("the residual is not finite")
     return found
 
 

@@ -201,7 +201,7 @@ def _exact(q: Quantity) -> str:
 
 
 def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formula | None:
-    """The formula that what `found` leaves follows also on held-out data; None where there is none of few terms."""
+    """The formula that what `found` leaves follows also on held-out data; None if no short formula does."""
     learned = fit_on_simulation_error(problem, found, mask=split.fit)
     model = learned.hypothesis.model(learned.point)
     if "custom" in model.effects:

@@ -25,7 +25,7 @@ LEVELS = (0.25, 0.5, 1.0)  # of the torque seen in the logs
 CYCLES = 3  # at each frequency and level
 LONGEST = 12.0  # s at one frequency and level
 REPEAT = "repeat the very same motion ten times, so that the noise floor is measured and not estimated"
-ELSEWHERE = "other speeds, loads and angles than in these logs: a formula that holds there, too, is a law of the drive"
+ELSEWHERE = "other speeds, loads and angles than in these logs: a formula that also holds there is a law of the drive"
 FEWEST_REVERSALS = 8  # each way four: fewer do not part the directions' scatter from a difference
 
 
@@ -46,7 +46,7 @@ def advice(
     if pairs:
         motion, parted = _parting_most(pairs)
         told = " or ".join(dict.fromkeys(name.replace("_", " ") for pair in parted for name in pair))
-        text = f"{motion.value}: this would tell {told}"
+        text = f"{motion.value}: this would separate {told}"
     elif verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         text = ELSEWHERE if formula else REPEAT
     else:

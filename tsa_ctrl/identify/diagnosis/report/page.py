@@ -32,7 +32,7 @@ WORDS = {
     Verdict.EXPLAINED: "explained: causes are named and nothing significant is left",
     Verdict.PARTLY_EXPLAINED: "partly explained: causes are named, but structure is left",
     Verdict.UNEXPLAINED: "unexplained: there is structure that nothing in the catalogue explains",
-    Verdict.INSUFFICIENT: "insufficient: the logs do not excite the system enough to say",
+    Verdict.INSUFFICIENT: "insufficient: the logs do not excite the system enough",
 }
 
 
@@ -115,7 +115,7 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
     for name, value in parameters.items():
         if isinstance(value, Quantity):
             if not value.told:
-                interval = "not told by these logs"
+                interval = "not determined by these logs"
             else:
                 known = value.high > value.low
                 interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"

@@ -102,7 +102,7 @@ def _rest(result: Diagnosis) -> str:
     if not result.unexplained:
         return "noise"
     sliding, noise = result.errors.sliding, result.errors.sensor_noise
-    first = result.unexplained.split(";")[0].removeprefix("what is left ")
+    first = result.unexplained.split(";")[0].removeprefix("the residual ")
     if sliding is not None and noise is not None and sliding < MORE_THAN_NOISE * noise:
         if sliding <= NO_MORE * noise:
             return "in reversals alone; while sliding it is noise"
@@ -128,7 +128,9 @@ def _of_the_stretch(result: Diagnosis) -> str:
     assert result.stretch is not None
     without, extended = (f"{1e6 * each:.3g}" for each in (result.stretch.without, result.stretch.extended))
     left = "; the torque has more" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
-    return _with_causes(result, f"what the tendons' stretch leaves falls from {without} to {extended} µm RMS{left}")
+    return _with_causes(
+        result, f"the residual of the tendon elongation falls from {without} to {extended} µm RMS{left}"
+    )
 
 
 def _with_causes(result: Diagnosis, gained: str) -> str:
@@ -160,7 +162,7 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         out.append(_visible(result))
     if result.of_torque:
         out.append(
-            f"The causes gain {result.gain:.0%} of what could be explained down to the sensor noise while the joint "
+            f"The causes gain {result.gain:.0%} of the explainable error above the sensor noise while the joint "
             f"slides, {result.gain_all:.0%} with reversals; extended.toml has them."
         )
     if result.unexplained:
@@ -169,16 +171,16 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         unit = "" if unit == "1" else f" {unit}"
         out.append(
             f"The {spoken(name)} of the model that is written, {value:.4g}{unit}, is at its bound: the file's "
-            f"[uncertainty] allows {low:.4g} to {high:.4g}{unit}; it is no measurement."
+            f"[uncertainty] allows {low:.4g} to {high:.4g}{unit}; it is not a measurement."
         )
     if result.formula:
         found = result.formula
         out.append(
-            f"As a formula, what is left follows {found.expression}, which takes {found.gain:.0%} of it on held-out "
+            f"The residual follows the formula {found.expression}, which explains {found.gain:.0%} of it on held-out "
             f"data ({found.better} of {found.logs} log{'s' if found.logs > 1 else ''} better)."
         )
         if found.tells_when:
-            out.append("It has the time t of these logs in it: it tells when, and is no law for a controller.")
+            out.append("The formula contains the time t of these logs: a controller cannot use it.")
     ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
     if ruled_out:
         out.append(f"Excluded: {listed(ruled_out)}.")
@@ -229,17 +231,17 @@ def _counted(cause: Cause) -> str:
 
 def insufficient_sentence(reason: str) -> str:
     """The first sentences of a report that cannot say anything else; a long reason goes on in the next."""
-    text = f"These logs cannot tell: {reason.rstrip('.?')}{'?' if reason.endswith('?') else '.'}"
+    text = f"These logs cannot determine: {reason.rstrip('.?')}{'?' if reason.endswith('?') else '.'}"
     first, _, rest = text.partition("; ")
     return f"{first}. {rest[0].upper()}{rest[1:]}" if rest and len(text.split()) > MOST_WORDS else text
 
 
 def summary_of(name: str) -> str:
-    """What an effect is, from the catalogue; `parameter_error` is none of its effects."""
+    """What an effect is, from the catalogue; `parameter_error` is not one of its effects."""
     return (
         CATALOGUE[name].summary
         if name in CATALOGUE
-        else "the file's friction angle or pretension is further off than it says"
+        else "the file's friction angle or pretension is further off than its [uncertainty]"
     )
 
 
@@ -250,13 +252,13 @@ def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
     first, *others = left[:3]
     share = f"({first.share:.0%} of its mean square)"
     told = [
-        f"what is left depends on {first.what} {share}" if _drives(first) else f"what is left is {first.what} {share}"
+        f"the residual depends on {first.what} {share}" if _drives(first) else f"the residual is {first.what} {share}"
     ]
     depends = [finding.what for finding in others if _drives(finding)]
     are = [finding.what for finding in others if not _drives(finding)]
     told += [f"it also depends on {listed(depends)}"] if depends else []
     told += (
-        [f"beside it there {'are' if len(are) > 1 or are[0].startswith('bursts') else 'is'} {listed(are)}"]
+        [f"in addition there {'are' if len(are) > 1 or are[0].startswith('bursts') else 'is'} {listed(are)}"]
         if are
         else []
     )

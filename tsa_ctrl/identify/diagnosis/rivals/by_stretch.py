@@ -64,7 +64,7 @@ class ByStretch:
 
     @property
     def effects(self) -> Effects:
-        """Those for a model file: what happened once in one log is none of the model's."""
+        """Those for a model file: an event in one log is not part of the model."""
         return {
             cause.effect: {name: v if isinstance(v, str) else v.value for name, v in cause.parameters.items()}
             for cause in self.causes
