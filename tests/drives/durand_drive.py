@@ -48,7 +48,7 @@ class DurandDrive:
         dictionary[0x60C2] = period
         dictionary.write(0x1000, 0, 0x00020192)
         dictionary.write(0x1018, 1, 0x0F0F)
-        for index, react in ((0x6040, self._control), (0x6060, self._set_mode), (0x6071, self._pull)):
+        for index, react in ((0x6040, self._control), (0x6060, self._set_mode), (0x6071, self.pull)):
             dictionary.update_callbacks[index, 0].add(react)
 
     def get(self, index: int, subindex: int = 0) -> int:
@@ -58,12 +58,12 @@ class DurandDrive:
         state = self.get(0x6041)
         after = DISABLED if controlword & 0x02 == 0 else STEPS.get((state, controlword), state)
         self.node.object_dictionary.write(0x6041, 0, after)
-        self._pull(self.get(0x6071))
+        self.pull(self.get(0x6071))
 
     def _set_mode(self, mode: int) -> None:
         self.node.object_dictionary.write(0x6061, 0, mode)
 
-    def _pull(self, target: int) -> None:
+    def pull(self, target: int) -> None:
         limit = self.get(0x6072)
         wanted = target + self.get(0x60B2)
         delivered = max(-limit, min(limit, wanted)) if self.get(0x6041) == ENABLED else 0

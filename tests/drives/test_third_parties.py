@@ -76,7 +76,7 @@ def test_the_torque_offset_of_a_drive_on_durand_is_neutralised() -> None:
     master = OnDurand()
     drive = master.durand.drive
     drive.node.object_dictionary.write(0x6041, 0, durand_drive.ENABLED)
-    drive._pull(0)
+    drive.pull(0)
     assert (drive.get(0x60B2), drive.get(0x6077)) == (120, 120)
     drive.node.object_dictionary.write(0x6041, 0, durand_drive.DISABLED)
     master.start_up()

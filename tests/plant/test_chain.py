@@ -174,15 +174,6 @@ def test_a_bristle_makes_sticking_elastic() -> None:
     assert abs(moves[0][2] - moves[0][3]) > abs(moves[1][2] - moves[1][3]) > 0.0
 
 
-def test_longer_path_by_bending_raises_the_tension_where_it_bends(tmp_path: Path) -> None:
-    environment: dict[str, Any] = {"bending": [(0.0, 1.0), (0.05, 1.4)]}
-    joint = axis(tmp_path, tendon={"kind": "distributed"}, motion={"kind": "still"}, environment=environment)
-    run(joint, 0.0, 0.1)
-    tension = joint._arrays.chains[1, Row.TENSION]
-    assert tension[20] > tension[0] > T_P0  # the middle is held by friction from both ends
-    assert joint.values()["t3"] == pytest.approx(joint.values()["t4"], rel=1e-6)
-
-
 @pytest.mark.parametrize("curvature", ["uniform", "motor_end", [(0.0, 0.0), (0.3, 0.1), (0.4, 0.8), (1.0, 1.0)]])
 @pytest.mark.parametrize("inertia", [0.0, 1e-4])
 def test_wild_torques_are_always_solved(tmp_path: Path, curvature: Any, inertia: float) -> None:

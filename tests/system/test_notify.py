@@ -13,9 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tests.daemon.machine import CONSTANT, Machine
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system.notify import LONGEST, Notifier
 
 UNIT = ROOT / "config" / "tsa.service"
@@ -119,21 +117,6 @@ def test_a_manager_that_does_not_read_is_not_waited_for(manager: Manager, tmp_pa
         update(notifier, 1e-3 * look, LoopPhase.RUNNING)
     assert 0 < len(manager.heard()) < 5000
     notifier.close()
-
-
-def test_the_loop_tells_of_itself(manager: Manager, tmp_path: Path) -> None:
-    """A whole run on the fake bus: ready when it runs, signs of life by the loop, stopping at its end."""
-    machine = Machine(tmp_path, CONSTANT)
-    notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="1000000"))
-    telemetry = machine.loop._telemetry
-    assert isinstance(telemetry, Telemetry)
-    telemetry._notifier = notifier
-    machine.run(seconds=2.0)
-    machine.close()
-    notifier.close()
-    heard = manager.heard()
-    assert heard.index("READY=1\nSTATUS=running") < heard.index("STOPPING=1\nSTATUS=stopping")
-    assert 7 <= heard.count("WATCHDOG=1") <= 11  # 2 s of torque and the ramp, 4 per second
 
 
 def test_unit_says_what_the_daemon_keeps_to() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +15,7 @@ from tsa_ctrl.demo.rig import NOMINAL, VIRTUAL
 from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import load_tendon_sheath
-from tsa_ctrl.tune import procedure
 from tsa_ctrl.tune.by_stretch import estimate_by_stretch
-from tsa_ctrl.tune.excitation import Bounds, multi_sine
-from tsa_ctrl.tune.mechanics import Mechanics
 
 
 @pytest.mark.slow
@@ -70,32 +66,6 @@ def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsy
     assert "take it by hand" in said
     assert said.count("\n") == 1
     assert (tmp_path / rig.MODEL).read_bytes() == before
-
-
-def test_where_nobody_can_be_asked_the_cure_is_said_and_no_second_run_is_made(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A joint that goes one way for half a second, and stands."""
-    t = np.arange(0.0, 8.0, 0.002)
-    q_j = np.clip(t - 1.0, 0.0, 0.5)
-    columns = {"t": t, "q_j": q_j, "q_m": 1.25 * q_j, "tau_m": 0.3 * np.sin(t), "omega_j": np.gradient(q_j, t)}
-    made: list[str] = []
-
-    def excitation(self: procedure.Procedure, name: str, *how: object) -> tuple[Dataset, ...]:
-        made.append(name)
-        return (Dataset.from_arrays(columns, name),)
-
-    monkeypatch.setattr(procedure.Procedure, "_excitation", excitation)
-    settings = procedure.Settings(
-        8.0, 4.0, 0.95, 0.002, certified_gain=False, forms=True, extended=False, by_stretch=True
-    )
-    nobody: Any = None
-    tuning = procedure.Procedure(
-        nobody, tmp_path / "model.toml", NOMINAL, Bounds(1.0, 5.0), settings, nobody, tmp_path, lambda *_: None
-    )
-    with pytest.raises(TooStillError, match=r"steady .* take it by hand, .* against up to 1 N.* and start again"):
-        tuning._excite(multi_sine((0.5,), 1.0, 8.0), Mechanics(None, None))
-    assert made == ["excitation"]
 
 
 class Person(io.StringIO):
