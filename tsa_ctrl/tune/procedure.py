@@ -36,6 +36,7 @@ from tsa_ctrl.tune.excitation import (
     response,
 )
 from tsa_ctrl.tune.mechanics import FEEDBACK_KEY, MOTOR, LawTuning, Mechanics, bearable, measured, pulling, stiffened
+from tsa_ctrl.tune.ripple import with_torque_ripple
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 
 # Ratio of the pulley radii r_J/r_M, from the angles of motor and joint over the travel.
@@ -326,20 +327,30 @@ class Procedure:
             trials.append(self._trial(learned.plain, mechanics, logs, "-plain"))
         if trials[0].has_feedback:
             trials.append(trials[0].without_feedback())
+        permitted = trials[-1].bearable
+        rippled = None if self._settings.by_stretch else with_torque_ripple(trials[0].found, logs)
+        if rippled is not None:
+            trials.append(self._trial(rippled, mechanics, logs, "-ripple"))
         self._total += (len(trials) - 1) * self._settings.verification_seconds
         motion = designed.verification
         without = self._play("without", self._path, 0.0, motion, BARE)
-        before = self._play("before", self._path, trials[-1].bearable, motion)
+        before = self._play("before", self._path, permitted, motion)
         runs = [self._play(f"after{trial.kind}", *trial.played, motion, trial.values) for trial in trials]
         best = min(range(len(runs)), key=lambda number: runs[number].rms)
         found = trials[best].found
-        if found.effects != learned.effects:
+        if learned.plain is not None and found.effects == learned.plain.effects:
             found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, runs[0], runs[best])))
         if trials[0].has_feedback and not trials[best].has_feedback:
             note = (
                 "law.feedback is not used: on a motion not used for the fit the error is "
                 f"{1e3 * runs[0].rms:.0f} mN·m with the correction by the joint torque sensor, and "
                 f"{1e3 * runs[best].rms:.0f} mN·m without"
+            )
+            found = dataclasses.replace(found, notes=(*found.notes, note))
+        if rippled is not None and trials[best].kind != "-ripple":
+            note = (
+                f"{rippled.notes[-1].split(';')[0]}. It is not written: on a motion not used for the fit the error is "
+                f"{1e3 * runs[-1].rms:.0f} mN·m with it and {1e3 * runs[best].rms:.0f} mN·m without"
             )
             found = dataclasses.replace(found, notes=(*found.notes, note))
         agreeing = _agreeing(runs[best], found)
@@ -448,8 +459,8 @@ def _agreeing(run: Run, found: Estimate) -> str:
     return (
         "the joint torque by the tendon elongation agrees with the sensor within "
         f"{100.0 * difference / half_loop:.1f} % of the "
-        'friction torque. On this rig [axis.estimator] kind = "stretch" also follows a change of the friction while '
-        'the joint is held; the default "sensor" needs a moving joint'
+        'friction torque. On this rig [axis.estimator] kind = "stretch" follows a change of the friction sooner than '
+        'the default "sensor" while the joint is held'
     )
 
 

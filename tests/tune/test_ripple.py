@@ -1,0 +1,74 @@
+"""The torque ripple in tune, on logs of a mechanism that shares no code with it; the test adds the wave itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.tune.test_estimate import rig_and_log
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.tune.estimate import estimate
+from tsa_ctrl.tune.ripple import with_torque_ripple
+
+
+def geared(log: Dataset, model: TendonSheath) -> Dataset:
+    """The log with the angle of a motor on rigid tendons."""
+    columns = {name: log[name].copy() for name in log.columns}
+    angle = np.cumsum(columns["omega_j"]) * float(np.median(np.diff(columns["t"])))
+    columns["q_m"] = angle * model.joint_pulley_radius / model.motor_pulley_radius
+    return Dataset.from_arrays(columns, "geared.csv")
+
+
+def with_wave(log: Dataset, amplitude: float, cycles: float, phase: float) -> Dataset:
+    """The motor gives `amplitude` sin(cycles q_m + phase) in addition to the torque that it reports, N*m."""
+    columns = {name: log[name].copy() for name in log.columns}
+    columns["tau_m"] -= amplitude * np.sin(cycles * columns["q_m"] + phase)
+    return Dataset.from_arrays(columns, "ripple.csv")
+
+
+@pytest.mark.parametrize("profile", ["joint_end", "uniform"])
+@pytest.mark.parametrize("cycles", [12, 36, 84])
+def test_the_wave_of_a_motor_is_found(profile: str, cycles: int) -> None:
+    rng = np.random.default_rng()
+    _, model, log = rig_and_log(profile)
+    log = geared(log, model)
+    amplitude, phase = float(rng.uniform(0.02, 0.05)), float(rng.uniform(-math.pi, math.pi))
+    log = with_wave(log, amplitude, cycles, phase)
+    found = with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log])
+    assert found is not None
+    values = found.model.effects["torque_ripple"]
+    assert values["cycles_per_revolution"] == pytest.approx(cycles, abs=1)
+    assert values["amplitude"] == pytest.approx(amplitude, rel=0.2)
+    q_m = log["q_m"]
+    truth = amplitude * np.sin(cycles * q_m + phase)
+    wave = values["amplitude"] * np.sin(values["cycles_per_revolution"] * q_m + values["phase"])
+    assert np.sqrt(np.mean((wave - truth) ** 2)) < 0.4 * np.sqrt(np.mean(truth**2))
+    assert "torque ripple of" in found.notes[-1]
+    assert found.calibration.model is found.model
+
+
+@pytest.mark.parametrize("profile", ["joint_end", "uniform", "motor_end"])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_motor_without_a_wave_keeps_its_model(profile: str, seed: int) -> None:
+    _, model, log = rig_and_log(profile, seed)
+    log = geared(log, model)
+    assert with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log]) is None
+
+
+def test_a_motion_of_less_than_two_cycles_shows_no_wave() -> None:
+    _, model, log = rig_and_log("uniform")
+    log = geared(log, model)
+    span = float(np.ptp(log["q_m"]))
+    log = with_wave(log, 0.1, 1.5 * 2.0 * math.pi / span, 0.3)
+    found = with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log])
+    if found is not None:  # a wave that is faster than the error that the slow one leaves
+        assert found.model.effects["torque_ripple"]["cycles_per_revolution"] * span >= 2.0 * 2.0 * math.pi
+
+
+def test_a_log_without_the_motor_angle_shows_no_wave() -> None:
+    _, model, log = rig_and_log("uniform")
+    found = estimate([log], model, certified_gain=False, forms=True)
+    assert with_torque_ripple(found, [log]) is None
