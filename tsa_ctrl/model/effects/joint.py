@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from tsa_ctrl.model.effects.lever import State
-from tsa_ctrl.model.effects.search import INF, Coordinate, Scales, Value, Variant, linear
+from tsa_ctrl.model.effects.search import INF, Coordinate, Scales, Value, Variant, linear, wave
 from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
@@ -85,15 +84,6 @@ class Inertia:
         return self.inertia * state.acceleration
 
 
-def _weights(name: str, s: Scales) -> list[Variant]:
-    def parameters(u: Array) -> dict[str, Value]:
-        amplitude = math.hypot(u[0], u[1]) * s.torque
-        return {"amplitude": amplitude, "phase": math.atan2(u[1], u[0]) if amplitude else 0.0}
-
-    coordinates = (Coordinate("cosine", -INF, INF, 1e-3), Coordinate("sine", -INF, INF, 1e-3))
-    return [Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters)]
-
-
 @dataclass(frozen=True)
 class GravityLoad:
     """f = A sin(q + phi)."""
@@ -105,7 +95,7 @@ class GravityLoad:
         name="gravity_load",
         stage=Stage.JOINT,
         summary="a weight on the joint",
-        search=_weights,
+        search=lambda name, s: [wave(name, "amplitude", s.torque)],
         twins=(
             Twins(("configuration_dependent_bending",), (Motion.RANGE,)),
             Twins(("inertia",), (Motion.FREQUENCIES,)),

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, Generic
 
-from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant
+from tsa_ctrl.model.effects.search import wave
 from tsa_ctrl.model.effects.specification import (
     Draw,
     Kind,
@@ -25,7 +25,7 @@ from tsa_ctrl.model.effects.specification import (
     Twins,
     non_negative,
 )
-from tsa_ctrl.model.functions import Array, F, Functions
+from tsa_ctrl.model.functions import F, Functions
 
 
 @dataclass(slots=True)
@@ -59,15 +59,6 @@ MOST = 0.5  # 1, e at which the longest lever is three times the shortest: beyon
 _SIDE = 0.35  # 1, of the square of cosine and sine within that circle, with room for the differences of a fit
 
 
-def _arms(name: str, s: Scales) -> list[Variant]:
-    def parameters(u: Array) -> dict[str, Value]:
-        share = math.hypot(u[0], u[1])
-        return {"relative_eccentricity": share, "phase": math.atan2(u[1], u[0]) if share else 0.0}
-
-    coordinates = (Coordinate("cosine", -_SIDE, _SIDE, 1e-3), Coordinate("sine", -_SIDE, _SIDE, 1e-3))
-    return [Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters)]
-
-
 @dataclass(frozen=True)
 class PulleyEccentricity:
     """tau_J *= 1 + e sin(q_J + phi)."""
@@ -79,7 +70,7 @@ class PulleyEccentricity:
         name="pulley_eccentricity",
         stage=Stage.LEVER,
         summary="the lever arm at the joint changes with its angle: a pulley off its centre",
-        search=_arms,
+        search=lambda name, _: [wave(name, "relative_eccentricity", 1.0, _SIDE)],
         twins=(
             Twins(("torque_constant_error", "parameter_error", "configuration_dependent_bending"), (Motion.RANGE,)),
             Twins(("gravity_load", "joint_stiffness"), (Motion.SIGNS,)),

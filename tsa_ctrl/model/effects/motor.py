@@ -11,7 +11,6 @@ from typing import Annotated, ClassVar
 
 from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import (
-    INF,
     Coordinate,
     Scales,
     Value,
@@ -20,6 +19,7 @@ from tsa_ctrl.model.effects.search import (
     geometric,
     linear,
     one,
+    wave,
 )
 from tsa_ctrl.model.effects.specification import (
     Draw,
@@ -129,13 +129,8 @@ class TorqueConstantError:
 
 def _ripples(name: str, s: Scales) -> list[Variant]:
     def of(cycles: int) -> Variant:
-        def parameters(u: Array) -> dict[str, Value]:
-            amplitude = math.hypot(u[0], u[1]) * s.motor_torque
-            phase = math.atan2(u[1], u[0]) if amplitude else 0.0
-            return {"amplitude": amplitude, "cycles_per_revolution": cycles, "phase": phase}
-
-        coordinates = (Coordinate("cosine", -INF, INF, 1e-3), Coordinate("sine", -INF, INF, 1e-3))
-        return Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters, f"{cycles} cycles")
+        choice = {"cycles_per_revolution": cycles}
+        return wave(name, "amplitude", s.motor_torque, label=f"{cycles} cycles", choice=choice)
 
     def resolved(cycles: int) -> bool:  # false without a motor angle
         return cycles * s.motor_reach / math.pi > LINES_PER_RANGE and cycles * s.motor_step < 0.6 * math.pi

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TypeAlias
 
 import numpy as np
@@ -118,6 +119,27 @@ def duration(
         return [Variant(name, (coordinate,), begin, (), parameters, full_strength=short)]
 
     return variants
+
+
+def wave(
+    effect: str,
+    parameter: str,
+    unit: float,
+    side: float = INF,
+    label: str = "",
+    choice: Mapping[str, Value] = MappingProxyType({}),
+) -> Variant:
+    """Return the variant of an amplitude with a phase: its cosine and sine parts in `unit`, each within -side to side.
+
+    `choice`: discrete parameters of the variant.
+    """
+
+    def parameters(u: Array) -> dict[str, Value]:
+        amplitude = math.hypot(u[0], u[1]) * unit
+        return {parameter: amplitude, **choice, "phase": math.atan2(u[1], u[0]) if amplitude else 0.0}
+
+    coordinates = (Coordinate("cosine", -side, side, 1e-3), Coordinate("sine", -side, side, 1e-3))
+    return Variant(effect, coordinates, ((0.0, 0.0),), (0, 1), parameters, label)
 
 
 def one(_: Scales) -> float:
