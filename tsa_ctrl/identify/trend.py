@@ -3,7 +3,7 @@
 A change is detected by the largest two-sample t statistic over all places at which the runs, in their order, may be cut
 in two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise
 drawn here; so the rate of false alarms is the one that is stated, `ALARM` for each quantity of a folder. A change
-within the runs' intervals, or below `LEAST` of the value, does not count.
+within the runs' intervals does not count.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from tsa_ctrl.outputs import json_types
 
 ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
 FEWEST = 6  # runs from which a change is looked for, two on either side of it at least
-LEAST = 0.02  # 1, of the value: smaller changes do not matter in practice
 WARMTH = 2.0  # K that the runs' temperatures must span for the friction to be taken against them
 DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
 SIDE = 2  # runs on either side of a change
@@ -197,8 +196,7 @@ def judged(runs: Sequence[Run]) -> Trend:
         before, after = float(np.mean(values[:place])), float(np.mean(values[place:]))
         half = np.array([0.5 * (quantity.high - quantity.low) for quantity in quantities])
         left_open = math.hypot(*(float(np.sqrt(np.mean(part**2) / part.size)) for part in (half[:place], half[place:])))
-        least = 0.0 if name == "zero" else LEAST * abs(before)
-        if abs(after - before) > max(least, left_open):
+        if abs(after - before) > left_open:
             found.append(Change(name, having[place].log, before, after, quantities[0].unit))
     return Trend(tuple(runs), tuple(found), slope)
 
