@@ -132,8 +132,8 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
         monkeypatch.setattr(getattr(axis, part), "reset", lambda part=part: reset.append(part))
     axis.since_enable(1.0)
     axis.terms.tau_j_des = 0.7
-    told: list[tuple[float, float]] = []
-    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    told: list[tuple[float, ...]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     use(axis, 0.1, 20.0)
     axis.release()
     assert sorted(reset) == sorted(PARTS)
@@ -202,6 +202,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
             0.41,
             0.34,
             pytest.approx(expected, rel=1e-12),
+            0.0,
         ),
         ("estimator", Sample(1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0)),
         ("guard", Observed(0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True)),
@@ -215,8 +216,8 @@ def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
 ) -> None:
     """The law has it when the cycle ends."""
     Calls(axis, monkeypatch)
-    told: list[tuple[float, float]] = []
-    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    told: list[tuple[float, ...]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
 
     def learn(*measured: float) -> None:
         axis.estimator.friction_angle, axis.estimator.pretension = 0.2, 40.0
@@ -275,8 +276,8 @@ def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, part: int, change: float, noticed: bool
 ) -> None:
     """Of what it uses, either parameter, either way; and each value is handed over once."""
-    told: list[tuple[float, float]] = []
-    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    told: list[tuple[float, ...]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     use(axis, 0.2, 40.0)
     estimate = [0.2, 40.0]
     estimate[part] *= 1.0 + change
@@ -289,8 +290,8 @@ def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
 
 def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """The model file's values are; and once in force they are not told again."""
-    told: list[tuple[float, float]] = []
-    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    told: list[tuple[float, ...]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     nominal = (axis.model.friction_angle, axis.model.pretension)
     axis.estimator.friction_angle, axis.estimator.pretension, axis.estimator.use = 0.1, 20.0, False
     axis.adapt()

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.effects import transmission
+from tsa_ctrl.model.effects.transmission import Elongating, FourTensions
 from tsa_ctrl.model.functions import ARRAYS, SCALARS
 
 R_M, R_J, T_P = 0.020, 0.025, 45.0
@@ -28,7 +29,7 @@ def full(chosen: str | Points, tau_m: float, x: float) -> tuple[float, float]:
     """(tau_J, T_p) by the full model at the signed friction angle x."""
     profile = Profile.of(chosen)
     alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
-    line = transmission.full_model(SCALARS, x, alpha, beta, T_P, R_M, R_J)
+    line = transmission.full_model(SCALARS, (x, x), alpha, beta, T_P, R_M, R_J)
     return line.gain * tau_m - line.loss, line.level + line.coupling * tau_m
 
 
@@ -66,6 +67,33 @@ class TestFullModel:
 def test_arrays_and_floats_agree() -> None:
     """The same formulas for a log and for one instant."""
     x, alpha, beta = np.array([-0.3, 0.1]), np.array([0.9, 1.1]), np.array([1.1, 0.9])
-    by_array = transmission.full_model(ARRAYS, x, alpha, beta, np.array(T_P), R_M, R_J)
-    by_float = transmission.full_model(SCALARS, 0.1, 1.1, 0.9, T_P, R_M, R_J)
+    by_array = transmission.full_model(ARRAYS, (x, x), alpha, beta, np.array(T_P), R_M, R_J)
+    by_float = transmission.full_model(SCALARS, (0.1, 0.1), 1.1, 0.9, T_P, R_M, R_J)
     assert [float(np.broadcast_to(column, (2,))[1]) for column in by_array] == pytest.approx(by_float, rel=1e-15)
+
+
+@pytest.mark.parametrize("course", ["uniform", "motor_end", [(0.0, 0.0), (0.3, 0.7), (1.0, 1.0)]])
+@pytest.mark.parametrize("sigma", [-1.0, 1.0])
+def test_tendons_of_different_friction_angles(course: str | Points, sigma: float) -> None:
+    """x_a = 0.36 and x_b = 0.16: both lengths, integrated along the sheath, are those of the pretension."""
+    x, imbalance, tau_m = 0.26, 0.1 / 0.26, 0.7
+    points = Profile.of(course).points
+    found = Elongating((R_M, R_J), Profile.of(course)).torque(SCALARS, tau_m, sigma, x, T_P, imbalance)
+    place = np.linspace(0.0, 1.0, 20001)
+    bent = np.interp(place, [u for u, _ in points], [b + 1e-9 * k for k, (_, b) in enumerate(points)])
+    if course == "motor_end":
+        bent = np.ones_like(place)
+    way_a, way_b = np.exp(sigma * 0.36 * bent), np.exp(-sigma * 0.16 * bent)
+    alpha, beta = np.trapezoid(way_a, place), np.trapezoid(way_b, place)
+    t1 = (2.0 * T_P - beta * tau_m / R_M) / (alpha + beta)  # T1 alpha + T3 beta = 2 T_p
+    t3 = t1 + tau_m / R_M
+    assert found == pytest.approx(R_J * (t3 * math.exp(-sigma * 0.16) - t1 * math.exp(sigma * 0.36)), rel=1e-5)
+
+
+@given(st.floats(-0.9, 0.9), st.floats(-2.0, 2.0))
+def test_the_inverse_knows_the_imbalance(imbalance: float, torque: float) -> None:
+    for made in (Elongating((R_M, R_J), Profile.of("uniform")), FourTensions((R_M, R_J))):
+        tau_m = made.motor_torque(torque, 1.0, 0.26, T_P, imbalance)
+        assert made.torque(SCALARS, tau_m, 1.0, 0.26, T_P, imbalance) == pytest.approx(torque, abs=1e-12)
+        slope, loss = made.tangent(1.0, 0.26, T_P, imbalance)
+        assert slope * tau_m - loss == pytest.approx(torque, abs=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.simulate import simulate
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.routing import Route, Routing
 
 RATE = 500.0  # Hz, two axes with encoders and torque sensors
@@ -112,19 +114,47 @@ def test_the_error_is_that_of_a_resting_hip(tmp_path: Path, load: str) -> None:
     assert knee(tmp_path, load, 0.4, follows=False) > 10.0 * resting
 
 
-@pytest.mark.slow
-def test_tendons_that_are_routed_differently_are_no_soft_tendons(tmp_path: Path) -> None:
-    """Gains of 1.2 and 0.4: the paths differ by 0.28 mm per rad of the hip, which moves the motor away from the joint.
-
-    Without that in the elongation the axis stopped for too soft tendons. The error is 12 mN*m; with equal gains 3.
-    """
-    paths = files(tmp_path, "weight", 0.4)
-    apart = Routing(Route({"hip": 1.2}, {}), Route({"hip": 0.4}, {}))
+def apart(folder: Path, a: float, b: float) -> None:
+    """Give plant and law different gains of tendons a and b, rad/rad."""
+    routing = Routing(Route({"hip": a}, {}), Route({"hip": b}, {}))
     for name in ("routed.toml", "followed.toml"):
-        save_model(dataclasses.replace(load_tendon_sheath(tmp_path / name), routing=apart), tmp_path / name)
-    result = simulate_loop(*paths, SECONDS)
-    assert not result.axes[0].faults
-    assert joints.rms(joints.error(result, 2.0)) < 16.0
+        save_model(dataclasses.replace(load_tendon_sheath(folder / name), routing=routing), folder / name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["imposed", "weight"])
+def test_tendons_may_be_routed_differently(tmp_path: Path, load: str) -> None:
+    """Friction angles and path lengths differ; gains of tendons a and b, hip at 0.1, 0.4 and 1 Hz, mN*m:
+
+        at rest          imposed 10.6                weight 2.6
+        1.2 and 0.4      11.9, 11.5, 11.7            4.7, 3.4, 5.5
+        0 and 0.8        11.6, 11.2, 11.6            4.7, 4.9, 4.0
+
+    With the mean of both wrap angles for each tendon, and without the path lengths in the checks of the encoders, the
+    axis stopped at 1 Hz, and before it did so the errors were 16 and 12 mN*m at 0.4 Hz.
+    """
+    resting = knee(tmp_path, load, 0.0)
+    for (a, b), frequency in itertools.product(((1.2, 0.4), (0.0, 0.8)), (0.1, 0.4, 1.0)):
+        paths = files(tmp_path, load, frequency)
+        apart(tmp_path, a, b)
+        result = simulate_loop(*paths, SECONDS)
+        assert not result.axes[0].faults
+        assert joints.rms(joints.error(result, 2.0)) <= max(1.3 * resting, resting + 6.0)
+
+
+@pytest.mark.slow
+def test_a_log_of_tendons_that_are_routed_differently_is_simulated(tmp_path: Path) -> None:
+    """Gains of 1.6 and 0: the median of the model's error is 4.4 mN*m with both wrap angles, 11.6 with their mean."""
+    paths = files(tmp_path, "imposed", 0.4)
+    apart(tmp_path, 1.6, 0.0)
+    simulate_loop(*paths, SECONDS, out=tmp_path / "out")
+    log = load_log(f"{tmp_path / 'out' / 'tsa.mcap'}:joint")
+    errors = []
+    for a, b in ((1.6, 0.0), (0.8, 0.8)):
+        apart(tmp_path, a, b)
+        model = load_tendon_sheath(tmp_path / "followed.toml")
+        errors.append(float(np.median(np.abs(predict(model, log.completed_for(model).signals()) - log["tau_j"]))))
+    assert errors[0] < 0.5 * errors[1]
 
 
 @pytest.mark.slow

@@ -92,6 +92,9 @@ class Terms:
 
     q_j: float = 0.0
     omega_j: float = 0.0
+    q_m: float = 0.0  # rad, of the motor if both paths were of one length; without the next
+    omega_m: float = 0.0
+    routed: float = 0.0  # rad of the motor, by paths of different lengths
     tau_j_des: float = 0.0
     tau_m_cmd: float = 0.0
     sigma: float = 0.0
@@ -185,9 +188,9 @@ class ControlAxis:
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
         self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of the wrap angles apart
-        self._routed = 0.0  # rad of the motor
         self.limiter.ceiling = self.polarity_check.ceiling
         self._used = (model.friction_angle, model.pretension)
+        self._imbalance = 0.0  # 1, of the two tendons' friction angles
         self._nominal = self._used
         self._sliding = sliding_by(model)
         self._nominal_half_loop = abs(self._sliding(1.0, *self._nominal).motor_half_loop)
@@ -246,12 +249,20 @@ class ControlAxis:
             return image.q_j, image.omega_j
         return image.q_m * self._ratio, image.omega_m * self._ratio
 
-    def predicted_angle(self, ahead: float) -> float:
-        """Return the joint's angle `ahead` s after this cycle, rad; nan while its measurement is missing or too old."""
-        age = self.image.pdo_age
+    def present_motion(self) -> tuple[float, float]:
+        """Return the joint's angle (rad) and velocity (rad/s) in this cycle; nan while they are missing or too old."""
+        age, velocity = self.image.pdo_age, self.law.velocity
         if not age <= self.most_age:
-            return math.nan
-        return self.joint()[0] + (age + ahead) * self.law.velocity
+            return math.nan, math.nan
+        return self.joint()[0] + age * velocity, velocity
+
+    def read_motion(self) -> None:
+        """Take this cycle's motion of motor and joint into `terms`."""
+        image, terms = self.image, self.terms
+        terms.q_j, terms.omega_j = self.joint()
+        apart, rate = self.bending.apart()
+        terms.routed = self._path_arm * apart
+        terms.q_m, terms.omega_m = image.q_m - terms.routed, image.omega_m - self._path_arm * rate
 
     def since_enable(self, now: float) -> float:
         """Seconds since torque was permitted; the first call after a release starts the clock."""
@@ -282,8 +293,9 @@ class ControlAxis:
         instruments.update(now)
         self.law.temperature = self._temperature.update(instruments.temperature)
         terms.theta = theta = self.bending.update()
-        self._routed = routed = self._path_arm * self.bending.difference
-        self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, routed)
+        self.joint_torque.update(
+            image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, terms.routed
+        )
         proven, law = self.compensation_limit.proven, self.law
         if not image.fresh:
             proven.miss(self._period)
@@ -293,7 +305,7 @@ class ControlAxis:
             proven.update(
                 image.tau_m,
                 image.omega_m,
-                image.q_m - routed,
+                terms.q_m,
                 terms.q_j,
                 instruments.tau_j,
                 law.velocity,
@@ -321,7 +333,7 @@ class ControlAxis:
             feedback = (image.tau_m, image.q_m, image.omega_m)
             tau_j = instruments.tau_j
             expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
-            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
+            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected, terms.routed)
             wrong = wrong or self.polarity_check.update(
                 now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
             )
@@ -360,7 +372,7 @@ class ControlAxis:
 
     def _stretch(self) -> float:
         """Rad that motor and joint are apart; nan without an encoder."""
-        return self.image.q_m - self._routed - self.image.q_j / self._ratio if self._has_encoder else math.nan
+        return self.terms.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def pass_over(self, periods: int) -> None:
         """Count periods that had no cycle, because the loop was late, wherever cycles are counted."""
@@ -404,9 +416,9 @@ class ControlAxis:
 
     def _watch(self) -> None:
         """Pass the effect of the compensation to the guard, and apply its request."""
-        law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
+        law, terms, guard, gearing = self.law, self.terms, self.guard, self._gearing
         velocity = law.velocity
-        swing = law.swing(image.omega_m) if law.turn.turning else 0.0
+        swing = law.swing(terms.omega_m) if law.turn.turning else 0.0
         seen = self._observed
         seen.tau_j, seen.omega_j = self._delivered(), velocity
         seen.wanted, seen.rate = self.ramp * terms.tau_j_des, self.set_point.rate
@@ -435,18 +447,23 @@ class ControlAxis:
         angle, pretension = self._nominal
         if estimator.use:
             angle, pretension = estimator.friction_angle, estimator.pretension
+        theta = self.terms.theta
+        imbalance = self.bending.difference / theta if theta > 0.0 else 0.0
         used_angle, used_pretension = self._used
         if (
             abs(angle - used_angle) > NOTICEABLE * used_angle
             or abs(pretension - used_pretension) > NOTICEABLE * used_pretension
+            or abs(imbalance - self._imbalance) > NOTICEABLE
         ):
-            self._take_over((angle, pretension))
+            self._take_over((angle, pretension), imbalance)
 
-    def _take_over(self, parameters: tuple[float, float]) -> None:
-        if parameters != self._used:
-            self._used = parameters
-            self.law.set_parameters(*parameters)
+    def _take_over(self, parameters: tuple[float, float], imbalance: float = 0.0) -> None:
+        if (*parameters, imbalance) != (*self._used, self._imbalance):
+            self._used, self._imbalance = parameters, imbalance
+            self.law.set_parameters(*parameters, imbalance)
             if isinstance(self.estimator, Fixed):  # a client's word proves no friction beyond the file's
                 half_loop = abs(self._sliding(1.0, *parameters).motor_half_loop)
                 self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
-            self.joint_torque.set_parameters(*parameters)
+            self.joint_torque.set_parameters(*parameters, imbalance)
+            if self._measures_wrap_angle:
+                self.compensation_limit.proven.slopes = self.joint_torque.model.slopes

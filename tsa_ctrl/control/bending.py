@@ -5,6 +5,11 @@
 A measured angle is predicted by the joint's velocity to the moment when the torque acts. An angle that is missing is
 replaced by the angle within the joint's range at which the sheath is bent least. Friction grows with the wrap angle,
 and so does the pretension, so this is the least friction that the joint allows. The change to it is a fade.
+
+Tendons a and b may be routed differently. Their friction angles then differ, and so do their path lengths:
+
+    x_a, x_b = x (1 +- i),    i = (Theta_a - Theta_b) / (Theta_a + Theta_b)                    (imbalance)
+    q_M - (r_J/r_M) q_J = (tensions) + (p + d/2) (Theta_a - Theta_b) / (2 r_M)                 (3.52), both tendons
 """
 
 from __future__ import annotations
@@ -14,6 +19,8 @@ from collections.abc import Callable, Mapping
 
 from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.model.routing import Route, Routing, Span
+
+Reading = Callable[[], tuple[float, float]]  # rad and rad/s of a joint now; nan where they are not known
 
 FADE_OUT = 0.044  # s from a missing angle to the least wrap angle; 50 ms with three missed answers at 500 Hz
 FADE_IN = 1.0  # s back to the measured angle
@@ -36,7 +43,7 @@ class _Joint:
     """One joint that bends the sheath: what it adds to the wrap angle, mean of both tendons."""
 
     def __init__(
-        self, name: str, routing: Routing, read: Callable[[], float] | None, span: Span | None, period: float
+        self, name: str, routing: Routing, read: Reading | None, span: Span | None, period: float, ahead: float
     ) -> None:
         self.name = name
         self.missing = read is None
@@ -44,6 +51,8 @@ class _Joint:
         self.difference = 0.0  # rad, half of Theta_a - Theta_b by this joint; kept while the angle is missing
         self._routes = (routing.a, routing.b)
         self._read = read
+        self._ahead = ahead
+        self._apart = 0.0  # rad, `difference` at the time of the measurement
         self._span = span
         self._seen = (math.inf, -math.inf)  # rad, for a joint without a travel
         self._added = math.nan
@@ -61,9 +70,19 @@ class _Joint:
         a, b = (route.extremes_by(self.name, span) for route in self._routes)
         return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
 
+    def apart(self) -> tuple[float, float]:
+        """Return half of Theta_a - Theta_b by this joint at the measurement, rad and rad/s; it stands while missing."""
+        angle, speed = (math.nan, 0.0) if self._read is None else self._read()
+        if not math.isfinite(angle):
+            return self._apart, 0.0
+        a, b = self._routes
+        self._apart = 0.5 * (a.added_by(self.name, angle) - b.added_by(self.name, angle))
+        return self._apart, 0.5 * speed * (a.slope_by(self.name, angle) - b.slope_by(self.name, angle))
+
     def update(self) -> float:
         """Return rad that the joint adds now; a change between measured and missing is a fade."""
-        angle = math.nan if self._read is None else self._read()
+        angle, speed = (math.nan, 0.0) if self._read is None else self._read()
+        angle += self._ahead * speed
         missing = not math.isfinite(angle)
         if missing:
             added = self.extremes()[0]
@@ -101,18 +120,21 @@ class Bending:
         self._apart = routing is not None and not routing.alike
         self._measured: Callable[[], float] | None = None
 
-    def connect(self, angles: Mapping[str, Callable[[], float]], ranges: Mapping[str, Span], period: float) -> None:
+    def connect(
+        self, joints: Mapping[str, Reading], ranges: Mapping[str, Span], period: float, ahead: float = 0.0
+    ) -> None:
         """Connect the joints of the routing.
 
         Args:
-            angles: by name, what reads the joint's angle (rad) at the moment when the torque acts; nan if unknown. A
-                joint that is absent is never measured.
+            joints: what reads each joint, by name. A joint that is absent is never measured.
             ranges: rad by name, where the joint can be.
             period: s.
+            ahead: s from a reading to the moment when the torque acts.
         """
         if self.routing is not None:
             self._joints = tuple(
-                _Joint(name, self.routing, angles.get(name), ranges.get(name), period) for name in self.routing.joints
+                _Joint(name, self.routing, joints.get(name), ranges.get(name), period, ahead)
+                for name in self.routing.joints
             )
 
     def measure(self, read: Callable[[], float]) -> None:
@@ -123,6 +145,15 @@ class Bending:
     def difference(self) -> float:
         """Return half of Theta_a - Theta_b at the last update, rad; 0 for tendons that are routed alike."""
         return sum([joint.difference for joint in self._joints]) if self._apart else 0.0
+
+    def apart(self) -> tuple[float, float]:
+        """Return half of Theta_a - Theta_b (rad) and its rate (rad/s) at the time of the present measurements."""
+        angle = rate = 0.0
+        if self._apart:
+            for joint in self._joints:
+                by_joint, by_speed = joint.apart()
+                angle, rate = angle + by_joint, rate + by_speed
+        return angle, rate
 
     @property
     def missing(self) -> tuple[str, ...]:

@@ -28,7 +28,8 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
     """Return controlword and motor torque (N*m) of one axis by this cycle's measurements; `now` in s, monotonic."""
     image, terms = axis.image, axis.terms
     controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
-    terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
+    axis.read_motion()
+    q_j, omega_j = terms.q_j, terms.omega_j
     law, set_point = axis.law, axis.set_point
     wanted = 0.0
     if permitted:
@@ -36,10 +37,10 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
         if set_point.is_received:
             axis.listen(now, t)
         terms.tau_j_des = set_point.update(t)
-        law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
-        wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.share)
+        law.observe(q_j, terms.q_m, image.fresh, set_point.ahead, set_point.rate)
+        wanted = axis.ramp * law.update(set_point.acting, terms.q_m, terms.omega_m, t, axis.guard.share)
     else:
-        law.observe(q_j, image.q_m, image.fresh, math.nan, 0.0)
+        law.observe(q_j, terms.q_m, image.fresh, math.nan, 0.0)
     terms.sigma = law.sigma
     fresh = image.pdo_age <= axis.most_age
     torque, reason = axis.limiter.update(wanted, permitted, fresh, image.tau_m, image.omega_m, q_j, omega_j)

@@ -86,7 +86,9 @@ class Inverse(Protocol):
 
     def reset(self) -> None: ...
 
-    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None: ...
+    def set(
+        self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0
+    ) -> None: ...
 
 
 class Law:
@@ -186,9 +188,9 @@ class Law:
         self.half_loop = self._inverse.half_loop()
         self._until_refresh = _REFRESH
 
-    def set_parameters(self, friction_angle: float, pretension: float) -> None:
-        """Use another friction angle (1) and pretension (N) from now on."""
-        self._inverse.set(friction_angle, pretension)
+    def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
+        """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons from now on."""
+        self._inverse.set(friction_angle, pretension, imbalance)
         self.half_loop = self._inverse.half_loop()
 
     def observe(self, q_j: float, q_m: float, fresh: bool, ahead: float, rate: float) -> None:

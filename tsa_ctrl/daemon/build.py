@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from enum import Enum
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -137,9 +136,8 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     travel = joint_ranges(file.axes)
     for settings, axis, plan in zip(file.axes, axes, configuration.plans, strict=True):
         unmeasured, ahead = settings.bending.unmeasured, plan.delay + period  # the estimate acts from the next cycle on
-        angles = {name: partial(other.predicted_angle, ahead) for name, other in by_name.items()}
-        measured = {name: read for name, read in angles.items() if name not in unmeasured}
-        axis.bending.connect(measured, {**travel, **unmeasured}, period)
+        measured = {name: other.present_motion for name, other in by_name.items() if name not in unmeasured}
+        axis.bending.connect(measured, {**travel, **unmeasured}, period, ahead)
         if settings.bending.source == "sensor":
             axis.bending.measure(_measured_bending(axis))
     return tuple(axes)

@@ -174,12 +174,15 @@ class Dataset(Displayed):
                 "of a log of all joints (run.mcap:AXIS), or add column theta"
             )
         a, b = routing.wrap_angles({joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints})
-        theta = model.bending_angle + 0.5 * (a + b)
-        return dataclasses.replace(self, columns={**self.columns, "theta": theta}, derived=self.derived | {"theta"})
+        bent = {"theta": model.bending_angle + 0.5 * (a + b)}
+        if not routing.alike:
+            bent["theta_difference"] = 0.5 * (a - b)
+        return dataclasses.replace(self, columns={**self.columns, **bent}, derived=self.derived | set(bent))
 
     @cached_property
     def _signals(self) -> Signals:
-        present = {name: self.columns.get(name) for name in ("q_j", "q_m", "omega_m", "theta", "temperature")}
+        optional = ("q_j", "q_m", "omega_m", "theta", "theta_difference", "temperature")
+        present = {name: self.columns.get(name) for name in optional}
         omega_j = self.columns.get("omega_j")
         if omega_j is None:  # a plain drive: its one shaft is motor and joint
             omega_j = self.columns["omega_m"]

@@ -172,6 +172,15 @@ def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: 
     return functions.at_least(theta, 0.0), tension
 
 
+LEAST_BENT = 1e-6  # rad, wrap angle below which no friction is left that could differ
+
+
+def imbalance(functions: Functions[F], state: State[F], theta: F) -> F | float:
+    """(x_a - x_b) / (x_a + x_b) at the mean wrap angle `theta` (rad) of tendons that are routed differently, 1."""
+    difference = state.theta_difference
+    return 0.0 if difference is None else difference / functions.at_least(theta, LEAST_BENT)
+
+
 def friction_angle(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F], theta: F) -> F:
     """x = mu Theta with the effects on mu; >= 0, since friction never drives."""
     x = model.friction_coefficient * theta

@@ -61,13 +61,18 @@ class Feedforward:
         self._pulling: tuple[float, float] | None = None  # N*m, of tau_M, `limits` at the last update
         self._line: _Line | None = None  # of a model that is one, at the last update
         self.clipped = False  # the last update ended at a bound of the domain
+        self._imbalance = 0.0  # 1, of the tendons' friction angles
         self._memories.reset()
         self._use_effects()
         self.friction_angle = self._model.friction_angle
         self.pretension = self._model.pretension
 
-    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
-        """Take over another x (1) or T_p0 (N) while running; the memory stays. UsageError if x cannot be changed."""
+    def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
+        """Take over another x (1) or T_p0 (N) while running; the memory stays. UsageError if x cannot be changed.
+
+        `imbalance`: (x_a - x_b) / (x_a + x_b) of tendons that are routed differently, 1.
+        """
+        self._imbalance = imbalance
         self._model = self._model.recalibrated(friction_angle, pretension)
         self._transmission = self._stack.transmission(self._model)
         self._pulling = self._line = None
@@ -87,7 +92,8 @@ class Feedforward:
         if self._line is not None:
             return self._line.domain
         if self._pulling is None:
-            self._pulling = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
+            sigma, x, pretension = self._state.sigma, self.friction_angle, self.pretension
+            self._pulling = self._transmission.limits(sigma, x, pretension, self._imbalance)
         low, high = self._pulling
         if (custom := self._stack.custom_at("motor")) is not None:
             low, high = (custom.invert(end, self._state, self._memories) for end in (low, high))
@@ -99,8 +105,8 @@ class Feedforward:
     def half_loop(self) -> float:
         """h, N*m at the motor's pulley: half of what tau_M turns by with the direction, at no torque on the joint."""
         x, pretension, transmission = self.friction_angle, self.pretension, self._transmission
-        forward = transmission.motor_torque(0.0, 1.0, x, pretension)
-        return 0.5 * (forward - transmission.motor_torque(0.0, -1.0, x, pretension))
+        forward = transmission.motor_torque(0.0, 1.0, x, pretension, self._imbalance)
+        return 0.5 * (forward - transmission.motor_torque(0.0, -1.0, x, pretension, self._imbalance))
 
     def update(
         self,
@@ -148,8 +154,8 @@ class Feedforward:
         if stack.load is not None:
             torque = stack.load.invert(SCALARS, torque, state.sigma)
         transmission = self._transmission
-        tau_m = transmission.motor_torque(torque, state.sigma, x, pretension)
-        low, high = transmission.limits(state.sigma, x, pretension)
+        tau_m = transmission.motor_torque(torque, state.sigma, x, pretension, self._imbalance)
+        low, high = transmission.limits(state.sigma, x, pretension, self._imbalance)
         cut = low if tau_m < low else high if tau_m > high else tau_m
         if memories.parts and (custom := stack.custom_at("joint")) is not None:
             custom.accept(brought if cut == tau_m else self._brought(cut, x, pretension), state, memories)
@@ -173,8 +179,8 @@ class Feedforward:
         angle, pretension = bending_and_pretension(SCALARS, model, self._stack, state)
         x = min(friction_angle(SCALARS, model, self._stack, state, angle), LARGEST_ANGLE)
         self.friction_angle, self.pretension = x, pretension
-        slope, loss = self._transmission.tangent(sigma, x, pretension)
-        self._pulling = low, high = self._transmission.limits(sigma, x, pretension)
+        slope, loss = self._transmission.tangent(sigma, x, pretension, self._imbalance)
+        self._pulling = low, high = self._transmission.limits(sigma, x, pretension, self._imbalance)
         self._line = _Line(sigma, slope, loss, low, high)
         tau_m = (tau_j_des + loss) / slope
         self.clipped = not low <= tau_m <= high
@@ -185,7 +191,7 @@ class Feedforward:
     def _brought(self, tau_m: float, x: float, pretension: float) -> float:
         """N*m that the tendons bring to the joint of `tau_m` on the motor's pulley."""
         stack, state = self._stack, self._state
-        torque = self._transmission.torque(SCALARS, tau_m, state.sigma, x, pretension)
+        torque = self._transmission.torque(SCALARS, tau_m, state.sigma, x, pretension, self._imbalance)
         torque = torque if stack.load is None else stack.load.apply(SCALARS, torque, state.sigma)
         return torque if stack.lever is None else stack.lever.apply(SCALARS, torque, state)
 

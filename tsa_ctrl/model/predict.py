@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
-from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle, imbalance
 from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.memory import Backlash, integrate
 from tsa_ctrl.model.effects.specification import Stage
@@ -96,7 +96,8 @@ def _tendon_torque(
         torque = transmission.grown(ARRAYS, tau_m, growth, pretension)
     else:
         x = friction_angle(ARRAYS, model, stack, state, theta)
-        torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension)
+        apart = imbalance(ARRAYS, state, theta)
+        torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension, apart)
     return torque if stack.load is None else stack.load.apply(ARRAYS, torque, state.sigma)
 
 
@@ -121,13 +122,18 @@ def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
 
 
 def stretch(model: TendonSheath, signals: Signals) -> Array:
-    """s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), but for the encoders' zero. As `predict`."""
+    """s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), but for the encoders' zero. As `predict`.
+
+    Paths of different lengths, of tendons that are routed differently, are contained (3.52).
+    """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
     ends = _ends(model, stack, signals, state)
     motor, joint = compliances(model)
     length = motor * ends[0] + joint * ends[1]
+    if signals.theta_difference is not None:
+        length = length + model.lever * signals.theta_difference
     if stack.lever is not None:
         length = length + stack.lever.lengthens(ARRAYS, model.joint_pulley_radius, state)
     for effect in stack.stretch:
@@ -140,7 +146,8 @@ def _ends(model: TendonSheath, stack: Stack, signals: Signals, state: State[Arra
     tau_m = _on_the_tendons(stack, state, signals.tau_m)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     x = friction_angle(ARRAYS, model, stack, state, theta)
-    torque = stack.transmission(model).torque(ARRAYS, tau_m, state.sigma, x, pretension)
+    apart = imbalance(ARRAYS, state, theta)
+    torque = stack.transmission(model).torque(ARRAYS, tau_m, state.sigma, x, pretension, apart)
     ends = tau_m / model.motor_pulley_radius, torque / model.joint_pulley_radius
     if stack.slack is None:
         return ends
@@ -220,6 +227,7 @@ def _joint_state(model: TendonSheath | GearedDrive, stack: Stack, signals: Signa
         sigma=sigma,
         start=float(signals.t[0]),
         joints=signals.joints,
+        theta_difference=signals.theta_difference,
     )
 
 
@@ -246,7 +254,7 @@ def _growth(
 ) -> Array | None:
     """exp(sigma x), (n,), which is what costs, where no effect changes x: most candidates share it. Else None."""
     plain = isinstance(transmission, FourTensions) and transmission.symmetric
-    if not plain or stack.bending or stack.friction:
+    if not plain or stack.bending or stack.friction or signals.theta_difference is not None:
         return None
     key = ("growth", stack.velocity_lag, stack.presliding, model.friction_coefficient, model.bending_angle)
     theta = np.maximum(state.theta, 0.0)
@@ -375,6 +383,7 @@ def _part(state: State[Array], block: slice) -> State[Array]:
         sigma=of(state.sigma),
         start=state.start,
         joints={name: of(angle) for name, angle in state.joints.items()},
+        theta_difference=None if state.theta_difference is None else of(state.theta_difference),
     )
 
 

@@ -107,6 +107,11 @@ class Route:
         points = self.tables.get(joint)
         return self.gains.get(joint, 0.0) * angle if points is None else _between(points, angle)
 
+    def slope_by(self, joint: str, angle: float) -> float:
+        """Return d Theta / d q of one joint at `angle` (rad), rad/rad; 0 beyond a table and where it bends nothing."""
+        points = self.tables.get(joint)
+        return self.gains.get(joint, 0.0) if points is None else _slope(points, angle)
+
     def extremes_by(self, joint: str, span: Span) -> Span:
         """Return the least and the most that one joint within `span` (rad) adds, rad."""
         ends = self.added_by(joint, span[0]), self.added_by(joint, span[1])
@@ -196,6 +201,13 @@ def _between(points: Points, angle: float) -> float:
     i = bisect.bisect_right(points, angle, key=lambda point: point[0])
     (q, theta), (q_next, theta_next) = points[i - 1], points[i]
     return theta + (theta_next - theta) * (angle - q) / (q_next - q)
+
+
+def _slope(points: Points, angle: float) -> float:
+    if not points[0][0] <= angle < points[-1][0]:
+        return 0.0
+    i = bisect.bisect_right(points, angle, key=lambda point: point[0])
+    return (points[i][1] - points[i - 1][1]) / (points[i][0] - points[i - 1][0])
 
 
 def _table(route: Route) -> dict[str, Any]:

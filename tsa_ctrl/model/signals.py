@@ -44,6 +44,7 @@ class Signals:
     temperature: Array | None = None
     acceleration_j: Array | None = None
     acceleration_m: Array | None = None
+    theta_difference: Array | None = None  # rad, half of Theta_a - Theta_b, of tendons that are routed differently
     joints: Mapping[str, Array] = field(default_factory=dict)  # rad, q_j.NAME of joints that may bend the sheath
 
     def __post_init__(self) -> None:

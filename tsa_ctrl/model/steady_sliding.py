@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.transmission import Elongating
@@ -49,12 +49,18 @@ def sliding(
     return sliding_by(model)(sigma, x, tension)
 
 
-def sliding_by(model: TendonSheath) -> Callable[[float, float, float], Sliding]:
-    """Return `sliding` as a function of sigma, x (1) and T_p0 (N), for parameters that change while it runs."""
+class SlidingBy(Protocol):
+    """`sliding` by parameters that change while the loop runs."""
+
+    def __call__(self, sigma: float, friction_angle: float, pretension: float, imbalance: float = 0.0) -> Sliding: ...
+
+
+def sliding_by(model: TendonSheath) -> SlidingBy:
+    """Return `sliding` as a function of sigma, x (1), T_p0 (N) and the tendons' imbalance (1)."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
 
-    def line(sigma: float, friction_angle: float, pretension: float) -> Sliding:
-        slope, loss = transmission.tangent(sigma, friction_angle, pretension)
+    def line(sigma: float, friction_angle: float, pretension: float, imbalance: float = 0.0) -> Sliding:
+        slope, loss = transmission.tangent(sigma, friction_angle, pretension, imbalance)
         return Sliding(slope, sigma * loss)
 
     return line
@@ -115,7 +121,7 @@ def sliding_stiffness(model: TendonSheath) -> float:
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if not isinstance(transmission, Elongating):
         return motor_stiffness(model)
-    alpha, beta = transmission.lengths(SCALARS, model.friction_angle)
+    alpha, beta = transmission.lengths(SCALARS, model.friction_angle, model.friction_angle)
     return motor_stiffness(model) * 0.5 * (1.0 + transmission.series) * (1.0 / alpha + 1.0 / beta)
 
 

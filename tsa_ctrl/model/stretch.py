@@ -126,5 +126,5 @@ def elongations(model: TendonSheath, x: float) -> tuple[float, float]:
     """Return alpha and beta at the signed angle x, with the series spring, over the length of tendon and spring."""
     series = model.series_length / model.unstrained_length
     radii = (model.motor_pulley_radius, model.joint_pulley_radius)
-    alpha, beta = Elongating(radii, profile_of(model), series, model.series_at_joint).lengths(SCALARS, x)
+    alpha, beta = Elongating(radii, profile_of(model), series, model.series_at_joint).lengths(SCALARS, x, x)
     return alpha / (1.0 + series), beta / (1.0 + series)

@@ -117,6 +117,7 @@ class ModelTorque:
     middle, and the band includes both.
 
     Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan before the first measurement.
+    `slopes`: a(1) and a(-1), 1.
     """
 
     def __init__(self, model: TendonSheath, period: float, motor_inertia: float = 0.0, still: float = STILL) -> None:
@@ -134,10 +135,10 @@ class ModelTorque:
         """Forget the last velocity."""
         self.torque = self.low = self.high = self._omega = math.nan
 
-    def set_parameters(self, friction_angle: float, pretension: float) -> None:
-        """Use another friction angle (1) and pretension (N) from now on."""
-        forward, backward = (self._sliding(sigma, friction_angle, pretension) for sigma in (1.0, -1.0))
-        self._slopes = forward.slope, backward.slope
+    def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
+        """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons from now on."""
+        forward, backward = (self._sliding(sigma, friction_angle, pretension, imbalance) for sigma in (1.0, -1.0))
+        self.slopes = forward.slope, backward.slope
         self._half_loops = forward.half_loop, backward.half_loop
         self._doubts = self._share * abs(forward.half_loop), self._share * abs(backward.half_loop)
 
@@ -149,7 +150,7 @@ class ModelTorque:
         if self._omega == self._omega:
             tau_m -= self._inertia * (omega_m - self._omega) / self._period
         self._omega = omega_m
-        forward, backward = self._slopes
+        forward, backward = self.slopes
         least, most = self._half_loops
         low, high = forward * tau_m - least, backward * tau_m + most
         if omega_j > self._still:
@@ -280,9 +281,12 @@ class JointTorque:
         self._outside = self.difference = 0.0
         self._combine()
 
-    def set_parameters(self, friction_angle: float, pretension: float) -> None:
-        """Use another friction angle (1) and pretension (N); the stretch takes the pretension, and finds its own x."""
-        self.model.set_parameters(friction_angle, pretension)
+    def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
+        """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons.
+
+        The stretch takes the pretension, and finds its own friction angle.
+        """
+        self.model.set_parameters(friction_angle, pretension, imbalance)
         if self.stretch is not None:
             self.stretch.set_pretension(pretension)
 

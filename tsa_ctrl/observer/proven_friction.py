@@ -71,6 +71,7 @@ class ProvenFriction:
     Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
     `reads`: True if this cycle has a reading, False if the bounds come from earlier cycles.
     `modelled`: friction torque of the model file at the present wrap angle, N*m at the motor.
+    `slopes`: d tau_J / d tau_M of the model with a joint that moves forward and backward, 1.
     `trusted`: True if a tuning of this joint wrote the model file, so that the interval of its calibration counts.
     """
 
@@ -100,7 +101,7 @@ class ProvenFriction:
         self._expected = abs(sliding(model).motor_half_loop)
         self._least = LEAST * self._expected + 1e-9
         self.modelled = max(self._expected, self._least)
-        self._per_torque = tuple(1.0 / sliding(model, sigma).slope for sigma in (-1.0, 1.0))
+        self.slopes = sliding(model, 1.0).slope, sliding(model, -1.0).slope
         self._gate = GATE * wound_by_friction(model) * r_m / r_j
         self._ratio = r_j / r_m
         self._has_sensor = has_sensor
@@ -198,7 +199,7 @@ class ProvenFriction:
             if self._way > self._gate and not turning and last == last:
                 tau = tau_m - self._inertia * (omega_m - last) / self._period
                 if self._has_sensor:
-                    self._take(direction, direction * (tau - tau_j * self._per_torque[direction > 0]), way, tau_j)
+                    self._take(direction, direction * (tau - tau_j / self.slopes[direction < 0]), way, tau_j)
                 else:
                     self._take_elongation(direction, self._r_m * q_m - self._r_j * q_j, q_j, tau, way)
                 return

@@ -112,6 +112,7 @@ class Plausibility:
         q_j: float,
         tau_j: float,
         expected: tuple[float, float],
+        routed: float = 0.0,
     ) -> Finding | None:
         """Return the contradiction, or None while everything agrees.
 
@@ -122,6 +123,7 @@ class Plausibility:
             q_j: joint angle, rad.
             tau_j: joint torque sensor, N*m; nan without one.
             expected: lower and upper joint torque by the model for the reported motor torque, N*m.
+            routed: rad of the motor by which tendon paths of different lengths move it away from the joint.
         """
         tau_m, q_m, omega_m = feedback
         if feedback != self._last:
@@ -153,11 +155,12 @@ class Plausibility:
             )
         joint = self._geared * q_j
         if self._has_encoder:
-            apart = q_m - joint
+            way = joint + routed  # the tendons slide on both
+            apart = q_m - way
             if self._offset != self._offset:
                 self._offset = apart
             if self._slip is None:
-                wrong = self._elongation.update(tau_m, q_m, omega_m, joint) is not None
+                wrong = self._elongation.update(tau_m, q_m, omega_m, way) is not None
             else:
                 wrong = abs(apart - self._offset) > self._slip
             clock = self._slipped

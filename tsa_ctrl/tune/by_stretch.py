@@ -23,6 +23,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, unsupported_reason
 from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
+_OF_THE_SENSOR = ("tau_j", "theta", "theta_difference")
 ROUNDS = 4  # of two parameters of which only the product shows: 1e-6 after three
 
 
@@ -166,5 +167,5 @@ def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
 
 def without_torque(log: Dataset) -> Dataset:
     """Return a log as it is without the sensor, at one wrap angle."""
-    columns = {name: values for name, values in log.columns.items() if name not in ("tau_j", "theta")}
+    columns = {name: values for name, values in log.columns.items() if name not in _OF_THE_SENSOR}
     return dataclasses.replace(Dataset.from_arrays(columns, log.name), sha256=log.sha256)

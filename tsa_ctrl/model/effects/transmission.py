@@ -1,11 +1,12 @@
 """The transmission from the four tensions, with the effects that change it, and the full model in its place.
 
 B is the torque (N*m) that arrives at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle,
-sigma in [-1, 1] the direction or the friction state. Source: (3.37), (3.40), (3.45)-(3.46), (3.53)-(3.55) and the
-catalogue of effects. Sliding, with the signed angles x_a = sigma x (1 + ...), x_b:
+the mean of both tendons; x_a = x (1 + i), x_b = x (1 - i) with the imbalance i (1) of tendons that are routed
+differently. sigma in [-1, 1] is the direction or the friction state. Source: (3.37), (3.40), (3.45)-(3.46),
+(3.53)-(3.55) and the catalogue of effects. Sliding, with the signed angles sigma x_a and sigma x_b:
 
     T1 = T_p - tau_M/(2 r_M),     T3 = T_p + tau_M/(2 r_M),
-    T2 = T1 exp(+x_a),            T4 = T3 exp(-x_b),            tau_J = r_J (T4 - T2)
+    T2 = T1 exp(+sigma x_a),      T4 = T3 exp(-sigma x_b),      tau_J = r_J (T4 - T2)
 
 x_a = x_b gives (3.55). Tensions in N, torques in N*m, radii in m, angles in 1. Assumes Coulomb friction while sliding,
 and that both tendons pull. The printed minus signs of the source are lost; the forms here are derived from
@@ -47,14 +48,15 @@ class FullModel(NamedTuple, Generic[F]):
 
 
 def full_model(
-    functions: Functions[F], x: F, alpha: F, beta: F, strain_force: F, r_m: float, r_j: float
+    functions: Functions[F], angles: tuple[F, F], alpha: F, beta: F, strain_force: F, r_m: float, r_j: float
 ) -> FullModel[F]:
     """The full model, derived signs.
 
-    x: signed friction angle. alpha, beta: elongation integrals (3.36), (3.39), and strain_force EA Delta l, all three
-    divided by l_us or none of them. A series element adds EA/k_s to alpha, beta and to the length in EA Delta l.
+    angles: signed friction angles x_a and x_b. alpha of tendon a and beta of tendon b: elongation integrals (3.36),
+    (3.39), and strain_force EA Delta l, the mean of both tendons, all three divided by l_us or none of them. A series
+    element adds EA/k_s to alpha, beta and to the length in EA Delta l.
     """
-    decay, growth = functions.exp(-x), functions.exp(x)
+    decay, growth = functions.exp(-angles[1]), functions.exp(angles[0])
     total = alpha + beta
     return FullModel(
         gain=r_j / r_m * (alpha * decay + beta * growth) / total,
@@ -81,9 +83,9 @@ class SheathAsymmetry:
         demo={"relative_difference": Draw(0.8, 1.2, signed=True)},
     )
 
-    def angles(self, x: F) -> tuple[F, F]:
+    def angles(self, x_a: F, x_b: F) -> tuple[F, F]:
         half = self.relative_difference / 2.0
-        return x * (1.0 + half), x * (1.0 - half)
+        return x_a * (1.0 + half), x_b * (1.0 - half)
 
 
 @dataclass(frozen=True)
@@ -151,12 +153,17 @@ class FourTensions:
         """Return True if B is the line of `tangent` in tau_M, and `limits` bounds it."""
         return self.slack is None and self.tension_dependence is None
 
-    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
+    def angles(self, x: F, imbalance: F | float = 0.0) -> tuple[F, F]:
+        """x_a and x_b."""
+        x_a, x_b = x * (1.0 + imbalance), x * (1.0 - imbalance)
+        return (x_a, x_b) if self.asymmetry is None else self.asymmetry.angles(x_a, x_b)
+
+    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F, imbalance: F | float = 0.0) -> F:
         """B, N*m."""
-        if self.symmetric:
+        if self.symmetric and isinstance(imbalance, float) and imbalance == 0.0:
             return self.grown(functions, tau_m, functions.exp(sigma * x), pretension)  # the exponential is what costs
         t1, t3 = self._tensions(functions, tau_m, pretension)
-        x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        x_a, x_b = self.angles(x, imbalance)
         if self.tension_dependence is not None:
             x_a = x_a * self.tension_dependence.factor(functions, t1)
             x_b = x_b * self.tension_dependence.factor(functions, t3)
@@ -171,25 +178,25 @@ class FourTensions:
         t1, t3 = motor_tensions(tau_m, pretension, self.radii[0])
         return (t1, t3) if self.slack is None else self.slack.clip(functions, t1, t3)
 
-    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
+    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> float:
         """tau_M, N*m, for which `torque` gives B: closed, or at most `ITERATIONS` steps with tension dependence."""
-        x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        x_a, x_b = self.angles(x, imbalance)
         tau_m = self._invert(torque, sigma * x_a, sigma * x_b, pretension)
         if self.tension_dependence is not None:
             return self._iterate(torque, tau_m, sigma, (x_a, x_b), pretension)
         return tau_m
 
-    def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+    def limits(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
         """Domain of tau_M, N*m, in which both tendons pull; unbounded when the model knows slack."""
         if self.slack is not None:
             return -math.inf, math.inf
         bound = 2.0 * pretension * self.radii[0]
         return -bound, bound
 
-    def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+    def tangent(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
         """Return (slope, loss) of B = slope tau_M - loss at tau_M = 0; exact while both tendons pull."""
         r_m, r_j = self.radii
-        angles = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        angles = self.angles(x, imbalance)
         if self.tension_dependence is not None:
             value, slope = self._value_and_slope(0.0, sigma, angles, pretension)
             return slope, -value
@@ -251,51 +258,54 @@ class Elongating:
     profile: Profile
     series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
     at_joint: bool = False  # if it has one: there it carries T2 and T4
-    _last: list[tuple[float, float, FullModel[float]]] = field(default_factory=list, compare=False, repr=False)
+    _last: list[tuple[tuple[float, float, float], FullModel[float]]] = field(
+        default_factory=list, compare=False, repr=False
+    )
 
     @property
     def linear(self) -> bool:
         """Return True: B is always the line of `tangent` in tau_M."""
         return True
 
-    def line(self, functions: Functions[F], x: F, pretension: F) -> FullModel[F]:
+    def line(self, functions: Functions[F], x: F, pretension: F, imbalance: F | float = 0.0) -> FullModel[F]:
         """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
-        alpha, beta = self.lengths(functions, x)
-        return full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
+        angles = x * (1.0 + imbalance), x * (1.0 - imbalance)
+        alpha, beta = self.lengths(functions, *angles)
+        return full_model(functions, angles, alpha, beta, pretension * (1.0 + self.series), *self.radii)
 
-    def lengths(self, functions: Functions[F], x: F) -> tuple[F, F]:
-        """alpha and beta over l_us at the signed angle x, the series element included."""
-        alpha, beta = self.profile.elongations(functions, x)
+    def lengths(self, functions: Functions[F], x_a: F, x_b: F) -> tuple[F, F]:
+        """alpha and beta over l_us at the signed angles x_a and x_b, the series element included."""
+        alpha, beta = self.profile.mean_exponential(functions, x_a), self.profile.mean_exponential(functions, -x_b)
         if self.at_joint:
-            return alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
+            return alpha + self.series * functions.exp(x_a), beta + self.series * functions.exp(-x_b)
         return alpha + self.series, beta + self.series
 
-    def _now(self, x: float, pretension: float) -> FullModel[float]:
+    def _now(self, x: float, pretension: float, imbalance: float) -> FullModel[float]:
         """`line` for floats; the last one is kept, since the inverse asks for it three times a cycle."""
-        last = self._last
-        if not last or last[0][0] != x or last[0][1] != pretension:
-            last[:] = [(x, pretension, self.line(SCALARS, x, pretension))]
-        return last[0][2]
+        last, asked = self._last, (x, pretension, imbalance)
+        if not last or last[0][0] != asked:
+            last[:] = [(asked, self.line(SCALARS, x, pretension, imbalance))]
+        return last[0][1]
 
-    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
+    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F, imbalance: F | float = 0.0) -> F:
         """B, N*m."""
-        line = self.line(functions, sigma * x, pretension)
+        line = self.line(functions, sigma * x, pretension, imbalance)
         return line.gain * tau_m - line.loss
 
-    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
+    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> float:
         """tau_M, N*m, for which `torque` gives B."""
-        line = self._now(sigma * x, pretension)
+        line = self._now(sigma * x, pretension, imbalance)
         return (torque + line.loss) / line.gain
 
-    def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+    def limits(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
         """Domain of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
-        line = self._now(sigma * x, pretension)
+        line = self._now(sigma * x, pretension, imbalance)
         level, coupling = 2.0 * self.radii[0] * line.level, 2.0 * self.radii[0] * line.coupling
         return -level / (1.0 + coupling), level / (1.0 - coupling)
 
-    def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+    def tangent(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
         """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.steady_sliding`; exact."""
-        line = self._now(sigma * x, pretension)
+        line = self._now(sigma * x, pretension, imbalance)
         return line.gain, line.loss
 
 
