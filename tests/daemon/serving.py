@@ -13,7 +13,7 @@ import msgspec
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox
-from tsa_ctrl.ipc.protocol import Description, Range
+from tsa_ctrl.ipc.protocol import Description, Opening, Range
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.system.process_supervisor import READY
 
@@ -67,9 +67,14 @@ class Serving:
         )
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(msgspec.json.encode(description(path, axes)) + b"\n")
+        told = description(path, axes)
+        opening = Opening(told.path, told.group, told.watch_group, told.name)
+        for each in (opening, told):
+            self.process.stdin.write(msgspec.json.encode(each) + b"\n")
         self.process.stdin.flush()
         self.greeting = self.process.stdout.readline()
+        if self.greeting == READY:  # the socket is open
+            self.greeting = self.process.stdout.readline()
         self.ready = self.greeting == READY
 
     def publish(self, phase: LoopPhase) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from tsa_ctrl.system.libraries import leave_out
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
+    from tsa_ctrl.ipc.server_process import ServerProcess
 
 
 @click.command(
@@ -43,6 +46,41 @@ def command(
 ) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     leave_out()
+    with contextlib.ExitStack() as stack:
+        server = None if check else _socket_server(controller)
+        if server is not None:
+            stack.callback(server.end)
+            server.stage("importing")
+        return _run(controller, check, seconds, reset_faults, allow_simulated, record_bus, as_json, server)
+
+
+def _socket_server(controller: Path) -> ServerProcess | None:
+    """Open the daemon's socket before anything slow is imported; None for a file that will be rejected."""
+    from tsa_ctrl.ipc.protocol import default_path
+    from tsa_ctrl.ipc.server_process import ServerProcess
+
+    try:
+        data = tomllib.loads(controller.read_text(encoding="utf-8"))
+        socket = data.get("socket", {})
+        place = (socket.get("path") or default_path(), socket.get("group"), socket.get("watch_group"))
+        name = data.get("controller", {}).get("name", "rig")
+    except (OSError, ValueError, AttributeError):
+        return None
+    if not all(value is None or isinstance(value, str) for value in (*place, name)):
+        return None
+    return ServerProcess(*place, name)
+
+
+def _run(
+    controller: Path,
+    check: bool,
+    seconds: float | None,
+    reset_faults: bool,
+    allow_simulated: bool,
+    record_bus: Path | None,
+    as_json: bool,
+    server: ServerProcess | None,
+) -> int:
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.daemon.bus_recorder import check_record, recorded
     from tsa_ctrl.daemon.joint_files import admitted
@@ -75,6 +113,7 @@ def command(
             say,
             reset_faults=reset_faults,
             allow_simulated=allow_simulated,
+            server=server,
         )
     if as_json:
         click.echo(json.dumps(summary.as_dict()))

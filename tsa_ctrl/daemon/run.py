@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
-
-import msgspec
 
 from tsa_ctrl.bus.drive.buses import open_buses
 from tsa_ctrl.bus.live.rig import Rig
@@ -24,19 +21,18 @@ from tsa_ctrl.daemon.monitoring import SecondChannel, monitor_line, monitor_proc
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.protocol import default_path
+from tsa_ctrl.ipc.server_process import ServerProcess
 from tsa_ctrl.log.process import LOG_KIND, LOG_SUFFIX, LogLimits, LogProcess
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
 from tsa_ctrl.system import realtime
+from tsa_ctrl.system.compiling import on_compile
 from tsa_ctrl.system.notify import Notifier
-from tsa_ctrl.system.process_supervisor import Child
 
 MEGA = 1e6  # bytes of a MB
-PATIENCE = 2.0  # s for the socket server to end
 
 
 class Children:
@@ -45,23 +41,23 @@ class Children:
     They are started before the loop, and the loop never waits for them.
     """
 
-    def __init__(self, configuration: Configuration, tuners: Sequence[Tuner]) -> None:
-        """Start the processes; raises UsageError if the log or the socket cannot be created."""
+    def __init__(
+        self, configuration: Configuration, tuners: Sequence[Tuner], server: ServerProcess | None = None
+    ) -> None:
+        """Start the processes; raises UsageError if the log or the socket cannot be created.
+
+        `server`: one that was started before; None starts it here.
+        """
         file = configuration.file
         self.ring: RingWriter | None = None
         self.log: LogProcess | None = None
         self.sensors = AxisSensors(file.axes)
-        self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters))
-        description = describe(configuration, tuners)
-        self._path = description.path
-        self._server = Child("tsa_ctrl.ipc.server", self.mailbox.descriptor, fd=self.mailbox.descriptor)
+        self._server = server or server_process(configuration)
+        self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters), self._server.descriptor)
         try:
-            self._server.send(msgspec.json.encode(description))
             if file.log.enabled:
                 self.log = self._start_log(configuration)
-            if failure := self._server.failure():
-                raise UsageError(failure)
-            pid_file.write(self._path, os.getpid())
+            self._server.describe(describe(configuration, tuners))
             if self.log is not None:
                 self.log.wait_until_up()
         except BaseException:
@@ -88,8 +84,14 @@ class Children:
         self.sensors.close()
         if self.log is not None and self.log.alive:
             self.log.end()
-        pid_file.remove(self._path, os.getpid())
-        self._server.end(PATIENCE)
+        self._server.end()
+
+
+def server_process(configuration: Configuration) -> ServerProcess:
+    """Start the socket server of a configuration; raises UsageError if the socket cannot be opened."""
+    socket = configuration.file.socket
+    name = configuration.file.controller.name
+    return ServerProcess(socket.path or default_path(), socket.group, socket.watch_group, name)
 
 
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -103,6 +105,7 @@ def run(
     reset_faults: bool = False,
     watch: Callable[[Rig], None] = lambda rig: None,
     allow_simulated: bool = False,
+    server: ServerProcess | None = None,
 ) -> Summary:
     """Run the controller until it is stopped, or for `seconds` of torque; return its summary, including later faults.
 
@@ -112,13 +115,14 @@ def run(
         reset_faults: True resets drives found in fault at startup.
         watch: receives the rig before anything is sent.
         allow_simulated: True permits model files with simulated numbers on hardware.
+        server: the socket server, if it was started before; this function ends it.
 
     Raises:
         UsageError: the configuration is wrong.
         BusError: the bus or a node failed before the first cycle.
     """
     configuration = admitted(configuration, allow_simulated)
-    return Daemon(configuration, say, configured, reset_faults, watch).run(seconds)
+    return Daemon(configuration, say, configured, reset_faults, watch, server).run(seconds)
 
 
 class Daemon:
@@ -131,7 +135,9 @@ class Daemon:
         configured: bool = False,
         reset_faults: bool = False,
         watch: Callable[[Rig], None] = lambda rig: None,
+        server: ServerProcess | None = None,
     ) -> None:
+        self._server = server
         self._configuration = configuration
         self._configured = configured
         self._reset_faults = reset_faults
@@ -146,15 +152,17 @@ class Daemon:
         file = configuration.file
         require(configuration, missing(configuration))
         bus = open_buses(file.buses, file.axes)
-        socket = file.socket.path or default_path()
-        if pid_file.running(socket) is None:  # so that `tsa stop` reaches a daemon that still compiles or opens its log
-            pid_file.write(socket, os.getpid())
+        server = None
         try:
+            server = self._server or server_process(configuration)
+            on_compile(server.stage)
+            server.stage("preparing the control loop")
             rig = Rig(bus, file.slowest_bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
             self._watch(rig)
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
-            children = Children(configuration, tuners)
+            server.stage("opening log and sensors")
+            children = Children(configuration, tuners, server)
             channel = SecondChannel()
             for axis in axes:
                 axis.instruments.connect(children.sensors.sources(axis.name))
@@ -216,7 +224,9 @@ class Daemon:
                 self._say(str(error))
             return summary
         finally:
-            pid_file.remove(socket, os.getpid())
+            on_compile(None)
+            if server is not None:
+                server.end()
             bus.close()
             self._notifier.close()
 

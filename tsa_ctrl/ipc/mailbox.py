@@ -175,7 +175,7 @@ class Mailbox:
         self._seen = self._status.read()[1] or self._seen
         values = self._status_format.unpack(self._seen)
         general = len(General._fields)
-        size = (len(values) - general) // self._axes
+        size = (len(values) - general) // max(1, self._axes)  # a daemon that starts has no axes yet
         rows = [values[general + n * size : general + (n + 1) * size] for n in range(self._axes)]
         fields = len(AxisStatus._fields)
         return General(*values[:general]), [(AxisStatus(*row[:fields]), row[fields:]) for row in rows]

@@ -143,6 +143,15 @@ class Description(msgspec.Struct, frozen=True):
     loose_bounds: list[str] = []  # safety bounds that are looser than the defaults, one line each
 
 
+class Opening(msgspec.Struct, frozen=True):
+    """Hold the data with which the socket server opens the socket, before the daemon has read its configuration."""
+
+    path: str
+    group: str | None
+    watch_group: str | None
+    name: str
+
+
 def default_path() -> str:
     """Return $XDG_RUNTIME_DIR/tsa.sock, or tsa.sock in the user's private folder if the variable is not set."""
     return str(Path(os.environ.get("XDG_RUNTIME_DIR") or private_folder()) / "tsa.sock")

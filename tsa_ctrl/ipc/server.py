@@ -1,5 +1,7 @@
 """The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
 
+The daemon starts it first, with an `Opening` and then a line for each stage of its start before the description.
+
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Clients can load only this process,
 never the loop, which takes at most one command per cycle from the mailbox. If this process hangs or dies, another one
 replaces it and listens on the same socket (`system.process_supervisor`). It ends with the daemon, because their pipe
@@ -32,7 +34,7 @@ from tsa_ctrl.ipc.connection import Connection, Role, may
 from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
-from tsa_ctrl.ipc.protocol import AnyRequest, Description
+from tsa_ctrl.ipc.protocol import AnyRequest, Description, Opening
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report, waits_for
 from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
@@ -48,6 +50,9 @@ HANGS = 0.5  # s without a cycle, after which no cycle is followed
 AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
 REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
 ENDING = ("stopping", "ended")  # phases
+STARTING = "starting"  # the phase before the daemon has described itself
+HAND_OVER = 0.2  # s for clients that connected while the daemon started, until they have to connect again
+_ALWAYS = (protocol.Status, protocol.Measure, protocol.Events, protocol.Stop)  # requests to a daemon that starts
 SHORTEST, LONGEST = 0.02, 10.0  # s, of a lease
 CONFIRMED = 0.25  # of the time of a lease: how often its holder receives a confirmation
 
@@ -189,6 +194,13 @@ class Server:
                 self._drop(client)
         return others
 
+    def hand_over(self) -> None:
+        """Accept nobody any more, and serve those who are connected for `HAND_OVER` s at most."""
+        self._selector.unregister(self._listener)
+        end = self._clock() + HAND_OVER
+        while self._clients and self._clock() < end:
+            self.step(TICK)
+
     def close(self) -> None:
         """The daemon has ended: the holder of the lease is informed."""
         if self._lease.listener is not None:
@@ -286,6 +298,8 @@ class Server:
     ) -> dict[str, Any] | tuple[Command, dict[str, Any]]:
         """The answer; with a command, the answer once the loop has taken it."""
         mailbox, lease = self._mailbox, self._lease
+        if not self._description.axes and not isinstance(request, _ALWAYS):
+            raise UsageError(f"the daemon is starting ({mailbox.stage()[1]}); try again when it runs")
         match request:
             case protocol.Status():
                 return status_report(mailbox, self._description, now, lease.report(now))
@@ -385,15 +399,22 @@ def main(argv: list[str]) -> int:
     ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # they reach the whole group; the daemon decides
     with contextlib.suppress(OSError):  # where this user may
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
-    asked = sys.stdin.buffer.readline()
+    lines = Lines(sys.stdin.fileno())
+    asked = lines.take()
     if not asked:  # the daemon is gone already
         return 0
-    description = msgspec.json.decode(asked, type=Description)
-    axes, parameters, fd = len(description.axes), len(description.parameters[0]), int(argv[0])
-    mailbox = Mailbox(axes, parameters, fd)
+    opening = msgspec.json.decode(asked, type=Opening)
     try:
-        with listening(description.path, description.group, description.watch_group) as listener:
+        with listening(opening.path, opening.group, opening.watch_group) as listener:
             with contextlib.suppress(BrokenPipeError):  # then stdin reports the same
+                os.write(sys.stdout.fileno(), READY)
+            asked = answer_start(listener, opening, lines)
+            if not asked:
+                return 0
+            description = msgspec.json.decode(asked, type=Description)
+            axes, parameters, fd = len(description.axes), len(description.parameters[0]), int(argv[0])
+            mailbox = Mailbox(axes, parameters, fd)
+            with contextlib.suppress(BrokenPipeError):
                 os.write(sys.stdout.fileno(), READY)
 
             def work(before: int) -> int:
@@ -403,6 +424,54 @@ def main(argv: list[str]) -> int:
     except TsaError as error:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code
+
+
+class Lines:
+    """The lines that the daemon sends, one by one."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._received = b""
+
+    def take(self) -> bytes:
+        """Wait for the next line and return it; empty once the daemon is gone."""
+        while b"\n" not in self._received:
+            data = os.read(self.descriptor, 1 << 16)
+            if not data:
+                return b""
+            self._received += data
+        line, _, self._received = self._received.partition(b"\n")
+        return line
+
+    @property
+    def waiting(self) -> bool:
+        """Return True if a whole line has been received and not taken."""
+        return b"\n" in self._received
+
+
+def answer_start(listener: socket.socket, opening: Opening, lines: Lines) -> bytes:
+    """Answer while the daemon starts; return its description, empty if it is gone. A stop request ends the daemon."""
+    mailbox = Mailbox(0, 0)
+    mailbox.publish_stage(time.monotonic(), "starting")
+    place = (opening.path, opening.group, opening.name)
+    description = Description(*place, 1.0, [], [], {}, [STARTING], [], {}, watch_group=opening.watch_group)
+    server = Server(listener.dup(), mailbox, description)
+    server.watch(lines.descriptor)
+    stopped = False
+    try:
+        while True:
+            if lines.waiting or lines.descriptor in server.step(0.2):
+                line = lines.take()
+                if not line or line.startswith(b"{"):
+                    server.hand_over()
+                    return line
+                mailbox.publish_stage(time.monotonic(), line.decode(errors="replace"))
+            if mailbox.stop_requested and not stopped:
+                stopped = True
+                os.kill(os.getppid(), signal.SIGTERM)
+    finally:
+        server.close()
+        mailbox.close()
 
 
 def serve(listener: socket.socket, mailbox: Mailbox, description: Description, told: bool) -> int:

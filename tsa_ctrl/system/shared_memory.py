@@ -33,13 +33,17 @@ _TRIES = 100  # of a reader; one is lost only when whole writes began and ended 
 
 
 class SharedMemory:
-    """Hold `size` bytes, created and touched once so that no page fault comes later, or mapped from a `descriptor`."""
+    """Hold `size` bytes, created and touched once so that no page fault comes later, or mapped from a `descriptor`.
+
+    They are created in the memory of a `descriptor` that is empty.
+    """
 
     def __init__(self, size: int, descriptor: int | None = None) -> None:
         """Create or map the memory; raises ValueError if the descriptor has fewer bytes."""
-        made = descriptor is None
         if descriptor is None:
             descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
+        made = os.fstat(descriptor).st_size == 0
+        if made:
             os.ftruncate(descriptor, size)
         self.descriptor = descriptor
         self.bytes = mmap.mmap(descriptor, size)
