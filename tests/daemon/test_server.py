@@ -287,6 +287,17 @@ def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> N
     assert "heartbeat lost" not in serving.end()
 
 
+@pytest.mark.slow
+def test_an_event_that_a_hanging_server_did_not_print_is_printed_by_its_replacement(serving: Serving) -> None:
+    with Client(serving.path) as client:
+        client.ask(Status())
+    os.kill(serving.worker, signal.SIGSTOP)
+    serving.mailbox.publish_text(b'[{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}]')
+    assert until(lambda: serving.mailbox.replaced == 1)
+    assert until(lambda: serving.mailbox.printed == 0)
+    assert serving.end().count("heartbeat lost") == 1
+
+
 def test_events_are_told_once(serving: Serving) -> None:
     """Events that the loop publishes come out on stderr, each once."""
     first = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'

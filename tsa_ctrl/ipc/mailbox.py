@@ -52,8 +52,9 @@ Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the 
 _SINCE = struct.Struct("=d")  # s, monotonic
 _COMMAND = struct.Struct("=qqd")  # axis, parameter, value
 _WANTED = struct.Struct("=dd")  # N*m; s, monotonic, of the client that wants it
-_TAIL, _STOP, _HEARD, _REPLACED = 0, 8, 16, 24  # words of the header: commands taken, stop asked for; of the server
-# its last sign of life (ns, monotonic), and how many were replaced
+# Words of the header. Of the loop: commands taken, stop requested. Of the server: its last sign of life (ns,
+# monotonic), how many were replaced, events printed.
+_TAIL, _STOP, _HEARD, _REPLACED, _PRINTED = 0, 8, 16, 24, 32
 _LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
 _COMMANDS = -(-(_WORK + 8 * BINS) // 64) * 64
@@ -127,6 +128,15 @@ class Mailbox:
     def alive(self) -> None:
         """Record a sign of life of the server."""
         self._words[_HEARD // 8] = time.monotonic_ns()
+
+    @property
+    def printed(self) -> int:
+        """Return the number of the last event that a server printed, -1 before the first."""
+        return self._words[_PRINTED // 8] - 1
+
+    def print_up_to(self, number: int) -> None:
+        """Record that the events up to this number are printed; a server that replaces this one prints the others."""
+        self._words[_PRINTED // 8] = number + 1
 
     def replace(self, number: int) -> None:
         """Record that `number` servers were replaced."""

@@ -184,15 +184,12 @@ class EventPrinter:
     The thread ends with the process, even if it hangs in a write.
     """
 
-    def __init__(self, mailbox: Mailbox, told: bool = False) -> None:
-        """`told`: True if an earlier process has printed the present events."""
+    def __init__(self, mailbox: Mailbox) -> None:
+        """Begin after the last event that an earlier process has printed."""
         self._mailbox = mailbox
-        self._lines: queue.Queue[str] = queue.Queue(WAITING)
+        self._lines: queue.Queue[tuple[int, str]] = queue.Queue(WAITING)
+        self._sequence, self._last = 0, mailbox.printed
         threading.Thread(target=self._write, daemon=True).start()
-        self._sequence, self._last = 0, -1
-        if told:
-            self._sequence, text = mailbox.text()
-            self._last = max((event["number"] for event in msgspec.json.decode(text or b"[]")), default=-1)
 
     def update(self) -> None:
         """Print new events."""
@@ -205,7 +202,7 @@ class EventPrinter:
                 self._last = event["number"]
                 where = f"{event['axis']}: " if event["axis"] else ""
                 with contextlib.suppress(queue.Full):
-                    self._lines.put_nowait(f"{event['t']:.3f} s: {where}{event['text']}\n")
+                    self._lines.put_nowait((self._last, f"{event['t']:.3f} s: {where}{event['text']}\n"))
 
     def finish(self, seconds: float) -> None:
         """Wait up to `seconds` s until the last events are written."""
@@ -215,8 +212,11 @@ class EventPrinter:
 
     def _write(self) -> None:
         while True:
-            data = self._lines.get().encode(errors="replace")
+            number, line = self._lines.get()
+            data = line.encode(errors="replace")
             with contextlib.suppress(OSError):  # by the descriptor: no buffer that the interpreter's end would wait for
                 while data:
                     data = data[os.write(sys.stderr.fileno(), data) :]
+            with contextlib.suppress(ValueError):  # the mailbox is closed
+                self._mailbox.print_up_to(number)
             self._lines.task_done()

@@ -418,7 +418,7 @@ def main(argv: list[str]) -> int:
                 os.write(sys.stdout.fileno(), READY)
 
             def work(before: int) -> int:
-                return serve(listener, Mailbox(axes, parameters, os.dup(fd)), description, told=before > 0)
+                return serve(listener, Mailbox(axes, parameters, os.dup(fd)), description)
 
             return supervise(work, mailbox.alive, lambda: mailbox.heard, REPLACED, mailbox.replace)
     except TsaError as error:
@@ -474,12 +474,12 @@ def answer_start(listener: socket.socket, opening: Opening, lines: Lines) -> byt
         mailbox.close()
 
 
-def serve(listener: socket.socket, mailbox: Mailbox, description: Description, told: bool) -> int:
-    """Until the daemon's end of stdin closes; `told`: what happened by now was printed by another before this one."""
+def serve(listener: socket.socket, mailbox: Mailbox, description: Description) -> int:
+    """Serve until the daemon's end of stdin closes, and print each event once, whichever server has seen it."""
     server = Server(listener, mailbox, description)
     daemon = sys.stdin.fileno()
     server.watch(daemon)
-    watcher = EventPrinter(mailbox, told)
+    watcher = EventPrinter(mailbox)
     try:
         while daemon not in server.step(0.2):
             mailbox.alive()
