@@ -51,7 +51,7 @@ def test_the_first_detection_is_forgiven() -> None:
     rig = Rig()
     guard = rig.run(0.03)
     assert (guard.count, guard.reason) == (1, Reason.PASSIVITY)
-    assert "30 % of what the model file says" in guard.words
+    assert "30 % of the model file's values" in guard.words
     rig.run(HOLD, speed=0.0)
     assert guard.back_off < 0.3
     rig.run(RECOVERY + 0.01, speed=0.0)
