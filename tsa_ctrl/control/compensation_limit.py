@@ -172,7 +172,7 @@ SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one 
 
 
 class EnergyCredit:
-    """The energy (J) that a friction term may give a joint without a proof; `share` (1) is the part of it allowed."""
+    """Energy (J) that a friction term may give a joint without proof; `share` (1) is the permitted part."""
 
     def __init__(self, capacity: float, period: float) -> None:
         """`capacity` in J, `period` in s."""

@@ -69,7 +69,7 @@ class Timing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def timing(samples: Sequence[Sample], node: int, stopped: float, zero: float) -> Timing:
-    """`stopped`: when the loop was stopped, clock as in the samples; `zero`: N*m up to which torque counts as none.
+    """`stopped`: when the loop was stopped, clock as in the samples; `zero`: N*m up to which the torque counts as zero.
 
     `zero_after` is an upper bound: the torque fell between `last_torque` and it.
     """

@@ -85,7 +85,7 @@ class Program:
         )
 
     def value(self, values: Sequence[float], memories: Sequence[Live] = ()) -> float:
-        """The formula at one instant, `values` in the order of `names`; nan where it has no value.
+        """Return the formula at one instant, `values` in the order of `names`; nan if undefined.
 
         `memories`: of the program, in a loop.
         """

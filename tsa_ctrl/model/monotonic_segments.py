@@ -1,4 +1,4 @@
-"""A path in legs of one direction each, and what friction and play remember along it.
+"""Split a path into monotonic segments, and compute the state of friction and backlash along it.
 
 A state that depends on its own last step asks for a loop over the samples. But over one leg each of these has a closed
 form, and only from leg to leg does one depend on the last, by maps that can be composed in blocks: so it takes a few

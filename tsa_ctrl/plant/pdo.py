@@ -228,6 +228,6 @@ class Rpdo(Pdo):
         return self._line.popleft() if len(self._line) > steps else None
 
     def unpack(self, data: bytes) -> list[tuple[Key, int]]:
-        """Values of a frame at least as long as the mapping; dummies are left out."""
+        """Return the values of a frame at least as long as the mapping, without dummies."""
         values = self.packing.unpack(data[: self.packing.size])
         return [(key, value) for key, value in zip(self.keys, values, strict=True) if key[0] > 0x1F]

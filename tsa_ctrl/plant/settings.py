@@ -114,7 +114,7 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     phase: float = 0.0  # rad, of the sine
     period: Annotated[float, Meta(ge=1e-2, le=1e3)] = 1.6  # s, of the gait cycle
     scale: float = 1.0  # of the gait profile or of the file
-    file: str | None = None  # CSV with columns t, q_j and, if there, omega_j
+    file: str | None = None  # CSV with columns t, q_j and optionally omega_j
     repeat: bool = True  # of the file; else it stays at its end
     ramp: NonNegative = 1.0  # s, the motion grows from standstill
 

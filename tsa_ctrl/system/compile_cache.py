@@ -46,7 +46,7 @@ def _temporary() -> Path:
             return folder
         folder = Path(tempfile.mkdtemp(prefix="tsa-ctrl-numba-"))
     print(
-        f"tsa: no home to keep compiled functions in; they are kept in {folder} (set {VARIABLE} for another place)",
+        f"tsa: no home folder for compiled functions; they are stored in {folder} (set {VARIABLE} for another place)",
         file=sys.stderr,
     )
     return folder

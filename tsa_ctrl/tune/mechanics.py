@@ -6,7 +6,7 @@
     feedback                         `FEEDBACK`, on an axis with a joint torque sensor
 
 The damping gain keeps a gain margin of 2 at that delay, for stiffnesses from 0.8 to 1.25 of the measured one. If no
-useful gain does, damping is set to 0, and the file and the report give the reason.
+useful gain satisfies this, damping is set to 0, and file and report have the reason.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ class AxisResult(Displayed):
         """JSON-ready: null where no cycle counts."""
         error, speed = np.abs(self.error), np.abs(self.truth["omega_j"])
         reasons = Counter(Reason(int(code)).name for code in self.log["limit_reason"].tolist())
-        states = self.log["state"][self.log["t"] <= self.until]  # before the drive was disabled, as every run ends
+        states = self.log["state"][self.log["t"] <= self.until]  # before the drive was disabled at the end of the run
         return {
             "name": self.name,
             "rms": _rms(error),
@@ -117,7 +117,7 @@ class Simulation(Displayed):
         return self.axes[0].truth
 
     def axis(self, name: str) -> AxisResult:
-        """The axis of this name; raises KeyError."""
+        """Return the axis of this name; raises KeyError."""
         return {axis.name: axis for axis in self.axes}[name]
 
     def facts(self) -> dict[str, str]:

@@ -157,7 +157,7 @@ def _comments(parser: configparser.RawConfigParser) -> None:
 _BYTES = {kind.number: kind.size for kind in Type}
 _MOST_NOTES = 200  # a file with more slips is another kind of file
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # its remarks on an EDS are not the user's concern
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # its remarks on an EDS are not for the user
 
 
 def load_eds(path: str | Path) -> ObjectDictionary:

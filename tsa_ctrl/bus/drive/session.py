@@ -335,7 +335,7 @@ def another_master(name: str, heard: Collection[int]) -> str:
     frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
     if set(heard) == {cia301.SYNC}:
         return (
-            f"{name}: somebody sends SYNC (0x080), another master or a drive that makes it itself (0x1005 bit 30); "
+            f"{name}: SYNC (0x080) is on the bus, from another master or a drive that sends it (0x1005 bit 30); "
             "stop the other program, or write produces_sync = true into that drive's profile: startup then "
             "disables its SYNC"
         )

@@ -66,7 +66,7 @@ class Interface:
 
 
 def read(channel: str) -> Interface | None:
-    """Ask the kernel; None when it does not answer (no such link, no netlink)."""
+    """Read a link from the kernel; None without an answer (no such link, no netlink)."""
     try:
         found = request(RTM_GETLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), 0, 0))
     except OSError:

@@ -1,4 +1,6 @@
-"""Effects that remember: the friction state after a reversal, play, and a late measurement. Source: the catalogue."""
+"""Effects with memory: the friction state after a reversal, backlash, and a delayed measurement. Source: the
+catalogue.
+"""
 
 from __future__ import annotations
 

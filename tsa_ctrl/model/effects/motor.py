@@ -1,4 +1,4 @@
-"""Effects on the motor's side, in the order in which they turn the reported torque into the one on the pulley.
+"""Effects at the motor, in the order that converts the reported torque into the torque on the pulley.
 
 tau_M: torque that the drive reports, N*m. Source: the catalogue of effects; `invert` undoes `apply`.
 """

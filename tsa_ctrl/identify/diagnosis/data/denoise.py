@@ -1,6 +1,6 @@
 """A log's signals without most of their noise: zero-phase low-passes, where the spectrum sinks into its noise.
 
-Angles and velocities are low-passed before the model sees them, because the sign of a noisy velocity is wrong near
+Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
 every standstill. The motor torque is hardly: it jumps with a reversal, and a drive that compensates friction says
 little else.
 """

@@ -65,7 +65,7 @@ FEWEST = 60  # score samples that must be left to learn from
 
 
 def with_hidden_direction(data: Split, model: Model) -> Split:
-    """The same logs with the direction of hidden stretches smoothed; masks leave out what stays hidden."""
+    """The same logs with the direction of hidden stretches smoothed; masks exclude the stretches that stay hidden."""
     rigid = isinstance(model, RigidDrive)
     hidden = [_hidden(run, rigid) for run in data.frame.runs]
     if not any(bool(each.any()) for each in hidden):

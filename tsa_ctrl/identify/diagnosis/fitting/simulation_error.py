@@ -59,7 +59,7 @@ def full_residuals(frame: Frame, model: Model) -> list[Array]:
 
 
 def noise_rms(problem: Problem, fitted: Fit) -> float:
-    """RMS of the noise at the logs' own rate, N*m: of the noise model, and of what is faster than the score rate.
+    """Return the RMS noise at the rate of the logs, N*m: by the noise model, plus the part above the score rate.
 
     At most the whole residual's, which holds whatever is not found yet. Medians, not means, for the sake of what wrong
     directions add.

@@ -55,7 +55,7 @@ def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
 
 
 def _untestable(spec: Specification, frame: Frame, model: Model, scales: Scales) -> str:
-    """Why these logs cannot test an effect; empty when they can."""
+    """Return the reason why these logs cannot test an effect; empty if they can."""
     if spec.name in model.effects:
         return "already in the model file"
     clash = [other for other in spec.excludes if other in model.effects]

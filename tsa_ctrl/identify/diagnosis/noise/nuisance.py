@@ -1,4 +1,4 @@
-"""What is always projected out: torque errors from a direction that the log does not tell.
+"""Nuisance parameters, always projected out: torque errors from an unknown direction of motion.
 
 Near standstill the sign of a noisy velocity is wrong; that is no effect, but it fakes Stribeck friction and lags. Two
 kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
