@@ -199,7 +199,7 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
             (SENSOR,),
             r"fixed \(.*does not state where the sheath bends; give \[sheath\] bending_centre",
         ),
-        ("", (ENCODER, SENSOR), r"fixed \(.*no \[axis.encoder\]"),
+        ("", (ENCODER, SENSOR), r"fixed \(.*needs an \[axis.encoder\]"),
     ],
     ids=["default", "stretch", "shape", "encoder"],
 )

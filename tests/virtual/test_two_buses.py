@@ -117,7 +117,7 @@ def changed(number: int, **keys: Any) -> list[dict[str, Any]]:
         (changed(1, name="left"), {"knee": "left", "hip": "left"}, "2 buses are named 'left'"),
         (changed(1, name=""), TWO, r"\[\[bus\]\] number 2 has no name|number 2: name"),
         (BUSES, {"knee": "left", "hip": "left"}, r"\[\[bus\]\] 'right': no axis is on it"),
-        (BUSES, {"knee": "left", "hip": "middle"}, "axis 'hip': no bus 'middle'; the file has left, right"),
+        (BUSES, {"knee": "left", "hip": "middle"}, "axis 'hip': no bus 'middle'; choose one of left, right"),
         (changed(1, channel="can0"), TWO, "channel 'can0' is also that of 'left'"),
         (changed(1, host_node_id=126), TWO, r"'right': host_node_id differs from that of 'left'"),
         (changed(1, supervision={"tolerated_misses": 5}), TWO, "supervision differs from that of 'left'"),

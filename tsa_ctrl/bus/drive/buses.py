@@ -43,7 +43,7 @@ def check_buses(buses: Sequence[BusSettings], axes: Sequence[AxisNodes]) -> None
         if axis.bus is None and len(buses) > 1:
             raise UsageError(f"axis '{axis.name}': names no bus; write bus with one of {listed}")
         if axis.bus is not None and axis.bus not in names:
-            raise UsageError(f"axis '{axis.name}': no bus '{axis.bus}'; the file has {listed}")
+            raise UsageError(f"axis '{axis.name}': no bus '{axis.bus}'; choose one of {listed}")
     places: dict[tuple[str, str], str] = {}
     for bus in buses:
         if not axes_of(bus, axes):
