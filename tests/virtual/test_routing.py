@@ -192,21 +192,23 @@ def test_a_log_of_two_joints_has_the_angle_of_the_other_one(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: Path) -> None:
-    """The hip's encoder dies at 3 s: the friction is the least of the hip's travel within 50 ms, an event names it.
+@pytest.mark.parametrize("load", ["imposed", "weight"])
+def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: Path, load: str) -> None:
+    """The hip's encoder dies: the friction is the least of the hip's travel within 50 ms, and an event names it.
 
-    No change of the command in a cycle is above 50 mN*m at the joint for a loss at 3.0 s (48.5 measured). This does not
-    hold at every phase: losses at 2.6 to 3.8 s gave 30 to 88 mN*m imposed, and 18 to 166 on a weight.
+    While the friction term keeps its direction, the command changes by at most 50 mN*m at the joint in a cycle (49.5
+    and 46.8). Losses at 24 moments from 2.5 to 3.8 s: 17 to 50.3. A reversal changes it faster, with a lost hip and
+    without one: 93 to 295 mN*m in a cycle on a weight, where the run without a loss has 295, too.
     """
-    paths = files(tmp_path, "imposed", 0.4, travel=True)
-    result = simulate_loop(*paths, 4.0, faults=["missing_tpdo axis=hip node=encoder@3.0"])
+    paths = files(tmp_path, load, 0.4, travel=True)
+    result = simulate_loop(*paths, 3.6, faults=["missing_tpdo axis=hip node=encoder@3.1"])
     log = result.axes[0].log
     t, theta = log["t"], log["theta"]
     lowest = joints.NOMINAL.bending_angle - GAIN * 1.2 * SWING
-    assert theta[t > 3.05] == pytest.approx(lowest, abs=0.001)
+    assert theta[t > 3.15] == pytest.approx(lowest, abs=0.001)
     gearing = joints.NOMINAL.joint_pulley_radius / joints.NOMINAL.motor_pulley_radius
-    steps = gearing * np.abs(np.diff(log["tau_m_cmd"]))[(t[1:] > 3.0) & (t[1:] < 3.2)]
-    assert steps.max() <= 0.05
+    after = (t[1:] > 3.1) & (t[1:] < 3.3) & (np.diff(log["sigma"]) == 0.0)
+    assert gearing * np.abs(np.diff(log["tau_m_cmd"]))[after].max() <= 0.05
     assert any("angle of joint hip" in str(event) for event in result.summary.events)
 
 
