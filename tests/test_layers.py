@@ -65,7 +65,7 @@ ROOMS: dict[str, str] = {
     ),
     # for people
     "published": "errors outputs",
-    "doctor": "errors system bus.settings bus.wire bus.drive",
+    "doctor": "errors version system bus.settings bus.wire bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system log.table model bus safety control config readiness daemon",
     "dashboard": "errors signals ipc",

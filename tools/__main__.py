@@ -47,7 +47,11 @@ def main(arguments: list[str]) -> int:
         hint = f"did you mean '{near[0]}'?" if near else "tools/run alone lists what there is"
         print(f"tools/run {name}: no such command; {hint}", file=sys.stderr)
         return 2
-    sys.path[0] = str(FOLDER.parent)
+    if sys.flags.safe_path:
+        sys.path.insert(0, str(FOLDER.parent))
+    else:
+        sys.path[0] = str(FOLDER.parent)
+    importlib.import_module("tools.compiled").use()
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # commands run a process per core: threads inside would be in the way
     sys.argv = [f"tools/run {name}", *arguments[1:]]

@@ -44,7 +44,7 @@ from tsa_ctrl.errors import UsageError
 FILE = command.ROOT / "tools" / "pins.json"
 PLACE = WORKTREES / "pins"  # one worktree: numba's cache stays valid where files are equal
 ZERO = 1e-12  # SI units: smaller values are rounding errors
-VARYING = ("sha256", "date", "version", "recorded_by")  # keys of values that vary from run to run or with the release
+VARYING = ("sha256", "date", "version", "recorded_by", "build")  # keys that vary from run to run or with the release
 QUICK = r"a .* 90[04]$|b .* sine, fault none|c tsa (run|plant|init|data|doctor) "
 NOT_COMPARED = "not compared: "
 INDEX = re.compile(r"\[\d+\]$")  # of an item of a list in a path

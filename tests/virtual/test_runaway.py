@@ -115,6 +115,7 @@ def test_a_heavy_motors_swing_on_tendons_bent_elsewhere_is_none(tmp_path: Path) 
 
 
 @pytest.mark.slow
+@pytest.mark.interpreted
 def test_without_the_guard_the_weight_swings_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Show that the tests above can fail: set-point 0, the guard disabled, and all friction taken as proven."""
     monkeypatch.setattr(CompensationLimit, "update", lambda self, *_: self.ceiling)

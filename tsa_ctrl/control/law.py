@@ -73,11 +73,11 @@ class Inverse(Protocol):
         tau_j_des: float,
         sigma: float,
         omega_j: float,
-        q_j: float = ...,
-        q_m: float = ...,
-        temperature: float = ...,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+        temperature: float = math.nan,
         *,
-        t: float = ...,
+        t: float = math.nan,
     ) -> float: ...
 
     def half_loop(self) -> float: ...

@@ -259,7 +259,13 @@ def write_last(log: Path, out: Path, seconds: float) -> float:
     end = max((float(block[-1, 0]) for _, block in file.blocks(("t",)) if len(block)), default=0.0)
     started = calendar.timegm(time.strptime(file.about["started"], "%Y-%m-%dT%H:%M:%SZ"))
     header = LogHeader(
-        tuple(file.axes), file.about["rate"], file.files, file.codes, float(started), file.about["version"]
+        tuple(file.axes),
+        file.about["rate"],
+        file.files,
+        file.codes,
+        float(started),
+        file.about["version"],
+        file.about.get("build", "unknown"),
     )
     first = end
     try:

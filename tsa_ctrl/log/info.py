@@ -81,6 +81,7 @@ class LogInfo:
             "jitter_percent": 100.0 * max(axis.jitter for axis in self.axes),
             "skipped": [axis.skipped for axis in self.axes],
             "recorded_by": self.about.get("version"),
+            "build": self.about.get("build"),
             "started": self.about.get("started"),
             "problems": self.problems,
             "events": json_types(self.notes),

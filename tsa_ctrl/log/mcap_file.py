@@ -287,6 +287,7 @@ class McapFile:
         started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(header.started))
         about = {
             "version": header.version,
+            "build": header.build,
             "axes": json.dumps(list(header.axes)),
             "rate": repr(header.rate),
             "started": started,

@@ -11,7 +11,7 @@ import msgspec
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
 from tsa_ctrl.system.process_supervisor import Child
-from tsa_ctrl.version import __version__
+from tsa_ctrl.version import __version__, build_kind
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,8 @@ class LogHeader:
     """Hold the header of a log, with its origin and the meaning of its codes.
 
     `files` maps the name of each configuration or model file to its text, `codes` the name of a coded field to
-    {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz.
+    {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz;
+    `build` is "compiled" or "interpreted".
     """
 
     axes: tuple[str, ...]
@@ -28,6 +29,7 @@ class LogHeader:
     codes: dict[str, dict[int, str]] = field(default_factory=dict)
     started: float = field(default_factory=time.time)
     version: str = __version__
+    build: str = field(default_factory=build_kind)
 
 
 @dataclass(frozen=True)

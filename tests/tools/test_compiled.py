@@ -1,0 +1,148 @@
+"""The list of compiled modules holds nothing that mypyc compiles wrongly, and both builds compute the same."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import msgspec
+import pytest
+
+from tests.conftest import ROOT
+from tools import compiled
+
+
+def backend() -> ModuleType:
+    """Load the build backend, which pip imports from its folder."""
+    spec = importlib.util.spec_from_file_location("backend", ROOT / "tools" / "package" / "backend.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+MODULES = backend().modules()
+
+
+def names_of(nodes: list[ast.expr]) -> set[str]:
+    return {ast.unparse(node).rpartition(".")[2] for node in nodes}
+
+
+def defaults(arguments: ast.arguments) -> list[ast.expr]:
+    return [*arguments.defaults, *(each for each in arguments.kw_defaults if each)]
+
+
+def forbidden(tree: ast.Module) -> set[str]:
+    """Return what mypyc must not see: settings, structures of C, TypeVars with values, defaults of a Protocol."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            bases = names_of(node.bases)
+            if node.keywords or "Struct" in bases:
+                found.add(f"class {node.name}: mypyc ignores the arguments of the class")
+            if bases & {"Structure", "Union"}:
+                found.add(f"class {node.name}: a structure of ctypes")
+            if any("Enum" in base for base in bases) and any(
+                isinstance(each, ast.FunctionDef) and each.name == "__init__" for each in node.body
+            ):
+                found.add(f"class {node.name}: the constructor of an Enum does not accept its members")
+            if "Protocol" in bases and any(isinstance(each, ast.AnnAssign) and each.value for each in node.body):
+                found.add(f"class {node.name}: a value in a Protocol")
+        elif isinstance(node, ast.Call) and names_of([node.func]) == {"TypeVar"} and len(node.args) > 1:
+            found.add("a TypeVar with values")
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            found |= {name for name in ("ctypes", "numba", "plant.compiled") if name in ast.unparse(node)}
+        elif isinstance(node, ast.FunctionDef) and "..." in map(ast.unparse, defaults(node.args)):
+            found.add(f"{node.name}: the default is evaluated, and an ellipsis is no value of its type")
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES)
+def test_a_compiled_module_has_nothing_that_mypyc_compiles_wrongly(path: str) -> None:
+    """A Struct would lose frozen and forbid_unknown_fields without a message."""
+    assert forbidden(ast.parse((ROOT / path).read_text(encoding="utf-8"))) == set()
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "class Settings(msgspec.Struct): x: int",
+        "class Settings(Base, frozen=True): x: int",
+        "class Header(ctypes.Structure): pass",
+        "class Type(Enum):\n    def __init__(self, width): pass",
+        "class Read(Protocol):\n    x: float = ...",
+        "F = TypeVar('F', float, str)",
+        "import ctypes",
+        "from numba import njit",
+        "from tsa_ctrl.plant.compiled import compiled",
+        "def update(value: float = ...) -> float: ...",
+    ],
+)
+def test_each_forbidden_kind_is_found(source: str) -> None:
+    assert forbidden(ast.parse(source))
+
+
+def test_the_cycle_is_in_the_list() -> None:
+    """`tsa doctor` and the header of a log judge the build by this module."""
+    from tsa_ctrl.version import CYCLE
+
+    assert f"{CYCLE.replace('.', '/')}.py" in MODULES
+
+
+def test_a_value_that_is_neither_0_nor_1_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TSA_COMPILE", "yes")
+    with pytest.raises(ValueError, match="set it to 1"):
+        backend().wanted()
+
+
+def test_without_the_variable_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TSA_COMPILE", raising=False)
+    module = backend()
+    assert module.extensions() == []
+    assert module.get_requires_for_build_wheel() == []
+
+
+def test_an_editable_compiled_build_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would go on with the old machine code after a change of the source."""
+    monkeypatch.setenv("TSA_COMPILE", "1")
+    with pytest.raises(ValueError, match="without --editable"):
+        backend().get_requires_for_build_editable()
+
+
+def test_the_build_of_another_source_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = tmp_path / ".cache" / "compiled" / "old"
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(other), "kept")))
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")
+    monkeypatch.setattr(sys, "path", [str(other), *sys.path])
+    monkeypatch.setattr(compiled, "BUILDS", tmp_path)
+    monkeypatch.setattr(compiled, "build_folder", lambda: tmp_path / "absent")
+    compiled.use()
+    assert os.environ["PYTHONPATH"] == "kept"
+    assert str(other) not in sys.path
+    assert "PYTHONSAFEPATH" not in os.environ
+
+
+@pytest.mark.slow
+def test_both_builds_give_the_same_log_and_truth() -> None:
+    if not compiled.build_folder().is_dir():
+        pytest.skip("no compiled build of this source: tools/run package/compiled makes one")
+    line = [sys.executable, str(ROOT / "tools"), "package/compiled", "--rows", "2"]
+    done = subprocess.run(line, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "2 equal to the last bit" in done.stdout
+
+
+def test_settings_reject_unknown_keys_and_changes() -> None:
+    """The same in both builds: the settings of the loop are read strictly."""
+    from tsa_ctrl.control.settings import LawSettings
+
+    with pytest.raises(msgspec.ValidationError, match="unknown field"):
+        msgspec.convert({"compensatoin": 1.0}, LawSettings)
+    with pytest.raises(AttributeError):
+        LawSettings().compensation = 2.0  # type: ignore[misc]

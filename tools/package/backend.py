@@ -1,0 +1,106 @@
+"""Build backend of pyproject.toml: setuptools, and with TSA_COMPILE=1 the modules of the cycle as machine code.
+
+    TSA_COMPILE=1 pip install .
+
+mypyc compiles the modules below from the same source. It needs a C compiler and Python's headers. Without the variable
+neither is needed, and the package is the same source, interpreted. `tsa doctor` reports which of the two runs.
+
+A module may be listed if it has no `msgspec.Struct`, no ctypes structure, no TypeVar with values, no Enum with a
+constructor and no function of numba. mypyc ignores the class arguments of a Struct without a message, so that settings
+would accept unknown keys and could be changed. `tests/tools/test_compiled.py` checks the list.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+import setuptools
+from setuptools import build_meta
+from setuptools.command.sdist import sdist
+
+VARIABLE = "TSA_COMPILE"
+ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
+    "control": (
+        "axis bending compensation_limit cycle damping direction estimator kalman law motion_filter reversal setpoint "
+        "stretch_estimator temperature tension_estimator torque_feedback"
+    ),
+    "observer": "joint_torque proven_friction stretch",
+    "safety": "debounce guard lost_commands passivity plausibility polarity_check residuals supervisor",
+    "bus/live": "axis image read_back rig",
+    "bus/canopen": "cia301 cia402 pdo",
+    "bus/wire": "seam",
+    "daemon": "loop telemetry torque_error monitoring",
+    "ipc": "mailbox",
+    "log": "ring",
+    "system": "shared_memory histogram",
+    "model": "feedforward stretch",
+    "plant": "axis cia402 drive fault_kind faults machine mechanism motion node pdo sensors state sync",
+}
+OPTIONS = ("--config-file=", "--ignore-missing-imports", "--follow-imports=silent")  # CI checks the types strictly
+TYPES = ("mypy>=2.4", "numpy>=2.0", "msgspec>=0.19")  # what mypyc reads of the packages that are imported
+
+
+def modules() -> list[str]:
+    """Return the paths of the compiled modules."""
+    return [f"tsa_ctrl/{room}/{name}.py" for room, names in ROOMS.items() for name in names.split()]
+
+
+def wanted() -> bool:
+    """Return True if the compiled build is requested; raise ValueError for a value that is neither "1" nor "0"."""
+    value = os.environ.get(VARIABLE) or "0"
+    if value not in ("0", "1"):
+        raise ValueError(f'{VARIABLE} is "{value}"; set it to 1 for the compiled build, or unset it')
+    return value == "1"
+
+
+def extensions() -> list[setuptools.Extension]:
+    """Return the extension modules of the requested build."""
+    if not wanted():
+        return []
+    from mypyc.build import mypycify
+
+    return mypycify([*OPTIONS, *modules()], opt_level="2", debug_level="0", multi_file=True, group_name="tsa_ctrl")
+
+
+class SourceArchive(sdist):  # type: ignore[misc]  # setuptools has no types
+    """A source archive that contains this backend, without which it could not be built."""
+
+    def add_defaults(self) -> None:
+        """Add this file to the files that setuptools finds."""
+        super().add_defaults()
+        self.filelist.append("tools/package/backend.py")
+
+
+class Backend(build_meta._BuildMetaBackend):  # type: ignore[misc]
+    """The hooks of PEP 517 and PEP 660."""
+
+    def run_setup(self, setup_script: str = "setup.py") -> None:
+        """Set up the package. There is no setup.py: pyproject.toml has the rest."""
+        modules = extensions() if "bdist_wheel" in sys.argv else []  # the metadata does not need them
+        setuptools.setup(ext_modules=modules, cmdclass={"sdist": SourceArchive})
+
+    def get_requires_for_build_wheel(self, config_settings: Mapping[str, Any] | None = None) -> list[str]:
+        """Return the packages that building needs in addition to setuptools."""
+        return list(TYPES) if wanted() else []
+
+    def get_requires_for_build_editable(self, config_settings: Mapping[str, Any] | None = None) -> list[str]:
+        """Return no packages; reject an editable compiled build, which would ignore each change of the source."""
+        if wanted():
+            raise ValueError(
+                f"an editable installation runs the source; unset {VARIABLE}, or install without --editable"
+            )
+        return []
+
+
+_backend = Backend()
+build_sdist = _backend.build_sdist
+build_wheel = _backend.build_wheel
+build_editable = _backend.build_editable
+prepare_metadata_for_build_wheel = _backend.prepare_metadata_for_build_wheel
+prepare_metadata_for_build_editable = _backend.prepare_metadata_for_build_editable
+get_requires_for_build_wheel = _backend.get_requires_for_build_wheel
+get_requires_for_build_sdist = _backend.get_requires_for_build_sdist
+get_requires_for_build_editable = _backend.get_requires_for_build_editable
