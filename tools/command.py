@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # the guest's first process has the standard library alone
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
 MOST_PROCESSES = 2
+PROCESSORS = min(MOST_PROCESSES, len(os.sched_getaffinity(0)))
 SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
 WORST = 20  # rows of a list of the worst
 
@@ -46,7 +47,7 @@ def parser(module: str, doc: str | None) -> argparse.ArgumentParser:
 
 SHARED: dict[str, dict[str, Any]] = {  # options of several commands
     "--rows": {"type": Path, "help": "JSON lines: what is in the file is not run again"},
-    "--processes": {"type": int, "default": 1, "choices": range(1, MOST_PROCESSES + 1)},
+    "--processes": {"type": int, "default": PROCESSORS, "choices": range(1, MOST_PROCESSES + 1)},
     "--json": {"action": "store_true", "help": "a JSON object for each run, instead of the tables"},
     "--seed": {"type": int, "help": "of all draws (default: a fresh one, which is printed)"},
     "--sample": {"type": int, "default": 0, "metavar": "N", "help": "N drawn runs; 0: all"},
