@@ -50,6 +50,11 @@ def test_the_wheel_alone_has_pages_files_and_profiles(wheel: Path, tmp_path: Pat
     tsa("run", "--check", "rig/controller.toml")
 
 
+def test_the_default_wheel_fits_every_machine(wheel: Path) -> None:
+    """Without TSA_COMPILE the package is pure Python. It is built from the source archive, which has the backend."""
+    assert wheel.name.endswith("-py3-none-any.whl")
+
+
 def test_every_direct_dependency_stands_in_the_list_with_a_licence_that_fits() -> None:
     listed = json.loads(licences.FILE.read_text(encoding="utf-8"))
     assert {name for name, row in listed.items() if row["direct"]} == set(licences.runtime())

@@ -68,10 +68,10 @@ def extensions() -> list[setuptools.Extension]:
 class SourceArchive(sdist):  # type: ignore[misc]  # setuptools has no types
     """A source archive that contains this backend, without which it could not be built."""
 
-    def add_defaults(self) -> None:
-        """Add this file to the files that setuptools finds."""
-        super().add_defaults()
+    def make_distribution(self) -> None:
+        """Add this file to the files that setuptools has found."""
         self.filelist.append("tools/package/backend.py")
+        super().make_distribution()
 
 
 class Backend(build_meta._BuildMetaBackend):  # type: ignore[misc]
