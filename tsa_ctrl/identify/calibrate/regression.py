@@ -54,7 +54,9 @@ class Estimate:
         return centre - half, centre + half
 
     def degrees_of_freedom(self, gradient: FloatArray) -> float:
-        """Of the variance of `gradient @ value` (Satterthwaite): few where it rests on few blocks."""
+        """Return the degrees of freedom of the variance of `gradient @ value` (Satterthwaite): few where it rests on
+        few blocks.
+        """
         b = self.influence.transpose(0, 2, 1) @ gradient
         taken = np.einsum("bji,bj->bi", self.leverage, b)
         own = np.einsum("bij,bj->bi", self.weight, b)

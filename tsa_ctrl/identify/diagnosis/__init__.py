@@ -1,4 +1,4 @@
-"""Diagnosis of a model on logs: what the simulation gets wrong, the cause, the extended model, the gain.
+"""Diagnosis of a model on logs: find the errors of the simulation, their cause, the extended model, the gain.
 
 `pipeline.diagnose` runs through the stages, one line each; a stage is a function from data to data, in a folder that
 imports only what stands above it here (tests/identify/diagnosis/test_order.py):

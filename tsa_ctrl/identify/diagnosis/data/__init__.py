@@ -1,1 +1,1 @@
-"""What a diagnosis sees of the logs: denoised and reduced, audited, split into learned from and held out."""
+"""Prepare the logs for a diagnosis: denoised and reduced, audited, split into learned from and held out."""

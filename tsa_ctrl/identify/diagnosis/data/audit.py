@@ -1,4 +1,4 @@
-"""What a log can show at all, before anything is fitted: suspicions, occupancy, and whether it excites the drive."""
+"""Determine what a log can show, before anything is fitted: suspicions, occupancy, and whether it excites the drive."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _narrowed(frame: Frame) -> tuple[str, ...]:
 
 
 def _hidden(frame: Frame) -> tuple[str, ...]:
-    """For how long the direction was hidden, and what was made of it."""
+    """Hold for how long the direction was hidden, and its treatment."""
     lengths = np.array([len(run.signals) for run in frame.runs], dtype=np.float64)
     shares = np.array([run.hidden for run in frame.runs])
     share = float(shares @ lengths / lengths.sum())
@@ -112,7 +112,7 @@ def _steady(omega: Array, noise: float) -> Array:
 def _insufficient(moving: float, fast: float, clear: float, frame: Frame, needs_motion: bool) -> str:
     """Why these logs cannot be diagnosed: shares of the time that it moves, and that it stands out of the noise.
 
-    fast: rad/s, hardly exceeded. What is enough by itself stays enough, however much standstill comes with it.
+    fast: rad/s, hardly exceeded. A sufficient part stays sufficient, however much standstill is added.
     """
     if frame.seconds < SHORTEST or len(frame) < FEWEST:
         return f"the logs hold {frame.seconds:.2g} s; at least {SHORTEST:g} s are needed"

@@ -72,7 +72,7 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
 
 
 def denoised_within(log: Dataset, band: float) -> tuple[dict[str, Array], tuple[float, Array] | None]:
-    """What changes when derived motion reaches up to `band` Hz only: angles and velocities by name, (n) each.
+    """Return the change if derived motion reaches up to `band` Hz only: angles and velocities by name, (n) each.
 
     Beside them noise and error as of `denoised`, None where they stay as they are. Nothing changes where the data's own
     band is lower.
@@ -103,7 +103,7 @@ def _uncertain(found: Smoothed, period: float) -> tuple[float, Array]:
 def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error: Array) -> tuple[Array, Array]:
     """A recorded velocity whose sign does not flicker while its noise hides it, and its error, which is so large there.
 
-    Else friction would turn over and over in slow motion. Where it turns tells the angle, the integral of `omega`.
+    Else friction would turn over and over in slow motion. The angle, the integral of `omega`, shows where it reverses.
     """
     if noise <= 0.0 or not bool(np.any(np.abs(smooth) > SURE * noise)):
         return smooth, error
@@ -141,7 +141,7 @@ def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, 
     """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of what is left of the noise.
 
     `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. The last: the cut-off in Hz, None
-    where there is none.
+    without one.
     """
     if len(y) < 128 or not np.ptp(y) > 0.0:
         return y, 0.0, None
@@ -177,7 +177,9 @@ def _averaged(y: Array, period: float, cutoff: float) -> float:
 
 
 def _distortion(smooth: Array, period: float, cutoff: float) -> Array:
-    """What a low-pass at `cutoff` Hz has taken from a signal, (n): about what it takes once more, as a local RMS."""
+    """Return the part that a low-pass at `cutoff` Hz removes from a signal, (n): about what it takes once more, as a
+    local RMS.
+    """
     taken = (smooth - low_pass(smooth, period, cutoff)) ** 2
     return np.sqrt(np.maximum(low_pass(taken, period, 0.5 * cutoff), 0.0))
 

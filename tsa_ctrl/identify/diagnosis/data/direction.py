@@ -2,7 +2,7 @@
 
 Two states, forward and backward, that turn seldom. What speaks for either at a moment is the velocity, and the torque
 beside what a line through the sure samples says of it; a forward and a backward sweep give the direction's probability
-from the whole log. Only stretches in which the velocity alone cannot tell for long are touched. Where the odds are
+from the whole log. Only stretches in which the velocity alone is undecided for long are changed. Where the odds are
 large and the torque is that of the direction taken, it counts as known, but for the turns themselves: those were placed
 by the torque, and say nothing of how late it is. Held-out errors leave all such stretches out. Where the torque is that
 of neither direction, friction is somewhere within its band, and the direction stays unknown; of a plain drive that is
@@ -90,7 +90,7 @@ def with_hidden_direction(data: Split, model: Model) -> Split:
 def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
     """Samples (n) at the compute rate in long stretches without a direction; of tendons, of recorded velocities alone.
 
-    An encoder that stands shows that it does; of a plain drive that is enough to know nothing of its friction.
+    An encoder at rest shows this; of a plain drive that is enough to know nothing of its friction.
     """
     omega = run.signals.omega_j
     slow = np.abs(omega) <= UNKNOWN * run.velocity_error
@@ -140,7 +140,9 @@ def _odds(frame: Frame, hidden: Sequence[NDArray[np.bool_]], sure: NDArray[np.bo
 
 
 def _features(run: Run, sigma: Array) -> Array:
-    """What makes up a tendon-sheath's torque, (n, k): (3.55) with friction that may depend on the load, a spring."""
+    """Return the components of a tendon-sheath's torque, (n, k): (3.55) with friction that may depend on the load, a
+    spring.
+    """
     tau_m = run.signals.tau_m
     return np.column_stack([np.ones(len(sigma)), tau_m, sigma, sigma * np.abs(tau_m), np.abs(tau_m), run.angle])
 

@@ -94,7 +94,7 @@ class Frame:
 
     @cached_property
     def slices(self) -> list[slice]:
-        """Where each run stands in a stacked array."""
+        """Return the place of each run in a stacked array."""
         edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
         return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 

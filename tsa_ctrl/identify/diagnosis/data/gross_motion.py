@@ -1,11 +1,11 @@
 """The motion that friction in a sheath follows: the band of it to which the measured torque answers.
 
-An encoder may show motion at 50 Hz that is no noise: a motor that sticks and jumps. But the sheath's friction turns
+An encoder may show motion at 50 Hz that is not noise: a motor that sticks and jumps. But the sheath's friction turns
 over along its whole length, and at the joint it does not turn at once when the motor jumps. A smoother cannot know
 that, for it asks what is motion. So the torque is asked: friction that builds up over a displacement, with the rest of
 the torque fitted linearly, follows the derived angle in a band narrower by an octave at a time, until what is left
 grows. That band is taken if it leaves less than the data's own one, in more blocks of time than by chance; where
-friction follows the sharp motion, or does not tell, the data's own stays. Samples that are held out have no say.
+friction follows the sharp motion, or does not tell, the data's own stays. Held-out samples do not count.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
 def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
     """One log with `factor` of its samples to one at the compute rate, `bin_` of those to a score sample.
 
-    `measured` (n): what the model predicts, N*m.
+    `measured` (n): the predicted torque, N*m.
     """
     full, noise, error = denoised(log)
     signals = full.means(factor)

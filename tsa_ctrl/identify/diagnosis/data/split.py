@@ -1,4 +1,4 @@
-"""Which samples a diagnosis learns from and which it is checked with.
+"""Split the samples of a diagnosis into fitted and held-out ones.
 
 With several logs whole logs are held out: those that match a pattern, else every third by name; they take part in
 nothing. With one or two logs every third of some stretches is held out, with gaps: the figures of `rms` and `gain` then
@@ -62,7 +62,7 @@ def _inner(run: Run) -> NDArray[np.bool_]:
 
 
 def _unknown(run: Run) -> int:
-    """How many first score samples of a log that begins at standstill have a friction that no sample tells."""
+    """Return the number of first score samples with unknown friction of a log that begins at standstill."""
     omega = run.average(run.signals.omega_j)
     travel = np.cumsum(np.abs(omega)) * run.period
     if abs(omega[0]) > FIRST_SPEED * float(np.quantile(np.abs(omega), 0.95)):

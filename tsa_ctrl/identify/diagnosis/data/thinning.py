@@ -1,4 +1,4 @@
-"""Of many logs the ones that tell most: what repeats what others show is left out, whole logs at a time.
+"""Select the most informative of many logs: repetitions are left out, whole logs at a time.
 
 Rates that sink with the total length would cost what the logs are for: at 900 s a reversal would be placed to 10 ms, at
 an hour to 40. So a log counts by where it has been: seconds in cells of speed, direction, load, angle, warmth, bending
@@ -26,7 +26,7 @@ PAIRS = (("speed", "load"), ("angle", "load"), ("warmth", "speed"), ("bending", 
 
 
 def informative(logs: Sequence[Dataset], hold_out: str | None, longest: float = LONGEST) -> list[Dataset]:
-    """The logs that tell most, at most `longest` s of them, in the order given; all where there are few.
+    """Return the most informative logs, at most `longest` s, in the given order; all where there are few.
 
     hold_out: pattern of the logs that are held out; of these and of the others as many stay as their shares allow.
     """
@@ -44,7 +44,7 @@ def informative(logs: Sequence[Dataset], hold_out: str | None, longest: float = 
 
 
 def left_out(given: int, runs: Sequence[Run]) -> tuple[str, ...]:
-    """What to say of logs that were left out, of `given` ones; nothing where none was."""
+    """Return the note on the logs that were left out of the `given` ones; nothing where none was."""
     if len(runs) == given:
         return ()
     seconds = sum(run.raw.seconds for run in runs)

@@ -1,4 +1,4 @@
-"""The noise model: from what the whole catalogue cannot explain, before anything is named and after each cause.
+"""The noise model: from the part that the whole catalogue cannot explain, before the first cause and after each.
 
 A spectrum taken from the residual of the base model would hold the hidden effect and hide it; so all responses are
 projected out first, then, in the colours found so, only those that matter.
@@ -33,7 +33,7 @@ MOST_SHARE = 0.1
 
 
 def recalibrated(frame: Frame, model: Model, scales: Scales, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """The noise model from what the catalogue cannot explain, and the recalibrated base of `model` under it."""
+    """Return the noise model of the part that the catalogue cannot explain, and the recalibrated base under it."""
     base = base_of(model, scales)
     start = Hypothesis(base)
     nothing = Nuisance(np.zeros((len(frame), 0)))
@@ -45,7 +45,7 @@ def recalibrated(frame: Frame, model: Model, scales: Scales, catalogue: Catalogu
 
 
 def pilot_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """The problem under its noise model, and the same hypothesis fitted anew under it."""
+    """Return the problem under its noise model, and the same hypothesis refitted under it."""
     found = responses(problem, fitted, all_but(fitted.names, catalogue))
     for span in (_saturated, _pursuit):
         problem, fitted = _under(problem, fitted, span(problem, fitted, found))

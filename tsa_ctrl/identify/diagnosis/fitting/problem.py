@@ -57,7 +57,7 @@ class Hypothesis:
 
     @cached_property
     def places(self) -> tuple[slice, ...]:
-        """Which coordinates are each variant's."""
+        """Return the coordinates of each variant."""
         ends = np.cumsum([len(self.base.coordinates()), *(len(variant.coordinates) for variant in self.variants)])
         return tuple(slice(int(start), int(end)) for start, end in pairwise(ends))
 
@@ -90,7 +90,7 @@ class Problem:
 
     @cached_property
     def projection(self) -> Projection:
-        """What takes the nuisance out of white vectors."""
+        """Return the projector that removes the nuisance from white vectors."""
         return self.nuisance.projection(self.noise, self.mask, self.frame.slices)
 
     @property

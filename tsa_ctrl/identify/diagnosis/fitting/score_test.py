@@ -1,4 +1,4 @@
-"""Which effect would explain a residual best: the exact responses of all candidates, one projection each.
+"""Find the effect that would explain a residual best: the exact responses of all candidates, one projection each.
 
 A response is the model's own difference with and without the effect, not its linearisation: a linearised delay brought
 a false second cause in ten of ten logs. Only amplitudes, which are nearly linear, are solved for; everything else is
@@ -25,7 +25,9 @@ STRETCH = 1.6  # a grid point may stand for an effect so many times its own, bef
 
 @dataclass(frozen=True)
 class Response:
-    """What one start of one variant adds to the prediction: (n, k) N*m at the score rate, per unit of amplitude."""
+    """Hold the contribution of one start of one variant to the prediction: (n, k) N*m at the score rate, per unit of
+    amplitude.
+    """
 
     variant: Variant
     start: Array
@@ -34,7 +36,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Score:
-    """What a response promises: decrease of the sum of squares, and where to start the fit."""
+    """Hold the expected gain of a response: decrease of the sum of squares, and where to start the fit."""
 
     variant: Variant
     start: Array
@@ -44,7 +46,9 @@ class Score:
 
 
 def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
-    """The responses of each start of each variant beside the effects of `fitted`; impossible combinations left out."""
+    """Return the responses of each start of each variant in addition to the effects of `fitted`; impossible
+    combinations left out.
+    """
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
     out = []
     for variant in variants:

@@ -22,7 +22,7 @@ from tsa_ctrl.model.predict import predict
 
 
 def models_reversals(found: Fit) -> bool:
-    """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
+    """Return True if the hypothesis determines the friction in a reversal, so that no moment is unknown."""
     return "presliding_hysteresis" in found.names
 
 

@@ -1,1 +1,3 @@
-"""What may be claimed: the base model and what recalibration frees in it, and the catalogue's effects as candidates."""
+"""Define the possible causes: the base model and what recalibration frees in it, and the catalogue's effects as
+candidates.
+"""

@@ -31,7 +31,7 @@ MOVES = 3.0  # times the velocity noise; a joint with a smaller 95th percentile 
 
 
 class Base(Protocol):
-    """What the diagnosis needs to know of a base model."""
+    """Define the interface of a base model."""
 
     @property
     def given(self) -> Model: ...

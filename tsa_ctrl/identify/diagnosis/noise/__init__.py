@@ -1,1 +1,1 @@
-"""What is not to be explained: coloured noise of the torque, and errors from a direction that no log tells."""
+"""Model the parts that are not to be explained: coloured noise of the torque, and errors from an unknown direction."""

@@ -97,7 +97,7 @@ class Noise:
 
 
 def _solved(factor: Array, y: Array) -> Array:
-    """x of factor x = y, the factor lower triangular: LAPACK as scipy calls it, without what that looks at before.
+    """x of factor x = y, the factor lower triangular: Call LAPACK as scipy does, without scipy's checks.
 
     Raises FloatingPointError where y is not finite, by which a fit is given up.
     """

@@ -1,6 +1,7 @@
 """Nuisance parameters, always projected out: torque errors from an unknown direction of motion.
 
-Near standstill the sign of a noisy velocity is wrong; that is no effect, but it fakes Stribeck friction and lags. Two
+Near standstill the sign of a noisy velocity is wrong; that is not an effect, but imitates Stribeck friction and lags.
+Two
 kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
 velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
 sample. The latter are many but short, and are kept as such.
@@ -174,7 +175,7 @@ def fast(frame: Frame, edge: float) -> list[Array]:
 
 
 def _without_steps(y: Array, period: float) -> Array:
-    """A signal that stands still while it changes much faster than it mostly does: what is left is slow, or noise."""
+    """A signal that stands still while it changes much faster than it mostly does: the residual is slow, or noise."""
     rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
     margin = round(STEP_MARGIN / period)

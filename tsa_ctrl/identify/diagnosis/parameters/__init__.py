@@ -1,1 +1,1 @@
-"""The numbers that are reported, with their intervals, and what they gain on data that no fit has seen."""
+"""Compute the reported parameters, their intervals, and their gain on held-out data."""

@@ -1,4 +1,4 @@
-"""Which causes are claimed in the end: those that gain, elsewhere too, and that nothing simpler does better than."""
+"""Decide the reported causes: those that gain, elsewhere too, and that nothing simpler does better than."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def keeps_its_promise(
 
 
 def _described(problem: Problem, found: Fit, formula: Formula | None, split: Split) -> Model:
-    """The model of what was found, with its formula; without one fitted on the samples that are learned from."""
+    """Return the model of the causes, with its formula; without one fitted on the samples that are learned from."""
     if formula is not None:
         return formula.model
     learned = fit_on_simulation_error(problem, found, mask=split.fit)

@@ -1,4 +1,4 @@
-"""What is left as a plain formula in the log's signals, which a model file can take as `[effects.custom]`.
+"""Describe the residual by a formula of the log's signals, for `[effects.custom]` of a model file.
 
 Sparse regression (forward selection of terms; Brunton, Proctor, Kutz, PNAS 2016, ask the same of a whole model): the
 causes stay as they are, and each term (`terms`; `memory_terms`) must take its part of the simulation error on logs or
@@ -181,7 +181,9 @@ class Formula:
 
     @property
     def tells_when(self) -> bool:
-        """Whether it has the time of the logs in it: it tells when something happened, and is no law of the drive."""
+        """Return True if it contains the time of the logs: it shows when something happened, and is not a law of the
+        drive.
+        """
         return TIME.search(self.expression) is not None
 
     def toml(self) -> str:

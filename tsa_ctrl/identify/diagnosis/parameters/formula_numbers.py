@@ -74,7 +74,7 @@ class Sought:
 def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np.bool_]) -> tuple[Array, Array]:
     """The coordinates and the formula's constants of least error on the samples of `fitting`, sought together.
 
-    What a bound held before may be free beside the formula.
+    A coordinate that a bound held before may be free with the formula.
     """
     hypothesis, target = learned.hypothesis, problem.frame.target[fitting]
     at, split = np.concatenate([learned.point, sought.start]), len(learned.point)

@@ -79,7 +79,7 @@ class HeldOut:
 
     @property
     def worthless(self) -> int | None:
-        """Number of a cause without which nothing is lost on data that no fit has seen; None where there is none."""
+        """Number of a cause without which nothing is lost on data that no fit has seen; None without one."""
         if len(self.lost) == 1:
             return None if self.extended < self.recalibrated else 0
         return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
@@ -147,14 +147,15 @@ def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Spl
 
 
 def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -> bool:
-    """Whether a cause changes much less of the torque in the held-out samples than in those that were fitted on."""
+    """Return True if a cause changes much less of the torque in the held-out samples than in the fitted ones."""
     with_it, without = (problem.predicted(each.hypothesis.model(each.point)) for each in (extended, smaller))
     change = np.square(with_it - without)
     return bool(np.mean(change[split.held]) < HARDLY_SHOWN * np.mean(change[split.fit]))
 
 
 def _is_late(found: Fit) -> bool:
-    """Whether a lag, a delay or play moves the reversals: one that is missed by a sample or two is most of the error.
+    """Return True if a lag, a delay or backlash moves the reversals: one that is missed by a sample or two is most of
+    the error.
 
     Then a cause that is worth less than that is judged where the moments of the reversals do not count.
     """

@@ -1,4 +1,4 @@
-"""Intervals where structure is left: what a model gets wrong comes again in every pass over the same state of motion.
+"""Intervals where structure is left: a model error repeats in every pass over the same state of motion.
 
 Between stretches of time such an error does not scatter, for each holds the same motion: resampled by stretches it
 makes no interval wider, however long the log. So there samples at the same velocity and angle are one cluster as well

@@ -112,7 +112,7 @@ def _lowest(grid: Array, profiles: Array) -> Array:
 
 
 def _with_coordinate(problem: Problem, found: Fit, index: int, value: float) -> Fit:
-    """The fit with one coordinate put at `value`, the others following by one step; as it was if that is no fit."""
+    """The fit with one coordinate put at `value`, the others following by one step; unchanged if it is not a fit."""
     point = found.point.copy()
     point[index] = value
     alone = _at(problem, found, point)

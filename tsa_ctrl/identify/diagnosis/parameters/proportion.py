@@ -1,4 +1,4 @@
-"""x and T_p where the logs know only their product: the file's proportion is kept, and a bound that holds one is said.
+"""x and T_p where the logs know only their product: the file's proportion is kept, and an active bound is reported.
 
 In one configuration friction shows 2 T_p r_J sinh x; what parts the two is the slope cosh x, a per cent, which anything
 that the model lacks bends. Least squares then runs along the product until [uncertainty] holds it: a pretension of
@@ -49,7 +49,9 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
 
 
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
-    """Which of x and T_p the logs tell apart: the bending angle varies, the interval is narrower than the file's."""
+    """Return which of x and T_p the logs identify separately: the bending angle varies, the interval is narrower than
+    the file's.
+    """
     model = reported.fitted.hypothesis.base.given
     if not isinstance(model, TendonSheath):
         return ()
@@ -82,7 +84,7 @@ def at_bounds(reported: Refit) -> Mapping[str, tuple[float, float, float, str]]:
 
 
 def _half_width(quantity: Quantity) -> float:
-    """Of the interval, as a share of the value."""
+    """Return the width of the interval as a share of the value."""
     return 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
 
 

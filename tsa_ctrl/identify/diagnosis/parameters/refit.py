@@ -1,7 +1,7 @@
 """The parameters that are reported: least squares on the simulation error, with intervals.
 
 Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of the error that a user
-sees: reported as they are, they cost up to the whole gain. So the causes found are fitted anew on the simulation error.
+sees: reported as they are, they cost up to the whole gain. So the causes are refitted on the simulation error.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, st
 
 
 def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
-    """Parameters of each effect with intervals, in the units of model files; infinite where these logs tell none."""
+    """Parameters of each effect with intervals, in the units of model files; infinite if these logs determine none."""
     out: dict[str, dict[str, Quantity | str]] = {}
     hypothesis, point = result.fitted.hypothesis, result.fitted.point
     for variant, place in zip(hypothesis.variants, hypothesis.places, strict=True):

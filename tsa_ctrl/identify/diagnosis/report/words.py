@@ -219,12 +219,12 @@ def _numbers(cause: Cause) -> list[str]:
 
 
 def _named(cause: Cause) -> str:
-    """The name with its alternatives."""
+    """Return the name with its alternatives."""
     return listed([spoken(name) for name in (cause.effect, *cause.alternatives)], "or")
 
 
 def _counted(cause: Cause) -> str:
-    """The name with the number of its alternatives."""
+    """Return the name with the number of its alternatives."""
     count = len(cause.alternatives)
     return spoken(cause.effect) + (f" (or {count} other{'s' if count > 1 else ''})" if count else "")
 
