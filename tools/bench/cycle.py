@@ -4,10 +4,14 @@ Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [
 
 One run, one bus, and one process that answers each SYNC (as in `tsa bench`). The variants take turns in blocks:
 
-  raw socket        SYNC out, TPDOs in, RPDOs out: the minimum
+  raw socket        SYNC out, TPDOs in, RPDOs out: the minimum in Python
+  raw socket, C     the same in C; without a C compiler this row is left out
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
   ours, all         the same with the work after the RPDO: estimate, record for the log, a command of the local socket
 
+"cycle" is wall time from the wake-up to the end of the cycle. "user" and "kernel" are the processor time of the
+thread per period, with the wait and with what follows the cycle. A compiled build is measured if there is one
+(`tools/run package/compiled`); TSA_COMPILE=0 measures the interpreted one.
 Needs a vcan; without one it runs under tools/vcan. --rate 0: 1000 Hz, or less where the bit rate carries less.
 """
 
@@ -21,10 +25,11 @@ from typing import Any
 from tools import command
 from tools.bench.loop import ways
 from tools.bench.loop.rig import RATES, controller_text
-from tools.bench.loop.ways import measure, nodes
+from tools.bench.loop.ways import Factory, measure, nodes
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.realtime import RealtimeSettings
+from tsa_ctrl.version import build_kind
 
 
 def main() -> int:
@@ -42,15 +47,22 @@ def main() -> int:
         configuration = load_configuration(path)
         rights = str(realtime.acquire(RealtimeSettings(allow_without=True)))
         with nodes(configuration):
-            table = {
+            table: dict[str, Factory] = {
                 "raw socket": lambda: ways.raw_socket(configuration),
                 "ours": lambda: ways.ours(configuration),
                 "ours, all": lambda: ways.ours_all(configuration),
             }
+            library = ways.floor_library(folder)
+            if library is not None:
+                table["raw socket, C"] = lambda: ways.raw_socket_in_c(configuration, library)
             found = measure(table, configuration.file.controller.rate, options.rounds, options.cycles)
     if options.json:
         rate = configuration.file.controller.rate
-        print(json.dumps({"schema": 1, "axes": options.axes, "rate": rate, "unit": "us", "ways": found}))
+        print(
+            json.dumps(
+                {"schema": 1, "axes": options.axes, "rate": rate, "unit": "us", "build": build_kind(), "ways": found}
+            )
+        )
         return 0
     report(found, configuration, rights, options.axes)
     return 0
@@ -59,12 +71,11 @@ def main() -> int:
 def report(figures: dict[str, dict[str, float]], configuration: Any, rights: str, axes: int) -> None:
     rate = configuration.file.controller.rate
     print(f"\r{axes} axes at {rate:g} Hz, bus load {100 * configuration.load.worst:.0f} %, {rights}")
-    print(f"{'':16}{'cycle p50':>11}{'p99':>9}{'lateness p50':>14}{'p99':>9}{'of floor':>10}{'lost':>6}   us")
+    heads = ("cycle p50", "p99", "user", "kernel", "lateness p50", "p99", "of floor", "lost")
+    print(f"{'':16}{''.join(f'{head:>13}' for head in heads)}   us, {build_kind()}")
     floor = figures["raw socket"].get("cycle_p50", float("nan"))
+    keys = ("cycle_p50", "cycle_p99", "user", "kernel", "lateness_p50", "lateness_p99")
     for name, row in figures.items():
-        cells = [
-            f"{row[key]:.0f}" if key in row else "-"
-            for key in ("cycle_p50", "cycle_p99", "lateness_p50", "lateness_p99")
-        ]
-        ratio = f"{row['cycle_p50'] / floor:.2f}" if "cycle_p50" in row else "-"
-        print(f"{name:16}{cells[0]:>11}{cells[1]:>9}{cells[2]:>14}{cells[3]:>9}{ratio:>10}{row['lost']:>6}")
+        cells = [f"{row[key]:.0f}" if key in row else "-" for key in keys]
+        cells += [f"{row['cycle_p50'] / floor:.2f}" if "cycle_p50" in row else "-", str(row["lost"])]
+        print(f"{name:16}{''.join(f'{cell:>13}' for cell in cells)}")

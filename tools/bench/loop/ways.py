@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import resource
+import shutil
 import socket
 import statistics
 import struct
+import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tsa_ctrl.bench.responder import standing_in
@@ -29,6 +34,7 @@ from tsa_ctrl.system.sleep import sleep_until
 FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")
 EXACTLY = 0xC00007FF
+FLOOR = Path(__file__).with_name("floor.c")
 PATIENCE = 0.05  # s for an answer
 
 
@@ -45,8 +51,8 @@ class Way:
 
 
 @contextlib.contextmanager
-def raw_socket(configuration: Configuration) -> Iterator[Way]:
-    """SYNC out, TPDOs in, RPDOs out, nothing else."""
+def _raw(configuration: Configuration) -> Iterator[tuple[socket.socket, bytes, list[bytes], int]]:
+    """Yield a raw socket, the frames of SYNC and of each command, and the number of answers to a SYNC."""
     axes = range(len(configuration.models))
     ids = [base + n for n in axes for base in (0x181, 0x281, 0x1A0, 0x1C0)]
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
@@ -55,9 +61,19 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
         )
         bus.bind((configuration.file.bus.channel,))
         bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, round(1e6 * PATIENCE)))
-        sync = FRAME.pack(0x080, 0, b"")
-        commands = [FRAME.pack(0x201 + n, 4, struct.pack("<Hh", 15, 0)) for n in axes]
-        send, recv_into, buffer, expected = bus.send, bus.recv_into, bytearray(16), range(len(ids))
+        yield (
+            bus,
+            FRAME.pack(0x080, 0, b""),
+            [FRAME.pack(0x201 + n, 4, struct.pack("<Hh", 15, 0)) for n in axes],
+            len(ids),
+        )
+
+
+@contextlib.contextmanager
+def raw_socket(configuration: Configuration) -> Iterator[Way]:
+    """SYNC out, TPDOs in, RPDOs out, nothing else."""
+    with _raw(configuration) as (bus, sync, commands, answers):
+        send, recv_into, buffer, expected = bus.send, bus.recv_into, bytearray(16), range(answers)
 
         def cycle(now: float) -> bool:
             send(sync)
@@ -71,6 +87,24 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
             return True
 
         yield Way(cycle)
+
+
+@contextlib.contextmanager
+def raw_socket_in_c(configuration: Configuration, library: ctypes.CDLL) -> Iterator[Way]:
+    """Run the same cycle in C; `library` is floor.c. The call from Python is included, about a microsecond."""
+    with _raw(configuration) as (bus, sync, commands, answers):
+        handle, frames, axes, run = bus.fileno(), b"".join(commands), len(commands), library.cycle
+        yield Way(lambda now: bool(run(handle, sync, frames, axes, answers) == 1))
+
+
+def floor_library(folder: str) -> ctypes.CDLL | None:
+    """Return floor.c compiled in `folder`; None without a C compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        return None
+    library = f"{folder}/floor.so"
+    subprocess.run([compiler, "-O2", "-shared", "-fPIC", "-o", library, str(FLOOR)], check=True)
+    return ctypes.CDLL(library)
 
 
 @contextlib.contextmanager
@@ -165,6 +199,8 @@ class Samples:
         self.lateness: list[float] = []
         self.lost = 0
         self.worst: list[float] = []  # p99 of the lateness in each block
+        self.user = self.kernel = 0.0  # us of the processor, of all cycles with their waits and `rest`
+        self.counted = 0  # cycles of the two
 
     def figures(self) -> dict[str, float | int]:
         found: dict[str, float | int] = {"cycles": len(self.lateness), "lost": self.lost}
@@ -172,6 +208,8 @@ class Samples:
             if values:
                 parts = statistics.quantiles(values, n=100)
                 found |= {f"{name}_p50": parts[49], f"{name}_p99": parts[98]}
+        if self.counted:
+            found |= {"user": self.user / self.counted, "kernel": self.kernel / self.counted}
         if self.worst:
             found["lateness_p99_median"] = statistics.median(self.worst)
         return found
@@ -182,7 +220,9 @@ def block(samples: Samples, cycles: int, period: int, way: Way) -> None:
     deadline = time.monotonic_ns() + 2 * period
     clock, wait, cycle = time.monotonic_ns, way.wait, way.cycle
     first = len(samples.lateness)
-    for number in range(round(cycles * (1.0 + WARM_UP))):
+    begun = resource.getrusage(resource.RUSAGE_THREAD)
+    total = round(cycles * (1.0 + WARM_UP))
+    for number in range(total):
         wait(deadline)
         woke = clock()
         complete = cycle(woke * 1e-9)
@@ -195,6 +235,10 @@ def block(samples: Samples, cycles: int, period: int, way: Way) -> None:
             else:
                 samples.cycle.append((done - woke) * 1e-3)
         deadline += period * max(1, (clock() - deadline) // period + 1)
+    ended = resource.getrusage(resource.RUSAGE_THREAD)
+    samples.user += 1e6 * (ended.ru_utime - begun.ru_utime)
+    samples.kernel += 1e6 * (ended.ru_stime - begun.ru_stime)
+    samples.counted += total
     samples.worst.append(statistics.quantiles(samples.lateness[first:], n=100)[98])
 
 
