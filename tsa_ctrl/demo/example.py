@@ -64,7 +64,7 @@ def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
     """
     for name in names:
         if name not in EFFECTS:
-            raise UsageError(f"demo: --hidden {name} is none of {', '.join(EFFECTS)}; choose one of these")
+            raise UsageError(f"demo: --hidden {name} is not one of {', '.join(EFFECTS)}; choose one of these")
     rng = np.random.default_rng(seed)
     factors = {key: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for key in ("friction_coefficient", "pretension")}
     chosen = list(names) or [str(rng.choice(EFFECTS))]
