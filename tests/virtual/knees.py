@@ -1,0 +1,86 @@
+"""A knee whose sheath the hip bends (Theta = Theta_0 + g q_hip): controller and plant of both joints."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from tests.virtual import joints
+from tests.virtual.files import Tables
+from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.model.routing import Route, Routing
+
+RATE = 500.0  # Hz, two axes with encoders and torque sensors
+GAIN = 0.8  # rad/rad, wrap angle of the knee's sheath by the hip's angle
+SWING = 0.5  # rad, of the hip
+SECONDS = 7.0
+
+
+def files(
+    folder: Path,
+    load: str,
+    frequency: float,
+    *,
+    follows: bool = True,
+    table: bool = False,
+    bending: Tables | None = None,
+    travel: bool = False,
+) -> tuple[Path, Path]:
+    """Write controller and plant of a knee, while the hip swings at `frequency` Hz (0: it rests).
+
+    `follows`: the law's actuator file has the routing; `table`: the plant's sheath is bent by a table over time, not by
+    the hip's angle; `bending`: [axis.bending] of the knee; `travel`: the hip's is given.
+    """
+    setpoint = joints.GAIT if load == "imposed" else joints.sine(0.5, 0.5)
+    paths = joints.files(folder, load, setpoint)
+    controller, plant = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in paths)
+    controller["controller"]["rate"] = RATE
+    (first,) = controller["axis"]
+    first["law"]["delay"] = 1.5 / RATE + joints.LAG
+    first["drive"]["serial_number"] = 1
+    hip = copy.deepcopy(first) | {"name": "hip", "setpoint": {"kind": "constant", "offset": 0.0}}
+    for node, number in (("drive", 2), ("encoder", 33), ("torque_sensor", 65)):
+        hip[node]["node_id"] = number
+    hip["drive"]["serial_number"] = 2
+    theta = joints.NOMINAL.bending_angle
+    routing = Routing(*[Route({"hip": GAIN}, {})] * 2)
+    if travel:
+        hip["limits"]["travel"] = [-1.2 * SWING, 1.2 * SWING]
+    if follows:
+        first["model"] = "followed.toml"
+        del first["estimator"]
+        followed = dataclasses.replace(load_tendon_sheath(folder / "true.toml"), routing=routing)
+        save_model(followed, folder / "followed.toml")
+    if bending is not None:
+        first["bending"] = bending
+    controller["axis"].append(hip)
+    (machine,) = plant["axis"]
+    motion = {"kind": "sine", "amplitude": SWING, "frequency": frequency, "ramp": 0.001}
+    still = {"kind": "still"}
+    plant["axis"].append(
+        copy.deepcopy(machine)
+        | {"name": "hip", "joint": {"load": "imposed"}, "motion": motion if frequency > 0.0 else still}
+    )
+    if table:
+        times = np.arange(0.0, SECONDS + 1.0, 2e-3)
+        bent = 1.0 + GAIN * SWING * np.sin(2.0 * math.pi * frequency * times) / theta
+        machine["environment"] = {"bending": np.column_stack([times, bent]).tolist()}
+    else:
+        machine["actuator"] = "routed.toml"
+        routed = dataclasses.replace(joints.NOMINAL, routing=routing)
+        save_model(routed, folder / "routed.toml")
+    for path, tables in zip(paths, (controller, plant), strict=True):
+        path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+    return paths
+
+
+def apart(folder: Path, a: float, b: float) -> None:
+    """Give plant and law different gains of tendons a and b, rad/rad."""
+    routing = Routing(Route({"hip": a}, {}), Route({"hip": b}, {}))
+    for name in ("routed.toml", "followed.toml"):
+        save_model(dataclasses.replace(load_tendon_sheath(folder / name), routing=routing), folder / name)
