@@ -280,7 +280,7 @@ class ControlAxis:
     def listen(self, now: float, t: float) -> None:
         """Take over the set-point that came since the last cycle; `t`: s since the enable.
 
-        What counts is when its client wanted it, which is never later than now.
+        The time stamp of the client counts, which is never later than now.
         """
         found = self._register()
         if found is not None:
@@ -288,7 +288,9 @@ class ControlAxis:
             self.set_point.receive(value, t - max(now - time, 0.0))
 
     def follow(self, now: float) -> None:
-        """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
+        """After the command: inform the law, latch the findings of the limiter, and learn from this cycle's
+        measurements.
+        """
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
         self.law.temperature = self._temperature.update(instruments.temperature)
@@ -357,7 +359,7 @@ class ControlAxis:
         self.law.follow(self.set_point.rate, self.set_point.silent)
 
     def _expected(self) -> tuple[float, float]:
-        """What the model makes of the motor's torque at the joint, N*m, with friction one way and the other.
+        """Return the joint torque (N*m) of the model for the motor torque, with friction in either direction.
 
         A tendon that is slow may stick for seconds after the law's direction has turned, and a sheath may be bent more
         than its estimate has followed yet (BENT).

@@ -40,7 +40,7 @@ def routing_of(settings: BendingSettings, routing: Routing | None) -> Routing | 
 
 
 class _Joint:
-    """One joint that bends the sheath: what it adds to the wrap angle, mean of both tendons."""
+    """One joint that bends the sheath: its part of the wrap angle, mean of both tendons."""
 
     def __init__(
         self, name: str, routing: Routing, read: Reading | None, span: Span | None, period: float, ahead: float

@@ -46,7 +46,7 @@ class Damping:
             self._planned[-1] = planned
 
     def pass_over(self) -> None:
-        """A period without a cycle: what was planned last stands for it, too."""
+        """A period without a cycle: the last plan also replaces it."""
         if self._planned:
             self._planned.append(self._planned[-1])
             if len(self._planned) > self._back + 2:

@@ -9,8 +9,8 @@ estimate does not change while no data are admitted.
 
 The tendons slide while the joint moves. They also slide on a joint at rest as soon as the joint torque follows the
 motor: after a reversal they slide from the motor's end on, so that the joint torque follows with its full slope s only
-once the whole sheath slides. They stick again when the motor turns back. A joint torque sensor therefore measures the
-friction of a locked joint, too.
+once the whole sheath slides. They stick again when the motor turns back. A joint torque sensor therefore also measures
+the friction of a locked joint.
 
 s is a nuisance parameter: cosh x is too flat to identify x from it. With `elongation_coupling` in the model, h, k and s
 follow from the position of the bends. The torques of the model's effects outside the tendons are subtracted first

@@ -24,7 +24,8 @@ _SAMPLED, _MOST_SAMPLES = 60.0, 20_000
 class SetPoint:
     """One axis' set-point; `gain` scales the source.
 
-    `value` is the desired torque now. `acting` and `ahead` are wanted `delay` and `horizon` later, `rate` (N*m/s) is
+    `value` is the desired torque now. `acting` and `ahead` are the desired torque `delay` and `horizon` later, `rate`
+    (N*m/s) is
     its slope
     `lead` later: a source is a function of time, so that the future is known. A set-point of the socket is not.
     """

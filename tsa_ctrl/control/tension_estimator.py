@@ -127,7 +127,7 @@ class TensionEstimator:
             self._judge(min(0.5 * sum(self._shown), (1.0 + ROOM) * min(self._shown)))
 
     def _judge(self, tension: float) -> None:
-        """What a pretension (N) makes of both parameters, inside the bounds."""
+        """Return both parameters for a pretension (N), inside the bounds."""
         model, (low, high) = self._model, self._bounds
         angle, nominal = self._nominal
         if self._bends:

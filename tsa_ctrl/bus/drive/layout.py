@@ -22,7 +22,7 @@ _OWN_IDENTIFIERS = 2  # axes of a device for which its own PDO identifiers suffi
 
 
 def layout_of(drive: DriveSettings, profile: DriveProfile | None = None) -> DriveLayout:
-    """The PDOs of a drive by its place in its device, and by what its profile says that it lacks."""
+    """Return the PDOs of a drive by its place in its device, without the objects that its profile lists as absent."""
     layout = drive_layout(drive.node_id, drive.slot, drive.pdo_node_id, drive.pdo == "lean")
     if profile is None or profile.has(objects.ERROR_CODE):
         return layout

@@ -62,7 +62,7 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
 
 
 def _quiet(bus: Bus) -> None:
-    """Anything but LSS on the bus means that the drive is not alone, or that somebody leads it."""
+    """Other traffic than LSS means that the drive is not alone, or that a master is active."""
     bus.accept(None)
     bus.flush()
     end = bus.clock() + _LISTENING

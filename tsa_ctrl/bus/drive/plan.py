@@ -252,7 +252,7 @@ def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, 
 
 
 def check_against_eds(profile: DriveProfile, plan: Iterable[Write]) -> list[str]:
-    """What a drive's EDS says of a plan, where its profile names one; raises UsageError when they contradict."""
+    """Compare a plan with the EDS of the drive, if its profile names one; raises UsageError when they contradict."""
     if profile.eds is None:
         return []
     from tsa_ctrl.bus.canopen.eds import check_plan, read_eds  # canopen is slow to import

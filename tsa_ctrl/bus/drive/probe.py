@@ -70,7 +70,8 @@ class Probe:
 
 
 def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
-    """Ask a node for all that a profile is made of; raises BusError when it is no drive, or somebody leads the bus.
+    """Ask a node for all that a profile is made of; raises BusError if it is not a drive, or a master is active on the
+    bus.
 
     `name`: of the bus. A node that makes SYNC itself may be asked; another master's frames end it.
     """

@@ -106,7 +106,7 @@ class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
 class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """The object that limits torque on a drive without 0x6072, and its value at rated torque.
 
-    That is what another object says (`rated_index`), or a number, `rated`; then `zero` is its value without torque.
+    That is the value of another object (`rated_index`), or a number, `rated`; then `zero` is its value without torque.
     """
 
     index: Index

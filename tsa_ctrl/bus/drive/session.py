@@ -209,7 +209,7 @@ class Session:
         return self._wait(set(node_ids), lambda states: NmtState.BOOT_UP in states, timeout)
 
     def start(self, node_ids: Iterable[int], timeout: float) -> set[int]:
-        """Start these nodes; those whose heartbeat did not say "operational" within `timeout` s."""
+        """Start these nodes; the nodes whose heartbeat did not report "operational" within `timeout` s."""
         nodes = set(node_ids)
         for node_id in nodes:
             self._states[node_id] = []

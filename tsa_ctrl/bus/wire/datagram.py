@@ -4,7 +4,7 @@ It is for demos and benches; a test of the kernel's CAN requires a vcan. Each pa
 a connection that keeps frames apart (SOCK_SEQPACKET). SOCK_DGRAM without connection would hold only
 net.unix.max_dgram_qlen frames, often 10. The names are abstract, so that no files remain.
 
-Limits: there is no arbitration, bit rate, error frame, bus-off, acknowledgement or filter in the kernel.
+Limits: it has no arbitration, bit rate, error frame, bus-off, acknowledgement or filter in the kernel.
 Each sender's frames keep their order; frames of several senders mix. A frame without a receiver counts as sent. A
 participant that does not read loses frames. All participants are processes of one user in one network namespace.
 """

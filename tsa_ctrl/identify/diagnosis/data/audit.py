@@ -1,4 +1,6 @@
-"""Determine what a log can show, before anything is fitted: suspicions, occupancy, and whether it excites the drive."""
+"""Determine the information in a log, before anything is fitted: suspicions, occupancy, and whether it excites the
+drive.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A log's signals without most of their noise: zero-phase low-passes, where the spectrum sinks into its noise.
 
 Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
-every standstill. The motor torque is hardly: it jumps with a reversal, and a drive that compensates friction says
-little else.
+every standstill. The motor torque is hardly: it jumps at a reversal, and shows little else if a drive compensates
+friction.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _count(omega: Array) -> float:
 
 
 def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, float | None]:
-    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of what is left of the noise.
+    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of the remaining noise.
 
     `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. The last: the cut-off in Hz, None
     without one.

@@ -1,11 +1,11 @@
 """The direction of slow motion, a hidden state: where a velocity's noise hides it, the torque shows how friction acts.
 
-Two states, forward and backward, that turn seldom. What speaks for either at a moment is the velocity, and the torque
-beside what a line through the sure samples says of it; a forward and a backward sweep give the direction's probability
-from the whole log. Only stretches in which the velocity alone is undecided for long are changed. Where the odds are
-large and the torque is that of the direction taken, it counts as known, but for the turns themselves: those were placed
-by the torque, and say nothing of how late it is. Held-out errors leave all such stretches out. Where the torque is that
-of neither direction, friction is somewhere within its band, and the direction stays unknown; of a plain drive that is
+Two states, forward and backward, that turn seldom. The evidence at a moment is the velocity, and the torque compared
+with a line through the certain samples; a forward and a backward sweep give the direction's probability
+from the whole log. Only stretches in which the velocity alone is undecided for long are changed. If the odds are large
+and the torque fits the direction, it counts as known, except for the reversals themselves: they were placed by the
+torque, and do not show its delay. Held-out errors leave all such stretches out. If the torque fits neither direction,
+friction is somewhere within its band, and the direction stays unknown; of a plain drive that is
 so whenever it rests, and a rest is neither learned from nor counted.
 """
 

@@ -1,11 +1,12 @@
 """The motion that friction in a sheath follows: the band of it to which the measured torque answers.
 
 An encoder may show motion at 50 Hz that is not noise: a motor that sticks and jumps. But the sheath's friction turns
-over along its whole length, and at the joint it does not turn at once when the motor jumps. A smoother cannot know
-that, for it asks what is motion. So the torque is asked: friction that builds up over a displacement, with the rest of
-the torque fitted linearly, follows the derived angle in a band narrower by an octave at a time, until what is left
-grows. That band is taken if it leaves less than the data's own one, in more blocks of time than by chance; where
-friction follows the sharp motion, or does not tell, the data's own stays. Held-out samples do not count.
+over along its whole length, and at the joint it does not turn at once when the motor jumps. A smoother cannot detect
+this, because it looks for motion. So the torque is asked: friction that builds up over a displacement, with the rest
+of
+the torque fitted linearly, follows the derived angle in a band narrower by an octave at a time, until the residual
+grows. That band is taken if it leaves less than the data's own one, in more blocks of time than by chance; if friction
+follows the sharp motion, or does not show it, the data stay. Held-out samples do not count.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def _widest(frame: Frame) -> float:
 
 
 def _left(frame: Frame) -> Array:
-    """Mean square in each block, (N*m)^2, of what the best presliding leaves of the torque."""
+    """Mean square in each block, (N*m)^2, of the torque that the best presliding leaves."""
     used = frame.train
     blocks = np.unique(frame.blocks[used], return_inverse=True)[1]
     target = frame.target[used]

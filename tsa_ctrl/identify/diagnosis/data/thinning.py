@@ -1,6 +1,7 @@
 """Select the most informative of many logs: repetitions are left out, whole logs at a time.
 
-Rates that sink with the total length would cost what the logs are for: at 900 s a reversal would be placed to 10 ms, at
+Rates that sink with the total length would remove the information of the logs: at 900 s a reversal would be placed to
+10 ms, at
 an hour to 40. So a log counts by where it has been: seconds in cells of speed, direction, load, angle, warmth, bending
 and time since its start, each cell worth less the longer others have been there. Greedily chosen, the logs are within
 1 - 1/e of the best choice of that length (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978), and more of the same
@@ -52,7 +53,7 @@ def left_out(given: int, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def _chosen(own: Sequence[int], cells: Array, seconds: Sequence[float], longest: float) -> list[int]:
-    """Numbers of the logs, of `own`, that add most to what is known by the second, as long as they fit.
+    """Return the numbers of the logs, of `own`, that add most information per second, as long as they fit.
 
     cells (logs, k): seconds of each log in each cell. At least FEWEST_LOGS stay, as whole logs are held out.
     """
@@ -88,7 +89,7 @@ def _cells(logs: Sequence[Dataset]) -> Array:
 
 
 def _signals(log: Dataset) -> Mapping[str, Array]:
-    """What says where a log has been, once in PERIOD: velocity, motor torque, angle, temperature, bending, age."""
+    """Return the states of a log, once per PERIOD: velocity, motor torque, angle, temperature, bending, age."""
     step = max(1, round(PERIOD / log.period))
     columns = {name: log[name][::step] for name in log.columns if name not in log.derived}
     angle = columns.get("q_j", columns.get("q_m"))

@@ -102,7 +102,7 @@ def gradients(problem: Problem, fitted: Fit) -> Array:
 def bounded_step(jacobian: Array, residual: Array, low: Array, high: Array, damping: float) -> Array:
     """Damped least-squares step (k,) within `low` .. `high`, by jacobian (m, k) and residual (m,).
 
-    The coordinate that leaves its bounds furthest is held there, the rest solved anew.
+    The coordinate that leaves its bounds furthest is held there, the rest solved again.
     """
     count = len(low)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)

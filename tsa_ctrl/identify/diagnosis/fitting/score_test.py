@@ -123,7 +123,7 @@ def _whole(variant: Variant, start: Array, columns: Array, residual: Array) -> t
 
 
 def _amplitudes(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
-    """The best amplitudes within their bounds; the others are solved anew beside one that a bound holds."""
+    """The best amplitudes within their bounds; the others are solved again with one that a bound holds."""
     index = list(variant.amplitude)
     gram, slope = columns.T @ columns, columns.T @ residual
     gram = gram + (1e-9 * float(np.trace(gram)) + 1e-12) * np.eye(len(gram))

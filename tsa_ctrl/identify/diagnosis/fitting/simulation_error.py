@@ -1,4 +1,4 @@
-"""The simulation error: what a user of the model sees of it, not whitened, and the least squares on it.
+"""The simulation error: the error as a user of the model sees it, not whitened, and its least squares.
 
 Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of this error.
 """

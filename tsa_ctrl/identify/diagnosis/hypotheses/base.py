@@ -1,4 +1,4 @@
-"""The base model as a seam: what it predicts, what recalibration may change in it, and how that is written down.
+"""The base model as a seam: its prediction, the parameters of a recalibration, and their file format.
 
 The bases are the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty],
 the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, and the geared drive
@@ -56,7 +56,7 @@ class Base(Protocol):
         ...
 
     def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
-        """name: (nominal, value, unit) of what the coordinates mean in the file, and combinations of them."""
+        """name: (nominal, value, unit) of the file's parameters for the coordinates, and combinations of them."""
         ...
 
 

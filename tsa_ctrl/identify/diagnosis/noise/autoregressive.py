@@ -1,6 +1,7 @@
 """The noise of the torque: its spectrum, the autoregressive filter that whitens it, and draws of it.
 
-Noise of drives and sensors is coloured, and what a fit has taken out of a residual is missing in its spectrum; so the
+Noise of drives and sensors is coloured, and the part that a fit removes from a residual is missing in its spectrum; so
+the
 spectrum is corrected by the share that the fitted columns span at each frequency. White residuals are what every test
 and interval here rests on: assuming them where they are not covers 27-59 % instead of 95 %.
 """

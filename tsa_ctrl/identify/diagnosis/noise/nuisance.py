@@ -6,7 +6,8 @@ kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaus
 velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
 sample. The latter are many but short, and are kept as such.
 
-And what the noise of the measured motor torque does: a regressor with noise is trusted less than it deserves, and any
+The effect of the noise of the measured motor torque is also one: a regressor with noise is trusted less than it
+deserves, and any
 effect that can stand in for it would be named. So its fast part, which is mostly noise, is projected out as well.
 """
 
@@ -75,7 +76,7 @@ class Nuisance:
         return out
 
     def projection(self, noise: Noise, mask: NDArray[np.bool_], slices: Sequence[slice]) -> Projection:
-        """What takes all columns out of vectors that are whitened and masked."""
+        """Return the projector that removes all columns from whitened and masked vectors."""
         where = np.cumsum(mask) - 1
         rows, places, data = [], [], []
         used = 0
@@ -175,7 +176,7 @@ def fast(frame: Frame, edge: float) -> list[Array]:
 
 
 def _without_steps(y: Array, period: float) -> Array:
-    """A signal that stands still while it changes much faster than it mostly does: the residual is slow, or noise."""
+    """Find a signal that rests although it usually changes much faster: the residual is slow, or noise."""
     rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
     margin = round(STEP_MARGIN / period)

@@ -105,7 +105,7 @@ def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhe
 
 @dataclass(frozen=True)
 class Claims:
-    """The causes that are claimed, each with its group and what it takes of halves that it was not fitted on."""
+    """Return the reported causes, each with its group and its gain on halves that were not fitted."""
 
     selection: Selection
     groups: tuple[Group, ...]

@@ -2,8 +2,8 @@
 
 Sparse regression (forward selection of terms; Brunton, Proctor, Kutz, PNAS 2016, ask the same of a whole model): the
 causes stay as they are, and each term (`terms`; `memory_terms`) must take its part of the simulation error on logs or
-blocks that it was not fitted on. What is chosen is fitted with the numbers inside it, the place of a bump, the width of
-a dead zone or the time of a lag. A formula is a description, no name.
+blocks that it was not fitted on. The chosen terms are fitted with their inner constants, such as the place of a bump,
+the width of a dead zone or the time of a lag. A formula is a description, no name.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ TIME = re.compile(r"\bt\b")
 class Formula:
     """tau_J -= f (of a plain drive tau_M += f) with f = `expression`; `constants` with their 95 % intervals.
 
-    `model`: with it, and with the other numbers fitted anew beside it. `gain`: share of the mean square left on
+    `model`: with it, and with the other parameters refitted. `gain`: share of the mean square left on
     held-out data that it takes; `rms`: left there before and after, N*m at the logs' own rate; `better`, `logs`:
     held-out logs that it makes better, and how many there are. `terms`: how many things it has, a wave with its phase
     being one.

@@ -1,8 +1,9 @@
 """Errors on data that no fit has seen: as given, recalibrated, extended, the floor, and of what knows no drive at all.
 
-A constant and a straight line know nothing of the drive. What does not do better than they do, or than the model did
-as given, is no explanation: logs of another quantity (PWM for torque) leave most of the torque to any model. What knows
-nothing must be right both ways, learned here and tried there and the other way round: the mean of four loads is the
+A constant and a straight line know nothing of the drive. A cause that is not better than they are, or than the nominal
+model, is not an explanation: logs of another quantity (PWM for torque) leave most of the torque to any model.
+Alternatives without knowledge must hold in both directions, fitted here and tested there and vice versa: the mean of
+four loads is the
 fifth one by chance, when that lies in their middle.
 """
 
