@@ -106,6 +106,8 @@ def _show(found: Verification) -> None:
 
     words = {trial.key: trial.words for trial in Trial}
     table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "by", "motor pulls", "")
+    for column in table.columns:
+        column.overflow = "fold"  # a narrow terminal must not cut a word
     for outcome in found.outcomes:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
@@ -126,6 +128,6 @@ def _acted(outcome: Outcome) -> str:
     """The watchdog that took the torque."""
     found = outcome.watchdog
     if found.acted is None or found.after is None:
-        return "not told"
+        return "not known"
     name = {"rpdo": "RPDO timer", "heartbeat": "heartbeat"}[found.acted]
     return f"{name}, {1e3 * found.after:.0f} ms"
