@@ -1,9 +1,10 @@
-"""Draw the moving picture of the README: a joint that lifts a weight, without and with compensation.
+"""Draw the moving pictures of the README: a joint that lifts a weight, and a leg whose joints bend its sheaths.
 
-Usage: tools/run figures/moving [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
+Usage: tools/run figures/moving [--leg] [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
 
-Runs `tsa demo --virtual --load weight` (or takes the folder that one left, --from) and draws what its logs say: the
-joint by its encoder, the desired torque and the torque of the joint sensor.
+Runs `tsa demo --virtual --load weight` (or takes the folder that one left, --from) and draws its logs: the
+joint by its encoder, the desired torque and the torque of the joint sensor. With --leg it runs `tsa demo --leg` and
+draws hip, knee and ankle by their encoders, and the torque error of the knee without and with `[routing]`.
 """
 
 from __future__ import annotations
@@ -104,19 +105,90 @@ def draw(runs: dict[str, Columns], seconds: float, rate: float, out: Path) -> No
     film.save(out, writer=PillowWriter(fps=round(rate)), dpi=100)
 
 
+LEG = {"fixed": ("without routing", look.BACKWARD), "with": ("with routing", look.FORWARD)}
+BONES = {"hip": 0.43, "knee": 0.43, "ankle": 0.2}  # m: thigh, shank, foot
+JOINT = "knee"
+
+
+class Limb:
+    """One run of the leg: its bones on the left, the torque error of the knee on the right."""
+
+    def __init__(self, drawing: Axes, chart: Axes, run: dict[str, Columns], words: str, colour: str) -> None:
+        self._run = run
+        self._error = 1e3 * (run[JOINT]["tau_j"] - run[JOINT]["tau_j_des"])
+        drawing.set(xlim=(-0.6, 0.6), ylim=(-1.05, 0.15))
+        drawing.set_aspect("equal")
+        drawing.axis("off")
+        (self._bones,) = drawing.plot([], [], "o-", color=look.NEUTRAL, lw=4.0, ms=8, mfc=colour)
+        chart.set(ylabel="knee error (mN·m)", title=f"{words}: {self.rms:.0f} mN·m RMS")
+        chart.axhline(0.0, color=look.GUIDE, lw=1.0)
+        (self._line,) = chart.plot([], [], color=colour)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(np.square(self._error))))
+
+    @property
+    def extreme(self) -> float:
+        return float(np.abs(self._error).max())
+
+    def show(self, t: float) -> list[Artist]:
+        """Show the state at `t` s."""
+        x, y, direction = [0.0], [0.0], 0.0
+        for name, length in BONES.items():
+            columns = self._run[name]
+            angle = float(np.interp(t, columns["t"], columns["q_j"]))
+            direction += {"hip": angle, "knee": -angle, "ankle": 0.5 * math.pi + angle}[name]
+            x.append(x[-1] + length * math.sin(direction))
+            y.append(y[-1] - length * math.cos(direction))
+        self._bones.set_data(x, y)
+        times = self._run[JOINT]["t"]
+        every = slice(0, int(np.searchsorted(times, t, side="right")), 4)
+        self._line.set_data(times[every], self._error[every])
+        return [self._bones, self._line]
+
+
+def draw_leg(folder: Path, seconds: float, rate: float, out: Path) -> None:
+    """The leg without and with routing, by the logs of `tsa demo --leg --out folder`."""
+    figure, axes = look.grid(len(LEG), 2, 6.4, 3.6)
+    panels = []
+    for row, (name, words) in zip(axes, LEG.items(), strict=True):
+        log = sorted((folder / name).glob("*.mcap"))[-1]
+        run = {joint: load_run(f"{log}:{joint}", ("q_j",), FADE_IN, FADE_IN + seconds) for joint in BONES}
+        run = {joint: {**columns, "t": columns["t"] - columns["t"][0]} for joint, columns in run.items()}
+        panels.append(Limb(row[0], row[1], run, *words))
+    largest = 1.1 * max(panel.extreme for panel in panels)
+    for drawing, chart in axes:
+        drawing.set_box_aspect(1.0)
+        chart.set(xlim=(0.0, seconds), ylim=(-largest, largest))
+        chart.set_box_aspect(0.42)
+    axes[-1][1].set_xlabel("time (s)")
+    frames = np.arange(0.0, seconds, 1.0 / rate)
+    film = FuncAnimation(figure, lambda t: [a for panel in panels for a in panel.show(t)], frames=frames, blit=False)
+    film.save(out, writer=PillowWriter(fps=round(rate)), dpi=80)
+
+
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--out", type=Path, default=command.ROOT / ".readme" / "moving.gif")
+    parser.add_argument("--leg", action="store_true", help="the leg, to .readme/leg_moving.gif")
+    parser.add_argument("--out", type=Path)
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--rate", type=float, default=12.0, help="frames a second")
     parser.add_argument("--from", type=Path, dest="folder", help="what tsa demo --out left")
     asked: argparse.Namespace = parser.parse_args()
+    out = asked.out or command.ROOT / ".readme" / ("leg_moving.gif" if asked.leg else "moving.gif")
     with tempfile.TemporaryDirectory(prefix="tsa-moving-") as name:
         folder = asked.folder or Path(name)
-        if asked.folder is None:
-            run(folder, asked.seconds)
-        draw({run: course(folder / run, asked.seconds) for run in RUNS}, asked.seconds, asked.rate, asked.out)
-    print(f"{asked.out}: {asked.out.stat().st_size / 1000:.0f} kB")
+        if asked.leg:
+            if asked.folder is None:
+                line = tsa("demo", "--leg", "--seconds", f"{asked.seconds + MARGIN:g}", "--out", str(folder))
+                subprocess.run(line, check=True, capture_output=True)
+            draw_leg(folder, asked.seconds, asked.rate, out)
+        else:
+            if asked.folder is None:
+                run(folder, asked.seconds)
+            draw({run: course(folder / run, asked.seconds) for run in RUNS}, asked.seconds, asked.rate, out)
+    print(f"{out}: {out.stat().st_size / 1000:.0f} kB")
     return 0
 
 
