@@ -10,11 +10,12 @@ hypotheses  the base model and what recalibration frees (`base`); the catalogue'
 noise       the torque's coloured noise (`autoregressive`); what no log tells, projected out always (`nuisance`)
 fitting     a hypothesis against the data (`problem`, `fit`), one projection per candidate (`score_test`), the noise
             that the whole catalogue leaves (`noise_model`), the error that a user sees (`simulation_error`)
-selection   `forward`: causes enter, leave and are swapped by `step`s; `entry`: the tests; `detection_limits`
+selection   `forward`: causes enter and leave by `step`s; `entry`: the tests; `detection_limits`
 residual    what is left: `dependence` on signals (`features`), `changes` in time, whether it decides (`structure`)
 rivals      the names that these logs cannot exclude (`groups`), what is done about them (`alternatives`), and which of
             them the tendons' stretch contradicts where both pulleys' angles are logged (`stretched`)
-parameters  the numbers reported (`refit`, `profile_refinement`), and what they gain on `held_out` data
+parameters  the `claims`: selection, structure and rivals, again without a cause that turns out to be none; the numbers
+            reported (`refit`, `profile_refinement`), and what they gain on `held_out` data
 refusals    logs that cannot tell, which is the verdict `insufficient` and no error
 report      `conclude`: the `result` as data; `words`, `page` and `pictures` of it, these drawn
             `beside` the search by processes of their own, and the next `experiment`

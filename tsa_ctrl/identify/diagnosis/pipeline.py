@@ -14,7 +14,6 @@ from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
 from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
 from tsa_ctrl.identify.diagnosis.data.thinning import left_out
-from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.parameters.claims import claims
@@ -34,12 +33,8 @@ from tsa_ctrl.identify.diagnosis.refusals import (
 from tsa_ctrl.identify.diagnosis.report.conclude import conclude, insufficient
 from tsa_ctrl.identify.diagnosis.report.details import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
-from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
-from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
-from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
-from tsa_ctrl.identify.diagnosis.selection.forward import select
 from tsa_ctrl.model.effects.specification import Kind
 from tsa_ctrl.model.parameters import Model
 
@@ -81,21 +76,14 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
         problem, base = recalibrated(data.frame, model, scales, testable.catalogue)
         refuse_unsuited(problem, base)
         say("causes")
-        selection = select(problem, base, testable.catalogue, rng)
+        claimed = claims(problem, base, testable.catalogue, data, rng)
+        selection, errors, formula, share = claimed.selection, claimed.errors, claimed.formula, claimed.share
         refuse_without_friction(problem, base, named=bool(selection.fitted.names))
-        say("what is left")
-        selection, findings = residual_structure(selection, testable.catalogue, rng)
-        say("effects that are not separately identifiable")
-        selection, groups = alternatives(selection, testable.catalogue, findings)
-        selection, groups = parted(selection, testable.catalogue, findings, groups)
-        say("parameters and gain")
-        base = fit(selection.problem, base.hypothesis, base.point)
-        share = structure_share(findings)
-        claimed = claims(selection, groups, base, data, share)
-        selection, errors, formula = claimed.selection, claimed.errors, claimed.formula
+        say("parameters")
         beside = by_stretch(selection, scales)
-        refitted = refit(selection.problem, selection.fitted, share > 0.0)
-        reported = in_proportion(data.frame, profile_refined(selection.problem, refitted))
+        shipped = dataclasses.replace(selection.problem, mask=data.shipped)
+        refitted = refit(shipped, selection.fitted, share > 0.0)
+        reported = in_proportion(data.frame, profile_refined(shipped, refitted))
         limits = detection_limits(selection, share)
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
@@ -112,15 +100,14 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
             audited,
             scales,
             testable,
-            base,
+            claimed.base,
             selection,
-            findings,
+            claimed.findings,
             claimed.groups,
             beside,
             reported,
             errors,
             formula,
             limits,
-            claimed.transfer,
         ),
     )

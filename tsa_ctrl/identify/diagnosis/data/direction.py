@@ -81,7 +81,8 @@ def with_hidden_direction(data: Split, model: Model) -> Split:
             dataclasses.replace(run, hidden=float(np.mean(e))) for run, e in zip(frame.runs, hidden, strict=True)
         )
         frame = dataclasses.replace(frame, runs=runs, train=frame.train & slid)
-        return dataclasses.replace(data, frame=frame, fit=data.fit & slid, held=data.held & slid)
+        masks = {name: getattr(data, name) & slid for name in ("fit", "held", "shipped")}
+        return dataclasses.replace(data, frame=frame, **masks)
     found = _odds(frame, hidden, slid & frame.train)
     runs = tuple(_directed(run, each, *of) for run, each, of in zip(frame.runs, hidden, found, strict=True))
     return dataclasses.replace(data, frame=dataclasses.replace(frame, runs=runs), held=data.held & slid)

@@ -1,17 +1,18 @@
-"""Decide the reported causes: those that gain, elsewhere too, and that nothing simpler does better than."""
+"""Decide the reported causes, and search again without each one that is dropped."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.split import Split
-from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, full_residuals
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.parameters.formula import (
     LEAST_GAIN,
     Formula,
@@ -19,10 +20,14 @@ from tsa_ctrl.identify.diagnosis.parameters.formula import (
     with_direction,
 )
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut, held_out
-from tsa_ctrl.identify.diagnosis.parameters.transfer import Transfer, local, transfer
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
+from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
+from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group, made_up
-from tsa_ctrl.identify.diagnosis.selection.forward import Selection, without_causes
+from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
+from tsa_ctrl.identify.diagnosis.selection.forward import Round, Selection, select
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
@@ -36,6 +41,7 @@ from tsa_ctrl.model.parameters import Model
 # Ratio of the mean square residuals of identified cause and formula, from which the formula replaces the cause: half of
 # the RMS. A cause from the catalogue leaves noise, and no formula removes half of that.
 FAR = 4.0
+SAME = 0.99  # correlation of formula and cause, from which on they are one: the rest is 2 % of the mean square
 BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is taken from
 
 
@@ -57,6 +63,8 @@ def stand_in(
         described = formula_of_what_is_left(problem, backward_step(problem, found, index), split)
         if described is None or (group.alternatives and described.terms > 1):
             continue
+        if _is_written_by(problem, described, found, index, held):
+            continue
         error = _squares(problem, described.model, held)
         if error.error >= least or not _does_better(described, error, terms, present):
             continue
@@ -67,6 +75,17 @@ def stand_in(
         if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
             best, least = index, error.error
     return best
+
+
+def _is_written_by(problem: Problem, formula: Formula, found: Fit, index: int, held: NDArray[np.bool_]) -> bool:
+    """Return True if the formula is nothing but the cause with this number, written as an expression."""
+    with_it = problem.predicted(found.hypothesis.model(found.point))
+    smaller = found.hypothesis.without(index)
+    rest = np.delete(found.point, found.hypothesis.places[index])
+    own = (with_it - problem.predicted(smaller.model(rest)))[held]
+    bare = {name: effect for name, effect in formula.model.effects.items() if name != "custom"}
+    told = (problem.predicted(formula.model) - problem.predicted(replace(formula.model, effects=bare)))[held]
+    return float(own @ told) ** 2 > SAME**2 * float(own @ own) * float(told @ told)
 
 
 def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewhere) -> bool:
@@ -105,40 +124,84 @@ def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhe
 
 @dataclass(frozen=True)
 class Claims:
-    """Return the reported causes, each with its group and its gain on halves that were not fitted."""
+    """The reported causes, each with its group; `base`: the recalibration under the same noise."""
 
     selection: Selection
+    base: Fit
+    findings: tuple[Finding, ...]  # the structure that the causes leave
     groups: tuple[Group, ...]
     errors: HeldOut
-    transfer: tuple[Transfer, ...]
-    formula: Formula | None  # of what they leave
+    formula: Formula | None  # of that structure
+
+    @property
+    def share(self) -> float:
+        """Share of the remaining mean square that is no noise."""
+        return structure_share(self.findings)
 
 
-def claims(selection: Selection, groups: tuple[Group, ...], base: Fit, split: Split, share: float) -> Claims:
-    """Without the causes that gain nothing on held-out data, that belong to one half of the logs, or whose place a
-    formula takes.
+def claims(problem: Problem, base: Fit, catalogue: Catalogue, split: Split, rng: np.random.Generator) -> Claims:
+    """Return the causes that the data demand, mean something, and gain on held-out data."""
+    return _without(problem, base, base, catalogue, (), split, rng)
 
-    base: the recalibration. share: of the mean square that is left, that is no noise.
+
+def _without(
+    problem: Problem,
+    base: Fit,
+    start: Fit,
+    catalogue: Catalogue,
+    names: Sequence[str],
+    split: Split,
+    rng: np.random.Generator,
+) -> Claims:
+    """Return the claims from the causes of `start` on, without the effects of these names.
+
+    A cause that is dropped may have hidden another one, so the selection goes on from the others without its name. Each
+    time there is one name less, so it ends.
     """
-    problem = selection.problem
+    left = {name: variants for name, variants in catalogue.items() if name not in names}
+    rounds: tuple[Round, ...] = ()
     while True:
-        errors = held_out(problem, base, selection.fitted, split, share)
-        carried = transfer(problem, selection.fitted) if errors.worthless is None else ()
-        index = errors.worthless if errors.worthless is not None else local(carried)
-        if index is None:
-            break
-        selection, groups = _without(selection, groups, index)
-    if share <= 0.0:
-        return Claims(selection, groups, errors, carried, None)
-    formula = formula_of_what_is_left(problem, selection.fitted, split)
-    found = Claims(selection, groups, errors, carried, formula)
-    index = stand_in(problem, selection.fitted, groups, split, formula)
+        selection = select(problem, start, left, rng)
+        rounds = (*rounds, *selection.rounds)
+        selection, findings = residual_structure(selection, left, rng)
+        named = selection.fitted.names
+        selection, grouped = alternatives(selection, catalogue, findings)
+        selection, groups = parted(selection, catalogue, findings, grouped)
+        problem, start = selection.problem, selection.fitted
+        dropped = _dropped(named, start.names)
+        if not dropped:
+            base = fit(problem, base.hypothesis, base.point)
+            errors = held_out(problem, base, start, split, structure_share(findings))
+            if errors.worthless is None:
+                break
+            dropped = [start.names[errors.worthless]]
+            start = selection.without([errors.worthless]).fitted
+        left = {name: variants for name, variants in left.items() if name not in dropped}
+    if not structure_share(findings):
+        bent = _not_flat(problem, start, split, errors.noise_floor)
+        findings = (*findings, bent) if bent is not None else findings
+    formula = formula_of_what_is_left(problem, start, split) if structure_share(findings) else None
+    found = Claims(replace(selection, rounds=rounds), base, findings, groups, errors, formula)
+    if not structure_share(findings):
+        return found
+    index = stand_in(problem, start, groups, split, formula)
     if index is None:
         return found
-    instead = claims(*_without(selection, groups, index), base, split, share)
-    named, described = ((each.selection.fitted, each.formula) for each in (found, instead))
-    return instead if keeps_its_promise(problem, split, named, described) else found
+    others = selection.without([index]).fitted
+    gone = [*(name for name in catalogue if name not in left), start.names[index]]
+    instead = _without(problem, base, others, catalogue, gone, split, rng)
+    instead = replace(instead, selection=replace(instead.selection, rounds=(*rounds, *instead.selection.rounds)))
+    told, described = ((each.selection.fitted, each.formula) for each in (found, instead))
+    return instead if keeps_its_promise(problem, split, told, described) else found
 
 
-def _without(selection: Selection, groups: tuple[Group, ...], index: int) -> tuple[Selection, tuple[Group, ...]]:
-    return without_causes(selection, [index]), (*groups[:index], *groups[index + 1 :])
+def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:
+    """Return the signal that the sliding error of the best fit of these causes depends on; None where it is flat."""
+    best = fit_on_simulation_error(problem, found, mask=split.shipped)
+    residuals = full_residuals(problem.frame, best.hypothesis.model(best.point))
+    return not_flat(problem.frame.runs, residuals, noise)
+
+
+def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:
+    """Names that are gone without another one in their place."""
+    return [name for name in before if name not in after] if len(after) < len(before) else []

@@ -17,7 +17,6 @@ from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, StretchRms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, told_torque, what_is_left
-from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import StretchCause
 from tsa_ctrl.identify.three_errors import three_errors
 from tsa_ctrl.model.catalogue import of_the_stretch
@@ -39,7 +38,6 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
             probability=group.probability,
             parameters=parameters[group.name],
             explained_fraction=errors.lost[index],
-            transfer=outcome.transfer[index].shares,
             rivals={rival.name: rival.fitted.hypothesis.model(rival.fitted.point) for rival in group.alternatives},
         )
         for index, group in zip(order, grouped, strict=True)
@@ -65,11 +63,6 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     logs = [run.raw for run in runs]
     residuals = [log[runs[0].target_name] - predict(extended, log.signals()) for log in logs]
     parts = three_errors(logs, residuals, runs[0].target_name)
-    # Flatness is tested only with a cause: a blind log without one failed the test by its recalibration
-    bent = (
-        None if left or not causes else not_flat(runs, full_residuals(outcome.data.frame, extended), errors.noise_floor)
-    )
-    left = [bent] if bent is not None else left
     verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     result = Diagnosis(
         verdict=verdict,

@@ -15,7 +15,6 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
-from tsa_ctrl.identify.diagnosis.parameters.transfer import Transfer
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import ByStretch
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group
@@ -47,7 +46,6 @@ class Outcome:
     errors: HeldOut
     formula: Formula | None  # of what is left
     limits: DetectionLimits
-    transfer: tuple[Transfer, ...]  # of each cause
 
 
 @dataclass(frozen=True)
@@ -118,9 +116,7 @@ def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -
     correlation = np.array([float(residual[lag:] @ residual[: len(residual) - lag]) / variance for lag in range(LAGS)])
     logs = [(run.name, run.raw.sha256) for run in data.frame.runs]
     held = (
-        f"logs {', '.join(data.held_logs)}"
-        if data.held_logs
-        else "every third of twelve stretches of each log, with gaps"
+        f"logs {', '.join(data.held_logs)}" if data.held_logs else "every third of 30 stretches of each log, with gaps"
     )
     return Details(
         target=base.hypothesis.base.target,

@@ -41,9 +41,7 @@ class Cause:
 
     `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
     lost without it. `parameters`: numbers with intervals (infinite where these logs leave all open that is allowed),
-    choices as words. `transfer`: its numbers fitted on one half of the logs and tried on the other (halves by "load",
-    "speed", "time"), share of the mean square left without it that it takes. `rivals`: the model with each
-    alternative in its place, fitted to the same logs.
+    choices as words. `rivals`: the model with each alternative in its place, fitted to the same logs.
     """
 
     effect: str
@@ -51,7 +49,6 @@ class Cause:
     probability: float
     parameters: Mapping[str, Quantity | str]
     explained_fraction: float
-    transfer: Mapping[str, float] = field(default_factory=dict)
     rivals: Mapping[str, Model] = field(default_factory=dict, compare=False, repr=False)
 
 
@@ -174,7 +171,6 @@ class Diagnosis(Displayed):
                     "probability": _rounded(cause.probability),
                     "parameters": {name: _plain(value) for name, value in cause.parameters.items()},
                     "explained_fraction": _rounded(cause.explained_fraction),
-                    "transfer": {name: _rounded(value) for name, value in cause.transfer.items()},
                 }
                 for cause in self.causes
             ],

@@ -77,14 +77,19 @@ def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[s
     )
 
 
-def lines(residual: Array, factors: Mapping[str, Array], period: float) -> Finding:
-    """A periodic part: one line of the spectrum of the white residual, or of it times a factor (m,)."""
+def lines(residual: Array, factors: Mapping[str, Array], mask: NDArray[np.bool_], period: float) -> Finding:
+    """A periodic part: one line of the spectrum of the white residual, or of it times a factor (m,).
+
+    `mask` (n,): the samples that it has; the others are holes, so that a wave keeps its phase across them.
+    """
     best = Finding("a periodic part", 0.0, 0.0, False)
-    frequency = np.fft.rfftfreq(len(residual), period)
+    frequency = np.fft.rfftfreq(len(mask), period)
     inside = (frequency > LINE_BAND[0]) & (frequency < LINE_BAND[1])
     for name, factor in factors.items():
         signal = residual * factor / max(float(np.sqrt(np.mean(factor**2))), 1e-12)
-        power = np.abs(np.fft.rfft(signal)) ** 2 / max(float(signal @ signal), 1e-300)
+        whole = np.zeros(len(mask))
+        whole[mask] = signal
+        power = np.abs(np.fft.rfft(whole)) ** 2 / max(float(signal @ signal), 1e-300)
         power = np.where(inside, power, 0.0)
         local = np.array([np.median(part) for part in np.array_split(power[inside], max(1, inside.sum() // 40))])
         level = np.interp(
@@ -113,11 +118,14 @@ def bursts(residual: Array, period: float) -> Finding:
 
 
 def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, rms: float) -> Finding:
-    """Slow wandering beyond what 1/f noise continues to: residual (n,) in N*m, not whitened; `rms` of the noise."""
+    """Slow wandering beyond what 1/f noise continues to: residual (n,) in N*m, not whitened; `rms` of the noise.
+
+    Logs without a sample in `mask` (n,) do not count; holes of the others are filled.
+    """
     excess, expected, lines_ = 0.0, 0.0, 0
     for part in slices:
-        y = np.where(mask[part], residual[part], 0.0)
-        if mask[part].mean() < 0.9 or len(y) < 64:
+        y = residual[part]
+        if not mask[part].any() or len(y) < 64:
             continue
         y = (y - y.mean()) * np.hanning(len(y))
         frequency = np.fft.rfftfreq(len(y), period)

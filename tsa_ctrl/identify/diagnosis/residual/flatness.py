@@ -1,19 +1,22 @@
 """Test whether the sliding error of the extended model is flat against time, angle, speed and load, in both directions.
 
-A model explains a log if the mean of its residual does not depend on any signal. The test takes the mean error in some
-ranges of a signal. Each mean is taken twice, from alternate pieces of time: noise differs between the two, a dependence
-does not, so the product of both is the dependence's mean square without what noise adds to it.
+A model explains a log if neither the mean nor the mean square of its residual depends on any signal. The test takes the
+mean in some ranges of a signal. Each mean is taken twice, from alternate pieces of time: noise differs between the two,
+a dependence does not, so the product of both is the dependence's mean square without what noise adds to it. A mean
+square that is not flat shows an error of both signs, such as that of a drive that reports 0 below a threshold.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.frame import Run
+from tsa_ctrl.identify.diagnosis.data.split import settled
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.three_errors import UNKNOWN, known_direction
 from tsa_ctrl.model.functions import Array
@@ -52,21 +55,33 @@ def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> F
     total = float(rest @ rest)
     best = None
     for name, parts in signals.items():
-        square = dependent(rest, np.concatenate(parts), way, half)
+        driver, size = np.concatenate(parts), np.square(rest)
+        square = dependent(rest, driver, way, half)
+        square = max(square, math.sqrt(max(dependent(size - size.mean(), driver, way, half), 0.0)))
         if square > (LEAST * noise) ** 2 and (best is None or square * len(rest) / total > best.share):
             best = Finding(name, min(square * len(rest) / total, 1.0), math.sqrt(square) / noise, True)
     return best
 
 
 def _sure(run: Run) -> NDArray[np.bool_]:
-    """Samples (n,) at the log's own rate at which the denoised velocity is beyond its error."""
-    error = np.repeat(run.velocity_error, run.full_bin // run.bin)
-    error = np.concatenate([error, np.full(max(0, len(run.full) - len(error)), error[-1])])[: len(run.full)]
-    return np.asarray(np.abs(run.full.omega_j) > UNKNOWN * error)
+    """Samples (n,) at the log's own rate at which the denoised velocity is beyond its error and the log's agrees.
+
+    Without the ends, beyond which a derived acceleration knows nothing.
+    """
+    error = _at_full_rate(run, run.velocity_error, run.full_bin // run.bin)
+    inside = _at_full_rate(run, settled(run), run.full_bin)
+    alike = hold_direction(run.full.omega_j) == hold_direction(run.raw.signals().omega_j)
+    return np.asarray(inside & alike & (np.abs(run.full.omega_j) > UNKNOWN * error))
+
+
+def _at_full_rate(run: Run, values: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Each value for `factor` samples, the last one for what is left of the log."""
+    out = np.repeat(values, factor)
+    return np.concatenate([out, np.full(max(0, len(run.full) - len(out)), out[-1])])[: len(run.full)]
 
 
 def dependent(rest: Array, values: Array, way: Array, half: NDArray[np.bool_]) -> float:
-    """Mean square of what of `rest` (m,) follows `values` (m,) and the direction, (N*m)^2; noise counts as 0."""
+    """Mean square of the part of `rest` (m,) that follows `values` (m,) and the direction; noise counts as 0."""
     edges = np.quantile(values, np.linspace(0.0, 1.0, RANGES + 1)[1:-1])
     cell = np.searchsorted(edges, values) * 2 + (way > 0.0)
     sums = [np.bincount(cell[use], rest[use], 2 * RANGES) for use in (half, ~half)]

@@ -81,12 +81,12 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
     noise = rng.standard_normal((problem.count, changes.DRAWS))
-    told = problem.nuisance.told(len(frame))
+    told = problem.nuisance.told(len(frame)) & problem.mask
     rest = _interpolated(frame.target - predicted, told, frame.period)
     return [
         *dependences,
         changes.steps(problem, fitted.residual, known, factors, noise),
-        changes.lines(fitted.residual, masked, frame.period),
+        changes.lines(fitted.residual, masked, problem.mask, frame.period),
         changes.bursts(fitted.residual, frame.period),
         changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms),
     ]

@@ -10,7 +10,7 @@ Where most of what is left is structure, the simulation error decides (`residual
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless, meaningless_by_error
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR, twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
@@ -49,7 +49,7 @@ class Rival:
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
     vanished. `within_structure`: most of what is left is structure, and the simulation
     error does not tell them apart. On samples that no fit has seen this one `fails_elsewhere`, as it leaves visibly
-    more than the named cause, or `wins_elsewhere`. `against_stretch`: the angles of both pulleys contradict it.
+    more than the named cause. `against_stretch`: the angles of both pulleys contradict it.
     """
 
     name: str
@@ -59,7 +59,6 @@ class Rival:
     limit: bool = False
     within_structure: bool = False
     fails_elsewhere: bool = False
-    wins_elsewhere: bool = False
     against_stretch: bool = False
     share: float | None = None  # of what the cause takes off the error there, that this one does; None: not compared
 
@@ -118,8 +117,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     ]
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
-    unmeant = meaningless if structure is None else meaningless_by_error
-    found = _judged_elsewhere(problem, fitted, smaller, found, limits, unmeant)
+    found = _judged_elsewhere(problem, fitted, smaller, found)
     best: dict[str, Rival] = {}  # of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
@@ -139,33 +137,20 @@ def _by_simulation_error(
     return judged
 
 
-def _judged_elsewhere(
-    problem: Problem,
-    fitted: Fit,
-    smaller: Fit,
-    found: Sequence[Rival],
-    limits: set[str],
-    unmeant: Callable[[Problem, Fit], list[int]],
-) -> list[Rival]:
-    """The same, with what samples that no fit has seen say of those that are left, and of `limits` of the cause.
-
-    unmeant: numbers of the effects of a fit that mean nothing, for which nothing wins.
-    """
+def _judged_elsewhere(problem: Problem, fitted: Fit, smaller: Fit, found: Sequence[Rival]) -> list[Rival]:
+    """The same, with what samples that no fit has seen say of those that are left."""
     judged = list(found)
     reversals = models_reversals(fitted)
     own = without = None
     for number, rival in enumerate(found):
-        if made_up(problem, rival.name) or (rival.excluded and not (rival.limit and rival.name in limits)):
+        if made_up(problem, rival.name) or rival.excluded:
             continue
         if own is None or without is None:
             own, without = (elsewhere(problem, each, reversals) for each in (fitted, smaller))
         other = elsewhere(problem, rival.fitted, reversals)
-        wins = other.clearly_beats(own) and not unmeant(problem, rival.fitted)
         judged[number] = dataclasses.replace(
             rival,
             fails_elsewhere=own.clearly_beats(other),
-            wins_elsewhere=wins,
-            limit=rival.limit and not wins,
             share=(without.error - other.error) / max(without.error - own.error, 1e-300),
         )
     return judged

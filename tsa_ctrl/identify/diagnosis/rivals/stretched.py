@@ -36,7 +36,7 @@ from tsa_ctrl.identify.diagnosis.rivals.stretch import (
     softness,
     solved,
 )
-from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.model.functions import Array
 
@@ -74,7 +74,7 @@ def parted(
         better = next((rival for _, rival in judged if rival is not None), None)
         if better is None:
             break
-        chosen = with_fit(chosen, better.fitted)
+        chosen = chosen.with_fit(better.fitted)
         structure = error_criterion(chosen.problem, chosen.fitted, findings)
         grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
     return chosen, tuple(grouped)

@@ -1,4 +1,4 @@
-"""Forward, backward and swap selection of causes (stepwise regression); `entry` says what may enter."""
+"""Forward and backward selection of causes (stepwise regression); `entry` says what may enter."""
 
 from __future__ import annotations
 
@@ -66,6 +66,17 @@ class Selection:
     evidence: tuple[Evidence, ...]
     rounds: tuple[Round, ...]
 
+    def with_fit(self, fitted: Fit) -> Selection:
+        """The selection with these causes, under the same noise model."""
+        return dataclasses.replace(self, fitted=fitted, evidence=_evidence(self.problem, fitted))
+
+    def without(self, indices: Sequence[int]) -> Selection:
+        """The selection without these causes, under the same noise model."""
+        fitted = self.fitted
+        for index in sorted(indices, reverse=True):
+            fitted = backward_step(self.problem, fitted, index)
+        return self.with_fit(fitted)
+
 
 def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Selection:
     """Causes that the data demand beside those of `start`, which is the recalibrated base.
@@ -104,7 +115,7 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     found = responses(problem, fitted, variants)
     scored = scores(problem, fitted, found)
     best = best_scores(problem, fitted, scored, found)
-    promising = [s for s in best if s.gain > NEAR_BEST * best[0].gain][:FITTED]
+    promising = [s for s in best if s.gain > NEAR_BEST * best[0].gain]
     steps = [forward_step(problem, fitted, score) for score in promising]
     for variant in variants:
         late = variant.effect in LATE_REVERSALS
@@ -167,7 +178,7 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
         proof = evidence(plain, present, larger)
         if proof.holds and proof.outside_best_block > LEAST_OUTSIDE and proof.gain > larger.rss:
             problem, fitted = _under_new_noise(problem, larger, catalogue)
-            return with_fit(dataclasses.replace(selection, problem=problem), fitted)
+            return dataclasses.replace(selection, problem=problem).with_fit(fitted)
     return None
 
 
@@ -205,14 +216,9 @@ def _best_variants(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
 
 
 def _pruned(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Causes that the others make unnecessary are dropped, and each is swapped for a better one where there is one."""
-    for _ in range(2 * MOST_CAUSES):
-        if len(fitted.names) < 2:
-            return problem, fitted
-        changed = _backward(problem, fitted) or _swap(problem, fitted, catalogue)
-        if changed is None:
-            return problem, fitted
-        problem, fitted = _under_new_noise(problem, changed, catalogue)
+    """Causes that the others make unnecessary are dropped."""
+    while len(fitted.names) > 1 and (smaller := _backward(problem, fitted)) is not None:
+        problem, fitted = _under_new_noise(problem, smaller, catalogue)
     return problem, fitted
 
 
@@ -226,30 +232,6 @@ def _backward(problem: Problem, fitted: Fit) -> Fit | None:
         if index in unfounded or not (stands or transfers(problem, smaller, fitted)):
             return smaller
     return None
-
-
-def _swap(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit | None:
-    for index in range(len(fitted.names) - 1):
-        smaller = backward_step(problem, fitted, index)
-        for other in best_steps(problem, smaller, catalogue, fitted.names, 3):
-            if meaningless(problem, other):
-                continue
-            if other.rss + PER_COORDINATE * len(other.point) < fitted.rss + PER_COORDINATE * len(fitted.point) - 2.0:
-                return other
-    return None
-
-
-def without_causes(selection: Selection, indices: Sequence[int]) -> Selection:
-    """The selection without these causes, under the same noise model."""
-    fitted = selection.fitted
-    for index in sorted(indices, reverse=True):
-        fitted = backward_step(selection.problem, fitted, index)
-    return with_fit(selection, fitted)
-
-
-def with_fit(selection: Selection, fitted: Fit) -> Selection:
-    """The selection with these causes, under the same noise model."""
-    return dataclasses.replace(selection, fitted=fitted, evidence=_evidence(selection.problem, fitted))
 
 
 def _evidence(problem: Problem, fitted: Fit) -> tuple[Evidence, ...]:

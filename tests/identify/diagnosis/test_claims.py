@@ -1,0 +1,97 @@
+"""What is named, found and called flat, on logs that are made here: by the equations, without the package's model."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.blind.cases import finish, none_case, single_case
+from tests.identify.diagnosis.nominal import model
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
+from tsa_ctrl.model.parameters import model_from
+
+R_J, R_M, X, PRETENSION = 0.025, 0.02, 0.26, 45.0
+NOISE = 0.012  # N*m
+RATE, SECONDS = 250.0, 24.0
+STRETCHES = 30  # of a log; the second of every three is held out
+
+Array = NDArray[np.float64]
+Columns = dict[str, Array]
+
+
+def coloured(rng: np.random.Generator, count: int) -> Array:
+    """Noise of RMS 1 with a memory of 16 ms."""
+    out = np.convolve(rng.normal(size=count + 60), np.exp(-np.arange(61) / 4.0), "valid")
+    return np.asarray(out / out.std())
+
+
+def log(seed: int, flaw: str = "") -> Columns:
+    """Three swings of the joint and four of the motor torque; `flaw`: of the drive that reports the torque."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(SECONDS * RATE)) / RATE
+    swings = zip(rng.uniform(0.2, 0.5, 3), rng.uniform(0.0, 6.28, 3), strict=True)
+    q = np.sum([0.6 / (1 + k) * np.sin(6.28 * f * t + phase) for k, (f, phase) in enumerate(swings)], axis=0)
+    omega = np.gradient(q, t)
+    loads = zip(rng.uniform(0.2, 0.4, 4), rng.uniform(0.1, 0.9, 4), rng.uniform(0.0, 6.28, 4), strict=True)
+    tau_m = np.sum([size * np.sin(6.28 * f * t + phase) for size, f, phase in loads], axis=0)
+    acting, told = tau_m, tau_m
+    if flaw == "the winding warms up":
+        acting = tau_m * (1.0 + 0.12 * np.expm1(-t / 10.0))
+    elif flaw == "the voltage is limited":
+        most = np.maximum(0.85 - 0.25 * np.abs(omega), 0.05)
+        acting = np.where(tau_m * omega > 0.0, np.clip(tau_m, -most, most), tau_m)
+    elif flaw == "small torques are reported as 0":
+        told = np.where(np.abs(tau_m) < 0.12, 0.0, tau_m)
+    half = acting / (2.0 * R_M)
+    tau_j = R_J * ((PRETENSION + half) * np.exp(-np.sign(omega) * X) - (PRETENSION - half) * np.exp(np.sign(omega) * X))
+    told = told + rng.normal(0.0, 0.002, len(t))
+    omega = omega + rng.normal(0.0, 0.003, len(t))
+    return {"t": t, "tau_m": told, "omega_j": omega, "q_j": q, "tau_j": tau_j + NOISE * coloured(rng, len(t))}
+
+
+def answer(found: Diagnosis) -> list[set[str]]:
+    """The names of each cause."""
+    return [{cause.effect, *cause.alternatives} for cause in found.causes]
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.soak), pytest.param(2, marks=pytest.mark.soak)])
+@pytest.mark.parametrize(
+    "flaw", ["the winding warms up", "the voltage is limited", "small torques are reported as 0", ""]
+)
+def test_only_a_flat_error_is_consistent(flaw: str, seed: int) -> None:
+    found = diagnose({"log": log(seed, flaw)}, model())
+    assert (found.verdict is Verdict.CONSISTENT) == (not flaw), found.unexplained
+    assert found.verdict is not Verdict.EXPLAINED
+
+
+def test_stretches_that_are_held_out_have_no_say() -> None:
+    """A drag acts in the held-out stretches alone, twenty times the noise."""
+    healthy = log(3)
+    t = healthy["t"]
+    held = np.floor(t / t[-1] * STRETCHES).astype(int) % 3 == 1
+    dragged = {**healthy, "tau_j": healthy["tau_j"] - np.where(held, 0.2 * healthy["omega_j"], 0.0)}
+    everywhere = {**healthy, "tau_j": healthy["tau_j"] - 0.2 * healthy["omega_j"]}
+    assert answer(diagnose({"log": dragged}, model())) == []
+    assert answer(diagnose({"log": everywhere}, model())) == [{"viscous_friction"}]
+
+
+@pytest.mark.parametrize("effect", ["", "velocity_lag", "stribeck_friction"])
+@pytest.mark.parametrize("seeds", [3, pytest.param(20, marks=pytest.mark.soak)])
+def test_one_rig_has_one_answer_or_its_group_whatever_its_noise(effect: str, seeds: int) -> None:
+    drawn = single_case(effect, 7000, True) if effect else none_case("rich", 7000, True)
+    assert drawn.bench is not None
+    answers = []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        truth = drawn.truth
+        case = finish(rng, drawn.family, drawn.name, seed, drawn.bench, truth.effects, truth.noise, "rich")
+        logs = {each.name: each.columns for each in case.logs}
+        answers.append(answer(diagnose(logs, model_from(tomllib.loads(case.model), "nominal"))))
+    if effect:
+        assert all(len(names) == 1 and effect in names[0] for names in answers), answers
+    else:
+        assert answers == [[]] * seeds
