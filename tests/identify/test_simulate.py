@@ -243,7 +243,7 @@ def test_a_log_in_which_nothing_changes_is_said_to_be_one_point(
     write_csv(bench / "still.csv", t=T, tau_m=still, tau_j=0.8 * still, omega_j=0.0 * still)
     assert tsa("still.csv", "--model", "a.toml") == 0
     assert (
-        "note: tau_m, tau_j, omega_j never change: an error of this log is that of one point" in capsys.readouterr().out
+        "note: tau_m, tau_j, omega_j never change: an error of this log belongs to one point" in capsys.readouterr().out
     )
     assert tsa("x.csv", "--model", "a.toml") == 0
     assert "one point" not in capsys.readouterr().out
