@@ -88,6 +88,26 @@ def test_each_forbidden_kind_is_found(source: str) -> None:
     assert forbidden(ast.parse(source))
 
 
+def test_compiled_and_interpreted_classes_do_not_inherit_from_each_other() -> None:
+    """An interpreted class cannot inherit from a compiled one: it raises TypeError when it is used."""
+    home = {}
+    for path in sorted((ROOT / "tsa_ctrl").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                name = str(path.relative_to(ROOT).with_suffix("")).replace("/", ".")
+                home[name, node.name] = (str(path.relative_to(ROOT)) in MODULES, node)
+    wrong = []
+    for (module, name), (is_compiled, node) in home.items():
+        tree = ast.parse((ROOT / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8"))
+        imports = [each for each in ast.walk(tree) if isinstance(each, ast.ImportFrom)]
+        origin = {
+            alias.asname or alias.name: (each.module or "", alias.name) for each in imports for alias in each.names
+        }
+        bases = [home.get(origin.get(ast.unparse(base), ("", ""))) for base in node.bases]
+        wrong += [f"{module}.{name}" for base in bases if base is not None and base[0] != is_compiled]
+    assert wrong == []
+
+
 def test_the_cycle_is_in_the_list() -> None:
     """`tsa doctor` and the header of a log judge the build by this module."""
     from tsa_ctrl.version import CYCLE

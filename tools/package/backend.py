@@ -6,8 +6,9 @@ mypyc compiles the modules below from the same source. It needs a C compiler and
 neither is needed, and the package is the same source, interpreted. `tsa doctor` reports which of the two runs.
 
 A module may be listed if it has no `msgspec.Struct`, no ctypes structure, no TypeVar with values, no Enum with a
-constructor and no function of numba. mypyc ignores the class arguments of a Struct without a message, so that settings
-would accept unknown keys and could be changed. `tests/tools/test_compiled.py` checks the list.
+constructor, no function of numba, and no base class of an interpreted class. mypyc ignores the class arguments of a
+Struct without a message, so that settings would accept unknown keys and could be changed.
+`tests/tools/test_compiled.py` checks the list.
 """
 
 from __future__ import annotations
@@ -31,13 +32,12 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
     "safety": "debounce guard lost_commands passivity plausibility polarity_check residuals supervisor",
     "bus/live": "axis image read_back rig",
     "bus/canopen": "cia301 cia402 pdo",
-    "bus/wire": "seam",
     "daemon": "loop telemetry torque_error monitoring",
     "ipc": "mailbox",
     "log": "ring",
     "system": "shared_memory histogram",
     "model": "feedforward stretch",
-    "plant": "axis cia402 drive fault_kind faults machine mechanism motion node pdo sensors state sync",
+    "plant": "cia402 drive fault_kind faults machine mechanism motion node pdo sensors state sync",
 }
 OPTIONS = ("--config-file=", "--ignore-missing-imports", "--follow-imports=silent")  # CI checks the types strictly
 TYPES = ("mypy>=2.4", "numpy>=2.0", "msgspec>=0.19")  # what mypyc reads of the packages that are imported
