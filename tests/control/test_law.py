@@ -63,7 +63,7 @@ class Friction:
     def reset(self) -> None:
         self.resets += 1
 
-    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
+    def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
         self.size = (friction_angle or 0.0) * (pretension or 0.0)
 
 

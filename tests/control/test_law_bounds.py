@@ -142,7 +142,7 @@ class Inverse(Friction):
         self.asked.append((tau_j_des, sigma, omega_j, q_j, q_m, t))
         return tau_j_des * RATIO + self.size * sigma
 
-    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
+    def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
         self.sets.append((friction_angle, pretension))
 
 
