@@ -199,7 +199,9 @@ def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Findi
     """Return the signal that the sliding error of the best fit of these causes depends on; None where it is flat."""
     best = fit_on_simulation_error(problem, found, mask=split.shipped)
     residuals = full_residuals(problem.frame, best.hypothesis.model(best.point))
-    return not_flat(problem.frame.runs, residuals, noise)
+    learned = [bool(split.shipped[part].any()) for part in problem.frame.slices]
+    pairs = [pair for pair, own in zip(zip(problem.frame.runs, residuals, strict=True), learned, strict=True) if own]
+    return not_flat([run for run, _ in pairs], [residual for _, residual in pairs], noise)
 
 
 def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:

@@ -116,7 +116,9 @@ def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -
     correlation = np.array([float(residual[lag:] @ residual[: len(residual) - lag]) / variance for lag in range(LAGS)])
     logs = [(run.name, run.raw.sha256) for run in data.frame.runs]
     held = (
-        f"logs {', '.join(data.held_logs)}" if data.held_logs else "every third of 30 stretches of each log, with gaps"
+        f"logs {', '.join(data.held_logs)}"
+        if data.held_logs
+        else "every third of twelve stretches of each log, with gaps"
     )
     return Details(
         target=base.hypothesis.base.target,
