@@ -66,7 +66,7 @@ def test_a_step_is_told_with_its_moment(start: float) -> None:
     told = tomllib.loads(found.formula.toml())["effects"]["custom"]
     assert told["a"] == pytest.approx(-0.125 * HALF_LOOP, rel=0.05)
     assert told["b"] - start == pytest.approx(12.3, abs=0.1)
-    assert "no law for a controller" in " ".join(remarks(found))
+    assert "a controller cannot use it" in " ".join(remarks(found))
 
 
 @pytest.mark.slow
