@@ -132,7 +132,7 @@ VARIATIONS: tuple[Variation, ...] = (
         "mode shows once enabled, and the profile says so", {"mode_shows": "enabled"}, {"mode_shows": "enabled"}
     ),
     Variation("steps of 0.4 s", {"step_time": 0.4}),
-    Variation("steps of 1.5 s", {"step_time": 1.5}, refused="more enable_timeout"),
+    Variation("steps of 1.5 s", {"step_time": 1.5}, refused="raise enable_timeout"),
     Variation("steps of 1.5 s, more patience", {"step_time": 1.5}, supervision={"enable_timeout": 6.0}),
     Variation("bits of the maker in the statusword", {"statusword_bits": 0xC100}),
     Variation("no bit 12", {"reports_following": False}, refused="reports_following = false"),

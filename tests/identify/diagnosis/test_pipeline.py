@@ -245,7 +245,7 @@ def test_the_report_says_what_the_json_says(written: Path) -> None:
     assert re.search(r"\d{4}-\d\d-\d\d", text)
     assert "N*m" not in text
     assert not re.search(r"[,;:)][a-z]", text)  # words that a template has joined
-    assert f"off by {told_torque(data['simulated']['rms'])}" in text
+    assert f"the nominal model has an error of {told_torque(data['simulated']['rms'])}" in text
     assert data["experiment"] in text
     assert [cause["effect"] for cause in data["causes"]] == re.findall(r'data-effect="(\w+)"', page)
     assert any("viscous_friction" in (cause["effect"], *cause["alternatives"]) for cause in data["causes"])
