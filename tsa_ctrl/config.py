@@ -447,11 +447,11 @@ def _check_routing(where: str, axis: AxisSettings, model: TendonSheath, file: Co
 
 
 def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
-    """Return True if the tendon elongation is measured and shows the joint torque."""
+    """Raise UsageError unless the tendon elongation is measured and shows the joint torque."""
     if axis.encoder is None:
         raise UsageError(
-            f'{where}: estimator.kind "stretch" without [axis.encoder]; stretch is what two angles differ by; '
-            "give one, or another kind"
+            f'{where}: estimator.kind "stretch" without [axis.encoder]; the elongation is the difference of two '
+            "angles; give one, or another kind"
         )
     reason = unsupported_reason(model)
     if reason:

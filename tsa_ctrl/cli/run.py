@@ -46,12 +46,40 @@ def command(
 ) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     leave_out()
+    if check:
+        _check(controller, allow_simulated, record_bus)
+        return 0
     with contextlib.ExitStack() as stack:
-        server = None if check else _socket_server(controller)
+        server = _socket_server(controller)
         if server is not None:
             stack.callback(server.end)
             server.stage("importing")
-        return _run(controller, check, seconds, reset_faults, allow_simulated, record_bus, as_json, server)
+        from tsa_ctrl.config import load_configuration
+        from tsa_ctrl.daemon.bus_recorder import recorded
+        from tsa_ctrl.daemon.joint_files import admitted
+
+        configuration = admitted(load_configuration(controller), allow_simulated)
+        from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a file that is rejected
+
+        def say(line: str) -> None:
+            click.echo(line, err=True)
+
+        with recorded(configuration.file.buses, record_bus, say):
+            summary = run(
+                configuration,
+                math.inf if seconds is None else seconds,
+                say,
+                reset_faults=reset_faults,
+                allow_simulated=allow_simulated,
+                server=server,
+            )
+    if as_json:
+        click.echo(json.dumps(summary.as_dict()))
+    else:
+        from rich.console import Console
+
+        summary.show(Console(file=sys.stderr))
+    return 1 if summary.failed else 0
 
 
 def _socket_server(controller: Path) -> ServerProcess | None:
@@ -71,57 +99,26 @@ def _socket_server(controller: Path) -> ServerProcess | None:
     return ServerProcess(*place, name)
 
 
-def _run(
-    controller: Path,
-    check: bool,
-    seconds: float | None,
-    reset_faults: bool,
-    allow_simulated: bool,
-    record_bus: Path | None,
-    as_json: bool,
-    server: ServerProcess | None,
-) -> int:
+def _check(controller: Path, allow_simulated: bool, record_bus: Path | None) -> None:
+    """Validate the configuration and print the result; the loop is not imported."""
     from tsa_ctrl.config import check_drives, load_configuration
-    from tsa_ctrl.daemon.bus_recorder import check_record, recorded
+    from tsa_ctrl.daemon.bus_recorder import check_record
     from tsa_ctrl.daemon.joint_files import admitted
     from tsa_ctrl.readiness import loose_lines, missing, require
     from tsa_ctrl.system.torque_off import check_output
 
     configuration = admitted(load_configuration(controller), allow_simulated)
-    if check:
-        check_drives(configuration)
-        check_record(configuration.file.buses, record_bus)
-        if configuration.monitored and configuration.file.monitor.output is not None:
-            check_output(configuration.file.monitor.output, f"{configuration.path}: [monitor] output")
-        for line in loose_lines(configuration):
-            click.echo(line, err=True)
-        require(configuration, missing(configuration))
-        click.echo(_checked(configuration))
-        for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
-            for line in profile.unknown:
-                click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
-        return 0
-    from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
-
-    def say(line: str) -> None:
+    check_drives(configuration)
+    check_record(configuration.file.buses, record_bus)
+    if configuration.monitored and configuration.file.monitor.output is not None:
+        check_output(configuration.file.monitor.output, f"{configuration.path}: [monitor] output")
+    for line in loose_lines(configuration):
         click.echo(line, err=True)
-
-    with recorded(configuration.file.buses, record_bus, say):
-        summary = run(
-            configuration,
-            math.inf if seconds is None else seconds,
-            say,
-            reset_faults=reset_faults,
-            allow_simulated=allow_simulated,
-            server=server,
-        )
-    if as_json:
-        click.echo(json.dumps(summary.as_dict()))
-    else:
-        from rich.console import Console
-
-        summary.show(Console(file=sys.stderr))
-    return 1 if summary.failed else 0
+    require(configuration, missing(configuration))
+    click.echo(_checked(configuration))
+    for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
+        for line in profile.unknown:
+            click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
 
 
 def _checked(configuration: Configuration) -> str:

@@ -4,9 +4,9 @@ There are six kinds of estimator:
 
 * "fixed": the model file's values.
 * "map": x = mu Theta and T_p by (3.52), (3.56), from a measured or commanded bending angle Theta.
-* "sensor" and "motor": recursive, see `recursive`.
-* "stretch": from two encoders, see `by_stretch`.
-* "tension": from two load cells, see `by_tension`.
+* "sensor" and "motor": recursive, see `kalman`.
+* "stretch": from two encoders, see `stretch_estimator`.
+* "tension": from two load cells, see `tension_estimator`.
 
 Every kind has the same three outputs. Every disable resets them. No parameter changes faster than its rate.
 """

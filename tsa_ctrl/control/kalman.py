@@ -102,9 +102,8 @@ def why_not(model: TendonSheath) -> str:
     if not within:
         return ""
     return (
-        f"the model's {', '.join(within)} changes the estimated quantity, and would count twice in the law; "
-        "remove it from "
-        "the model file"
+        f"the model's {', '.join(within)} changes the estimated quantity, and would count twice in the law; remove it "
+        "from the model file"
     )
 
 
@@ -193,7 +192,7 @@ class KalmanEstimator:
                 known = self._load if self._motor else tau_j
                 if bare is not None:
                     tau_m, known = bare.motor(tau_m), bare.joint(known)
-                self._admit(direction, omega_j if moves else 0.0, tau_m, known)
+                self._admit(direction, omega_j, moves, tau_m, known)
         steps, target = self._steps, self._target
         self.friction_angle = toward(self.friction_angle, target[0], steps[0])
         self.pretension = toward(self.pretension, target[1], steps[1])
@@ -201,10 +200,10 @@ class KalmanEstimator:
     def _begin_stroke(self) -> None:
         self._since, self._count = 0.0, 0
         self._farthest = -math.inf  # N*m of the motor along the direction
-        self._begun = -math.inf, math.inf  # N*m along the direction, of motor and joint, to compare with
-        self._slides = False  # since then the joint torque has followed the motor's
+        self._begun = -math.inf, math.inf  # N*m along the direction, of motor and joint: where `_slides` is judged from
+        self._slides = False  # the joint torque followed the motor's over the last `_followed`
 
-    def _admit(self, direction: int, omega_j: float, tau_m: float, tau_j: float) -> None:
+    def _admit(self, direction: int, omega_j: float, moves: bool, tau_m: float, tau_j: float) -> None:
         if self._count == 0:
             self._tau_m = self._tau_j = 0.0
             self._first_omega = omega_j
@@ -212,7 +211,7 @@ class KalmanEstimator:
         self._count += 1
         self._tau_m += tau_m
         self._tau_j += tau_j
-        self._moved = self._moved and omega_j != 0.0
+        self._moved = self._moved and moves
         if self._count < self._block:
             return
         tau_m, tau_j = self._tau_m / self._count, self._tau_j / self._count

@@ -251,9 +251,8 @@ def plan_of(
         )
     if not has_encoder:
         notes.append(
-            "without a joint encoder the motor angle replaces the joint angle: reversals are not predicted, the "
-            "torque turns "
-            "late, and the motor's swing on its tendons is not damped"
+            "without a joint encoder the motor angle replaces the joint angle: reversals are not predicted, the torque "
+            "turns late, and the motor's swing on its tendons is not damped"
         )
         lead = 0.0
     gain, margin = _damping(damping, mass, omega, total + late, period, has_encoder, where, notes)

@@ -25,9 +25,8 @@ class SetPoint:
     """One axis' set-point; `gain` scales the source.
 
     `value` is the desired torque now. `acting` and `ahead` are the desired torque `delay` and `horizon` later, `rate`
-    (N*m/s) is
-    its slope
-    `lead` later: a source is a function of time, so that the future is known. A set-point of the socket is not.
+    (N*m/s) is its slope `lead` later. The future of a source is known, because it is a function of time. The future of
+    a set-point that comes over the socket is not known.
     """
 
     def __init__(

@@ -122,7 +122,7 @@ class Attribution(Enum):
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.estimator]."""
 
-    # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`choice`)
+    # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`estimator_selection`)
     kind: Literal["fixed", "map", "sensor", "motor", "stretch", "tension"] | None = None
     # True if the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
     use: bool | None = None

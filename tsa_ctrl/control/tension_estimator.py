@@ -100,7 +100,7 @@ class TensionEstimator:
         self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _take(self, seen: Sample, tau_m: float) -> None:
-        """Return True if both cells and the motor have a value."""
+        """Take a sample in which both cells and the motor have a value."""
         unbalanced = seen.t3 - seen.t1 - self._per_radius * tau_m
         self.residual += self._forget * (unbalanced * unbalanced - self.residual)
         if not self.residual <= self._worst:
@@ -127,7 +127,7 @@ class TensionEstimator:
             self._judge(min(0.5 * sum(self._shown), (1.0 + ROOM) * min(self._shown)))
 
     def _judge(self, tension: float) -> None:
-        """Return both parameters for a pretension (N), inside the bounds."""
+        """Derive both parameters from a pretension (N), if they are within the bounds."""
         model, (low, high) = self._model, self._bounds
         angle, nominal = self._nominal
         if self._bends:

@@ -115,7 +115,7 @@ def _read(folder: Path, stage: str, seconds: float, summary: dict[str, Any]) -> 
 
 
 def _controllable(diagnosis: Diagnosis, period: float) -> tuple[bool, tuple[str, ...]]:
-    """Describe if a controller can use the extended model, and the effects that it does not compensate."""
+    """Return True if a controller can use the extended model, and notes on effects that it does not compensate."""
     if not isinstance(diagnosis.model, TendonSheath):
         return False, ("the diagnosis gave no model of a tendon-sheath: the calibrated one is run",)
     try:

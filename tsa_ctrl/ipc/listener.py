@@ -96,7 +96,7 @@ def accepted(
 
 
 def group_number(name: str, key: str) -> int:
-    """Of a group by its name; The UsageError for an unknown group names `key` of the configuration."""
+    """Return the number of a group. The UsageError for an unknown one names `key` of the configuration."""
     try:
         return grp.getgrnam(name).gr_gid
     except KeyError:

@@ -70,7 +70,7 @@ class SensorEffect(Protocol):
 
 
 class StretchEffect(Protocol):
-    """Return the length that it adds to the tendon elongation, m, in addition to T3 - T1 and T4 - T2 (`ends`, N)."""
+    """An effect that adds a length (m) to the elongation by T3 - T1 and T4 - T2 (`ends`, N)."""
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F: ...
 

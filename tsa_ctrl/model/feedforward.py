@@ -27,7 +27,7 @@ _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
 
 
 class Feedforward:
-    """Return tau_M for a desired tau_J by the model and its effects.
+    """Compute tau_M for a desired tau_J by the model and its effects.
 
     `signals`: names of the optional signals (q_j, q_m, temperature) that this axis measures, for `notes`; default all.
     A measurement that is nan keeps its last value; an effect whose measurement has never come is left out

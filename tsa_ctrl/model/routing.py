@@ -59,7 +59,7 @@ class RoutingSection(RouteSection, forbid_unknown_fields=True, frozen=True, kw_o
 
 @dataclass(frozen=True)
 class Route:
-    """Return the contribution of the joints to the wrap angle of one tendon."""
+    """The contribution of the joints to the wrap angle of one tendon."""
 
     gains: Mapping[str, float]  # rad/rad
     tables: Mapping[str, Points]

@@ -227,7 +227,7 @@ class StretchObserver:
 
     @property
     def friction_angle(self) -> float:
-        """x (1) that goes with `pretension`: the report of both is their product."""
+        """x (1) that goes with `pretension`: only the product of both is determined."""
         return float(self._memory[tendons.ANGLE])
 
     @property
@@ -251,7 +251,7 @@ class StretchObserver:
 
     @property
     def zero(self) -> float:
-        """m of apparent elongation by the encoders."""
+        """Elongation that the encoders show where there is none, m."""
         return self._origin + float(self._memory[tendons.ZERO])
 
     def set_pretension(self, value: float) -> None:
@@ -369,7 +369,7 @@ def _hidden(model: TendonSheath, centre: float) -> float:
 
 
 def _settings(model: TendonSheath, period: float, counts: tuple[float, float], centre: float) -> Array:
-    """Hold the constants of the filter; `counts` in m of the two pulleys, `centre` of the bends, 1."""
+    """Return the constants of the filter; `counts` in m of the two pulleys, `centre` of the bends, 1."""
     x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
     told = np.zeros(tendons.SETTINGS)
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x

@@ -161,7 +161,7 @@ def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, 
 
 # State of `observe` between two calls, a row of floats.
 ANGLE = 0  # friction angle x of the tendons as they are now, 1
-ZERO = 1  # m of apparent elongation by the encoders
+ZERO = 1  # m of elongation that the encoders show where there is none
 FAST = 2  # 1, friction beyond x that is not expected to stay
 STIFF = 3  # 1, stiffness over the model's
 SLID = 4  # 1 once both tendons have slid all along, however they lay at the start: their earlier values are forgotten
@@ -180,7 +180,7 @@ COVARIANCE = 24  # from here on, (4, 4)
 STATES = 4
 X, K, F, Z = 0, 1, 2, 3  # ln x, ln STIFF, FAST, ZERO (m)
 MEMORY = COVARIANCE + STATES * STATES
-# Hold the constants.
+# Constants of the filter.
 LOW, HIGH = 0, 1  # of x
 MOST_ZERO = 2  # m, either way
 MOST_STIFF = 3  # factor either way

@@ -26,7 +26,7 @@ _I = np.int64
 
 
 class Presliding(IntEnum):
-    """Hold the direction of the friction while it builds up."""
+    """The displacement over which friction builds up after a reversal."""
 
     ELASTIC = 0  # displacement of the tendon where it is bent, over what its elasticity gives
     MOTOR = 1  # effect presliding_hysteresis over the motor's angle

@@ -93,8 +93,8 @@ class Buzz:
 
 
 FALL = 0.02  # s in which an oscillating motor loses the term: a step would let the motor swing into over-speed
-HOLD = 0.05  # s without compensation, in which the oscillation of motor and tendons decays
-UNWIND = 4e-3  # s of reversed term: a third of an oscillation period; half a share for 6 ms left 10.8 mJ
+HOLD = 0.05  # s with the reduced share, in which the oscillation of motor and tendons decays
+UNWIND = 4e-3  # s in which the excess is reversed: a third of an oscillation period; half a share for 6 ms left 10.8 mJ
 RECOVERY = 0.3  # s in which the compensation returns: a lasting cause is then detected again within a second
 # Share that returns before `FORGIVEN`. An estimator that finds half of the friction is up to 12 % too high for two
 # seconds. A limb at 3.4 rad/s receives 10 mJ from an excess of 20 mN*m, less than the gain error of a sensor.
@@ -258,10 +258,12 @@ class Guard:
                 "zero and gain of the joint torque measurement"
             )
         excess = max(0.0, self.share - max(0.0, ratio))
+        left = min(self._back_off, CAUTIOUS * max(0.0, share - UNSURE))
         self._falling = 0.0
         self._take_back(
             Reason.PASSIVITY,
-            min(self._back_off, CAUTIOUS * max(0.0, share - UNSURE)),
+            left,
+            left,
             f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than desired within "
             f"{1e3 * since:.0f} ms",
             cause,
@@ -274,19 +276,20 @@ class Guard:
         before = self._back_off
         self._take_back(
             Reason.OSCILLATION,
+            0.0,
             LEFT,
             f"oscillation: the motor buzzes at about {self._buzz.frequency:.0f} Hz",
             "the delay, the tendons' stiffness or the motor's inertia differs from the files: tune again",
         )
         self._falling = max(0.0, before - self._back_off)
 
-    def _take_back(self, reason: Reason, left: float, found: str, cause: str) -> None:
+    def _take_back(self, reason: Reason, first: float, left: float, found: str, cause: str) -> None:
         again, worse = self._left > 0.0, self.latched
         self.reason = reason
         self._left, self._held = FORGIVEN, HOLD
         self.count += 1
         if not again and not worse:
-            self._back_off = left if reason is Reason.PASSIVITY else 0.0
+            self._back_off = first
             done = (
                 f"reduced to {100.0 * self._back_off:.0f} % of it, up again to {100.0 * RETURNED:.0f} % within "
                 f"{HOLD + RECOVERY:g} s, to all of it after {FORGIVEN:g} s"

@@ -21,7 +21,7 @@ Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
 class Reason(IntEnum):
-    """List the reasons why the sent torque differs from the desired torque; the strongest one that acted. Values are
+    """Reason why the sent torque differs from the desired one; of several, the strongest. Values are
     the log's codes.
     """
 

@@ -35,8 +35,8 @@ After a detection, half of the threshold and of the uncertainties apply for the 
 already fast then receives less before the next detection.
 
 Source: B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation
-18 (2002). Their controller adds damping. Here `back_off` withdraws the compensation at once, which damps the joint by
-its whole friction.
+18 (2002). Their controller adds damping. Here the guard reduces the compensation at once, so that
+the uncompensated friction damps the joint.
 """
 
 from __future__ import annotations

@@ -252,9 +252,8 @@ class PolarityCheck:
         if self._gives.update(now, held and slow and softer > beyond and by_stretch > ALIKE):
             return Finding(
                 Cause.SOFT_TENDONS,
-                f"the tendons give {softer:.1f} times the elongation expected from the motor torque: the motor "
-                "gives more "
-                "than it reports, a tendon hangs, or axial_stiffness is that much too high",
+                f"the tendons give {softer:.1f} times the elongation expected from the motor torque: the motor gives "
+                "more than it reports, a tendon hangs, or axial_stiffness is that much too high",
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
         most = EXCESS * self._gain * (1.0 + self._unknown / math.sqrt(self._held_tt)) if gain > 0.0 else math.inf
@@ -289,9 +288,7 @@ def _correlation(product: float, squares: float) -> float:
 
 
 class _Band:
-    """Return the band of a signal that is neither too quick nor too slow; it begins with the first sample that is
-    known.
-    """
+    """Band-pass filter of a signal; it begins with the first known sample."""
 
     def __init__(self, quick: float, slow: float) -> None:
         self._quick = quick

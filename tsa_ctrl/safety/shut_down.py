@@ -28,13 +28,12 @@ def shut_down(
 ) -> list[str]:
     """Disable all drives and leave their nodes pre-operational; returns the unconfirmed steps, one line each.
 
-    A drive that does not confirm is stopped by NMT instead. One that does is told, while our heartbeat goes on, that it
-    need not watch for it any longer (`say` gets a line for one that does not take that). A rig that commands nothing,
-    because its nodes never were found to be as configured, sends nothing.
+    A drive that does not confirm is stopped by NMT instead. A drive that confirms no longer needs our heartbeat, so its
+    heartbeat consumer is switched off first (`say` receives a line if a drive rejects that). A rig whose nodes were
+    never found to be as configured commands nothing, and sends nothing here.
 
-    Run cycles of `period` s until every drive reports in a fresh PDO that it is off, at most `timeout` s. May be
-    called in any
-    state, twice, and on a bus that has failed: it never raises for that.
+    Run cycles of `period` s until every drive reports in a fresh PDO that it is off, at most `timeout` s. May be called
+    in any state, twice, and on a bus that has failed: it never raises for that.
     """
     if not rig.commands:
         return [_unknown(axis.name) for axis in rig.axes] if rig.has_commanded else []

@@ -155,7 +155,7 @@ class Supervisor:
         self._emcys = {health.node_id: health.emcys for health in image.nodes}
 
     def _watch(self, image: Image, now: float) -> None:
-        """Return the fault that stops an axis in every phase."""
+        """Latch the faults that stop an axis in every phase."""
         lossy, late = self._losses.update(image, now)
         if late:  # first, because what nodes do without commands follows from it
             self._latch(Cause.SKIPPED, blame.skipped(image, now - SECOND, self._planned), now)
@@ -212,8 +212,7 @@ class Supervisor:
             self._latch(
                 Cause.STATE_LOST,
                 f"drive reports that it is enabled, but bit {which} of statusword 0x{image.statusword:04X} went "
-                "low: the "
-                "power stage is off, or another master controls it",
+                "low: the power stage is off, or another master controls it",
                 now,
             )
         elif image.mode != Mode.CYCLIC_SYNC_TORQUE:

@@ -328,7 +328,7 @@ class Procedure:
         if trials[0].has_feedback:
             trials.append(trials[0].without_feedback())
         permitted = trials[-1].bearable
-        rippled = None if self._settings.by_stretch else with_torque_ripple(trials[0].found, logs)
+        rippled = None if self._settings.by_stretch else with_torque_ripple(learned, logs)
         if rippled is not None:
             trials.append(self._trial(rippled, mechanics, logs, "-ripple"))
         self._total += (len(trials) - 1) * self._settings.verification_seconds

@@ -302,8 +302,7 @@ class Session:
             if not differ_in_law_alone(before, self._configuration.text, self.axis.name):
                 raise UsageError(
                     f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] to the "
-                    "values of "
-                    f"{kept[controller].name}, remove that file, and undo again"
+                    f"values of {kept[controller].name}, remove that file, and undo again"
                 )
         undo(kept)
         return kept

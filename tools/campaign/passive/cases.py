@@ -84,7 +84,7 @@ class Case:
 
 
 class Ended:
-    """Return True once a latch has lasted for a while or, if requested, the joint has rested long enough."""
+    """Ends a run once a latch has lasted for a while or, if requested, the joint has rested long enough."""
 
     def __init__(self, at: float, stands: bool) -> None:
         self._at, self._stands = at, stands

@@ -166,7 +166,7 @@ def load_eds(path: str | Path) -> ObjectDictionary:
 
 
 def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
-    """Hold an EDS file, and the corrections and omissions; raises UsageError that names the broken section.
+    """Read an EDS file; return it with its corrections and omissions; raises UsageError that names the broken section.
 
     A section is left out when it cannot be read and this controller has no use for its object.
     """

@@ -82,10 +82,9 @@ def _check_counts(session: Session, node: Node) -> None:
     wanted = node.axis.drive.counts_per_revolution
     if gear != 1 and (feed is None or feed / gear != wanted):
         raise UsageError(
-            f"{node.name}: its gear ratio (0x6091) is {gear}, so the meaning of its positions is not known; set "
-            "it to 1 "
-            f'with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file}, if it '
-            "leaves 0x6064 and 0x6071 as the motor's, and be sure of counts_per_revolution in [axis.drive]"
+            f"{node.name}: its gear ratio (0x6091) is {gear}, so the meaning of its positions is not known; set it "
+            f'to 1 with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file}, if '
+            "it leaves 0x6064 and 0x6071 as the motor's, and be sure of counts_per_revolution in [axis.drive]"
         )
     known = [float(value) for value in (increments, None if feed is None else feed / gear) if value is not None]
     if known and wanted not in known:

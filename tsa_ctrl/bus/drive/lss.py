@@ -93,8 +93,7 @@ def _ask(bus: Bus, request: bytes) -> bytes:
     if first is None:
         raise BusError(
             f"{bus.name}: no node answers to LSS; check power, wiring and bit rate; a drive whose id is set by "
-            "switches "
-            "or by its maker's tool does not know LSS"
+            "switches or by its maker's tool does not know LSS"
         )
     if _receive(bus, request[0], _SECOND) is not None:
         raise BusError(f"{bus.name}: more than one node answers to LSS; leave the one drive alone on the bus")

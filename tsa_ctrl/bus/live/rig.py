@@ -344,7 +344,7 @@ class Rig:
                     axis.image.altered = f"{health}: {reader.altered[node_id]}"
 
     def _meet_request(self, can_id: int, data: bytes) -> None:
-        """An SDO of another master: a write may remove a watchdog or a clamp; who only asks does no harm."""
+        """An SDO of another master: a write may remove a watchdog or a clamp; a read does no harm."""
         if data and data[0] >> 5 in _WRITES:
             self._meet_intruder(can_id, data)
 

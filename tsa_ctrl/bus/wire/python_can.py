@@ -132,7 +132,7 @@ def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Opt
 def _hear_own_group_only(descriptor: int) -> None:
     """By default, Linux gives a socket the groups that any process of the machine has joined.
 
-    Frames that came between opening and this option may be of any group: it is thrown away.
+    Frames that came between opening and this option may be of any group. They are discarded.
     """
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:

@@ -90,7 +90,7 @@ def _narrowed(frame: Frame) -> tuple[str, ...]:
 
 
 def _hidden(frame: Frame) -> tuple[str, ...]:
-    """Hold for how long the direction was hidden, and its treatment."""
+    """Return a note on how long the direction was hidden, and on its treatment."""
     lengths = np.array([len(run.signals) for run in frame.runs], dtype=np.float64)
     shares = np.array([run.hidden for run in frame.runs])
     share = float(shares @ lengths / lengths.sum())

@@ -37,7 +37,7 @@ class Candidates:
 
 
 def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
-    """Hold the effects of the catalogue for the torque of these logs."""
+    """Return the effects of the catalogue for the torque of these logs."""
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
     for name, spec in CATALOGUE.items():

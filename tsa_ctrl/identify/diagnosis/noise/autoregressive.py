@@ -98,7 +98,7 @@ class Noise:
 
 
 def _solved(factor: Array, y: Array) -> Array:
-    """x of factor x = y, the factor lower triangular: Call LAPACK as scipy does, without scipy's checks.
+    """x of factor x = y, the factor lower triangular, by LAPACK without the checks of scipy.
 
     Raises FloatingPointError where y is not finite, by which a fit is given up.
     """

@@ -176,7 +176,7 @@ def fast(frame: Frame, edge: float) -> list[Array]:
 
 
 def _without_steps(y: Array, period: float) -> Array:
-    """Find a signal that rests although it usually changes much faster: the residual is slow, or noise."""
+    """Return `y` held constant where it changes much faster than usual: the remainder is slow, or noise."""
     rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
     margin = round(STEP_MARGIN / period)

@@ -2,9 +2,8 @@
 
 A constant and a straight line know nothing of the drive. A cause that is not better than they are, or than the nominal
 model, is not an explanation: logs of another quantity (PWM for torque) leave most of the torque to any model.
-Alternatives without knowledge must hold in both directions, fitted here and tested there and vice versa: the mean of
-four loads is the
-fifth one by chance, when that lies in their middle.
+A constant or a line counts only if it holds in both directions, fitted on one part and tested on the other and vice
+versa: the mean of four loads is that of the fifth one by chance if it lies in their middle.
 """
 
 from __future__ import annotations

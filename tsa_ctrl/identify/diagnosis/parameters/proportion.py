@@ -84,7 +84,7 @@ def at_bounds(reported: Refit) -> Mapping[str, tuple[float, float, float, str]]:
 
 
 def _half_width(quantity: Quantity) -> float:
-    """Return the width of the interval as a share of the value."""
+    """Return half the width of the interval as a share of the value."""
     return 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
 
 
