@@ -45,7 +45,7 @@ ROOMS: dict[str, str] = {
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
     "monitor": "bus.canopen",  # the second channel: no clock, no input or output, nothing of the loop
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
-    "safety": "errors bus.settings bus.wire bus.canopen bus.drive.release_heartbeat bus.drive.session bus.live",
+    "safety": "errors bus.settings bus.wire bus.canopen bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.law_design config",
@@ -60,7 +60,7 @@ ROOMS: dict[str, str] = {
     "plant": "errors settings system.compiling log.waypoints model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
     "virtual": (
-        "errors settings display outputs signals log bus.wire bus.drive.buses bus.live monitor safety control config "
+        "errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety control config "
         "ipc daemon plant"
     ),
     # for people

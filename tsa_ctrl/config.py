@@ -16,11 +16,9 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
-from tsa_ctrl.bus.drive.buses import axes_of, check_buses
-from tsa_ctrl.bus.drive.layout import check_node_ids
+from tsa_ctrl.bus.drive.network import axes_of, check_buses, check_node_ids
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
-from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.drive.torque_path import PER_MILLE, drive_scale
+from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale, load_profile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.control.estimator_selection import chosen
@@ -117,7 +115,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     """A controller file, as it is written."""
 
     controller: ControllerSection = ControllerSection()
-    bus: BusSettings = BusSettings()  # of several the first; what is not in `bus.drive.buses.OWN` is the same in all
+    bus: BusSettings = BusSettings()  # of several the first; what is not in `bus.drive.network.OWN` is the same in all
     other_buses: tuple[BusSettings, ...] = msgspec.field(default=(), name="[[bus]]")  # see `_with_buses`
     realtime: RealtimeSettings = RealtimeSettings()
     log: LogSettings = LogSettings()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 
 
 class FakeClock:
@@ -19,7 +19,7 @@ class FakeClock:
 
 
 class FakeBus:
-    """Implements `tsa_ctrl.bus.wire.seam.Bus`.
+    """Implements `tsa_ctrl.bus.wire.bus.Bus`.
 
     `answer`: called with each frame sent; what it returns is received next. Waiting for nothing moves the clock.
     """

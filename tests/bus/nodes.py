@@ -9,7 +9,7 @@ from tests.bus.fake import FakeBus, FakeClock
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, TorqueSensorSettings
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 
 OPERATION_ENABLED = 0x1637  # with bits 9, 10 and 12
 READY = 0x1231

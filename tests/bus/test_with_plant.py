@@ -11,8 +11,7 @@ from tests.bus.nodes import axis_nodes
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import BusSettings, SupervisionSettings
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.settings import load_plant

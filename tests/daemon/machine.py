@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import Responder
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events

@@ -9,7 +9,7 @@ import pytest
 
 from tests.bus.fake import FakeClock
 from tests.daemon.machine import CONSTANT, Drive, Machine
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.daemon.lifecycle import ramp_down
 
 

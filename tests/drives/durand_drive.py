@@ -18,7 +18,7 @@ from durand.network import CANBusNetwork, NetworkABC
 from durand.object_dictionary import Record, Variable
 from durand.scheduler import VirtualScheduler, set_scheduler
 
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.virtual.lockstep import Wire
 
 NODE = 3

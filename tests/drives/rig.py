@@ -15,11 +15,10 @@ from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.machine import DriveNode, Machine

@@ -12,8 +12,7 @@ from click.testing import CliRunner
 from tests.conftest import ROOT
 from tests.drives.rig import STILL, Foreign, refused, served
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.drive.probe import Probe, probe
-from tsa_ctrl.bus.drive.probe_text import profile_text
+from tsa_ctrl.bus.drive.probe import Probe, probe, profile_text
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.cli import cli

@@ -19,8 +19,7 @@ from tests.drives.rig import PERIOD, Foreign, Recording, refused
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.python_can import PythonCan

@@ -15,7 +15,7 @@ from tsa_ctrl.bus.drive import bring_up as module
 from tsa_ctrl.bus.drive import checks, session
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.seam import Bus, BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.bus import Bus, BusFault, Counters, Frame
 from tsa_ctrl.errors import TsaError
 
 QUICK = (  # time-outs, s: nobody here is slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import struct
 
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 
 NODES = (1, 32, 64)
 KNOWN = tuple(

@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.daemon.machine import CONSTANT, Drive, Machine
 from tests.fuzz.frames import STATUSWORDS, any_frame, spoil
 from tests.fuzz.part import Holdings, Part
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 CYCLES = 700  # of an episode

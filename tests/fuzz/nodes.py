@@ -10,7 +10,7 @@ from pathlib import Path
 from tests.fuzz.frames import NODES, any_frame, sdo_request
 from tests.fuzz.part import Holdings, Part
 from tests.plant.bench import Bench
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 
 BATCH = 2000  # frames between two looks at whether the nodes can be brought back
 DEVICE_TYPES = {1: 0x0192, 32: 0x0196, 64: 0x0194}  # low words

@@ -28,7 +28,7 @@ from tsa_ctrl.bus.canopen.eds import read_eds
 from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.dashboard.server import application
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc.mailbox import General, Mailbox

@@ -7,7 +7,7 @@ import pytest
 from tests.bus.fake import FakeBus
 from tests.bus.nodes import Responder, one_axis_rig
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.seam import BusFault, Frame
+from tsa_ctrl.bus.wire.bus import BusFault, Frame
 from tsa_ctrl.safety.shut_down import shut_down
 
 

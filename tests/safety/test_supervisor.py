@@ -11,12 +11,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from tsa_ctrl.bus.canopen.cia301 import NmtState
+from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState, decode
-from tsa_ctrl.bus.canopen.emcy import Emcy
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
-from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 

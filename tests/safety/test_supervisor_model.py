@@ -21,7 +21,7 @@ from hypothesis.stateful import (
 from tests.safety.test_supervisor import Bench
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
-from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.safety.causes import Cause, Fault
 from tsa_ctrl.safety.supervisor import Request, Supervisor
 

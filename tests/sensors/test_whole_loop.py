@@ -11,8 +11,8 @@ import pytest
 from tests.sensors.adapters import AdapterPair
 from tests.sensors.lines import Line, wait_for
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.bus import Bus, Frame
 from tsa_ctrl.bus.wire.link import open_bus
-from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.outcome import course_of
 from tsa_ctrl.demo.rig import BusChoice, gait

@@ -5,8 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 
-from tsa_ctrl.bus.wire.link import make_vcan
-from tsa_ctrl.bus.wire.netlink import CREATE, LINK, RTM_NEWLINK, RTM_NEWROUTE, attribute, request
+from tsa_ctrl.bus.wire.link import CREATE, LINK, RTM_NEWLINK, RTM_NEWROUTE, attribute, make_vcan, request
 
 IFF_UP, IFF_MULTICAST = 0x1, 0x1000
 RTA_DST, RTA_OIF, RT_TABLE_LOCAL, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST = 1, 4, 255, 3, 253, 1

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle

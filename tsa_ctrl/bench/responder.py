@@ -20,8 +20,8 @@ import msgspec
 from tsa_ctrl.bus.canopen import cia301, pdo
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.bus.wire.bus import Bus, Frame
 from tsa_ctrl.bus.wire.link import open_bus
-from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.process_supervisor import READY, Child
 

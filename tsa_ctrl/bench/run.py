@@ -13,8 +13,8 @@ from tsa_ctrl.bench.cycles import Measured, measure
 from tsa_ctrl.bench.responder import standing_in
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
-from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.doctor.can_interface import Result, answering, judged, listen
 from tsa_ctrl.errors import BusError, UsageError

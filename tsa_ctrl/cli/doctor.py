@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-    from tsa_ctrl.bus.wire.seam import Bus
+    from tsa_ctrl.bus.wire.bus import Bus
     from tsa_ctrl.config import Configuration
     from tsa_ctrl.doctor.can_interface import Check
 
@@ -40,7 +40,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 
     With a CONTROLLER.toml, its rate, rights, bus and CAN interrupts are checked; without one, the machine at 1 kHz.
     """
-    from tsa_ctrl.bus.drive.buses import axes_of
+    from tsa_ctrl.bus.drive.network import axes_of
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.doctor import can_interface, interrupts, machine
     from tsa_ctrl.doctor.can_interface import Result
@@ -72,7 +72,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 def _write_serial_numbers(configuration: Configuration) -> int:
     """Read the serial numbers by SDO, command nothing, and write the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.drive.buses import open_buses
+    from tsa_ctrl.bus.drive.network import open_buses
 
     file = configuration.file
     bus = open_buses(file.buses, file.axes)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tsa_ctrl.bus.drive.profile import DriveProfile
     from tsa_ctrl.bus.drive.session import Session
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-    from tsa_ctrl.bus.wire.seam import Bus
+    from tsa_ctrl.bus.wire.bus import Bus
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 _PERIOD = 0.001  # s, without a configuration
@@ -40,7 +40,7 @@ class Target:
     def plan(self) -> list[Write]:
         """Return the values that the configuration writes to the node."""
         from tsa_ctrl.bus.drive.plan import drive_plan
-        from tsa_ctrl.bus.drive.torque_path import drive_scale
+        from tsa_ctrl.bus.drive.profile import drive_scale
 
         scale = drive_scale(self.axis.drive, self.profile, f"axis '{self.axis.name}'")
         return drive_plan(self.axis, self.profile, scale, self.bus, self.period)
@@ -177,8 +177,7 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
     The notes list the drive's own limits and ramps of the torque, if they act.
     """
     from tsa_ctrl.bus.drive.backup import compare, load_backup, wanted_by
-    from tsa_ctrl.bus.drive.checks import Node
-    from tsa_ctrl.bus.drive.torque_path import check_torque_path
+    from tsa_ctrl.bus.drive.checks import Node, check_torque_path
     from tsa_ctrl.bus.settings import Role
 
     target = find_target(**options)
@@ -253,8 +252,7 @@ def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: i
     Asks by SDO alone: no NMT, no SYNC, no heartbeat.
     """
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.drive.probe import probe
-    from tsa_ctrl.bus.drive.probe_text import profile_text
+    from tsa_ctrl.bus.drive.probe import probe, profile_text
     from tsa_ctrl.bus.drive.session import Session
 
     with opened(interface, channel, bitrate) as (bus, named), Session(bus, named) as session:

@@ -22,9 +22,9 @@ from pathlib import Path
 import can
 
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.bus import REMOTE_FLAG
 from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.python_can import Option, opened
-from tsa_ctrl.bus.wire.seam import REMOTE_FLAG
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
 

@@ -24,7 +24,7 @@ from tsa_ctrl.bus.canopen.cia402 import (
     PowerState,
 )
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.cycle import command
 from tsa_ctrl.control.settings import SetPointSettings

@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.build import LoopPhase

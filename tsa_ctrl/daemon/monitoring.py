@@ -7,7 +7,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.drive.torque_path import drive_scale, encoder_scale
+from tsa_ctrl.bus.drive.profile import drive_scale, encoder_scale
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.build import give_of

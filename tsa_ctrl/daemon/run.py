@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
-from tsa_ctrl.bus.drive.buses import open_buses
+from tsa_ctrl.bus.drive.network import open_buses
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.live_parameters import Tuner

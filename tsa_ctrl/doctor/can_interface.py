@@ -11,8 +11,8 @@ import numpy as np
 
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import CanState, open_bus, read
-from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import TsaError
 
 

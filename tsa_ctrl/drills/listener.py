@@ -23,15 +23,14 @@ from typing import Literal
 
 import msgspec
 
-from tsa_ctrl.bus.canopen import cia301, emcy, objects
+from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword
 from tsa_ctrl.bus.canopen.pdo import DriveLayout
-from tsa_ctrl.bus.drive.buses import open_buses
-from tsa_ctrl.bus.drive.layout import layout_of
-from tsa_ctrl.bus.drive.torque_path import drive_scale
+from tsa_ctrl.bus.drive.network import layout_of, open_buses
+from tsa_ctrl.bus.drive.profile import drive_scale
 from tsa_ctrl.bus.live.axis import Axis
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.pull import Pull, Watch
 from tsa_ctrl.errors import TsaError
@@ -256,7 +255,7 @@ class Listener:
                 drive.heard = now
                 self._keep(drive, drive.layout.motion.struct.unpack(data)[1], now, "tpdo")
         elif can_id in self._emcy:
-            found = emcy.decode(data)
+            found = cia301.decode(data)
             if self._guard and found is not None and not found.is_reset:
                 self.said.append(Said(now, self._emcy[can_id], found.code))
         elif can_id in self._sdo and len(data) == _ANSWER.size:

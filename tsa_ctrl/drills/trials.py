@@ -14,8 +14,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.drive.buses import open_buses
-from tsa_ctrl.bus.drive.layout import layout_of
+from tsa_ctrl.bus.drive.network import layout_of, open_buses
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration

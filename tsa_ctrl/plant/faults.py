@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG
+from tsa_ctrl.bus.wire.bus import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.fault_kind import FaultKind, Target, Undo, nothing, parameter, swap
 from tsa_ctrl.plant.sensors import EncoderFaults, TorqueSensor

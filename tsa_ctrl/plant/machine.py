@@ -13,9 +13,8 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from tsa_ctrl.bus.wire.group import next_frame
+from tsa_ctrl.bus.wire.bus import ERROR_FLAG, Bus, BusFault, Frame, next_frame
 from tsa_ctrl.bus.wire.link import set_up
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis, Record
 from tsa_ctrl.plant.cia402 import PowerState

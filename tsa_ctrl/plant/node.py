@@ -9,7 +9,7 @@ import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from tsa_ctrl.bus.wire.seam import REMOTE_FLAG
+from tsa_ctrl.bus.wire.bus import REMOTE_FLAG
 from tsa_ctrl.plant.dictionary import Entry, Key, ObjectDictionary
 from tsa_ctrl.plant.emergency import REGISTER_COMMUNICATION, EmcyCode, ErrorLog
 from tsa_ctrl.plant.identity import Identity, Quirks, Storage, communication_objects

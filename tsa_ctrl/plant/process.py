@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import FrameType
 
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis, Recorder

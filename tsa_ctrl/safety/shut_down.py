@@ -10,13 +10,11 @@ from collections.abc import Callable, Sequence
 from tsa_ctrl.bus.canopen import cia402
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
-from tsa_ctrl.bus.drive.release_heartbeat import release_heartbeat
-from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.session import Session, release_heartbeat
 from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.group import wires_of
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus, wires_of
 from tsa_ctrl.errors import BusError
 
 _OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT, PowerState.NOT_READY_TO_SWITCH_ON)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import Enum
 
-from tsa_ctrl.bus.canopen import cia402, emcy
+from tsa_ctrl.bus.canopen import cia301, cia402
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
@@ -294,4 +294,4 @@ class Supervisor:
 
 
 def _code(error_code: int) -> str:
-    return f"error 0x{error_code:04X} ({emcy.text(error_code)})"
+    return f"error 0x{error_code:04X} ({cia301.text(error_code)})"

@@ -14,7 +14,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
-from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 
 NAME = "virtual time"
 _OVERHEAD, _PER_BYTE = 47, 8  # bits of a frame with an 11-bit identifier, interframe space included, without stuffing
@@ -172,7 +172,7 @@ class FurtherWire(Wire):
 
 
 class End:
-    """One end of the wire; the plant's, which receives arrivals by `Nodes.step`. See `bus.seam.Bus`."""
+    """One end of the wire; the plant's, which receives arrivals by `Nodes.step`. See `bus.wire.bus.Bus`."""
 
     def __init__(self, wire: Wire) -> None:
         self.name = NAME

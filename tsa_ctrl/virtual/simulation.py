@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.bus.drive.buses import joined
+from tsa_ctrl.bus.drive.network import joined
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
 from tsa_ctrl.daemon.build import control_axes, log_header, tuners_of

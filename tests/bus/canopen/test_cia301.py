@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.bus.canopen import cia301, emcy
-from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
-from tsa_ctrl.bus.canopen.emcy import Emcy
-from tsa_ctrl.bus.wire.seam import describe
+from tsa_ctrl.bus.canopen import cia301
+from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtCommand, NmtState
+from tsa_ctrl.bus.wire.bus import describe
 
 
 @pytest.mark.parametrize(
@@ -40,12 +39,12 @@ def test_heartbeat_of_another_length_is_none(data: bytes) -> None:
 
 
 def test_emergency_is_code_register_and_vendor_bytes() -> None:
-    assert emcy.decode(b"\x10\x32\x05\x01\x02\x03\x04\x05") == Emcy(0x3210, 0x05, b"\x01\x02\x03\x04\x05")
+    assert cia301.decode(b"\x10\x32\x05\x01\x02\x03\x04\x05") == Emcy(0x3210, 0x05, b"\x01\x02\x03\x04\x05")
 
 
 @pytest.mark.parametrize("length", [0, 7])
 def test_emergency_of_another_length_is_none(length: int) -> None:
-    assert emcy.decode(bytes(length)) is None
+    assert cia301.decode(bytes(length)) is None
 
 
 def test_emergency_reads_as_a_sentence() -> None:
@@ -68,7 +67,7 @@ def test_emergency_reads_as_a_sentence() -> None:
     ],
 )
 def test_unlisted_code_is_named_by_its_class(code: int, meaning: str) -> None:
-    assert emcy.text(code) == meaning
+    assert cia301.text(code) == meaning
 
 
 def test_only_code_zero_is_an_error_reset() -> None:
@@ -76,7 +75,7 @@ def test_only_code_zero_is_an_error_reset() -> None:
 
 
 def test_every_error_code_has_a_text() -> None:
-    assert all(emcy.text(code) for code in range(0x10000))
+    assert all(cia301.text(code) for code in range(0x10000))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile, Units
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
-from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.errors import BusError, UsageError
 
 

@@ -8,8 +8,7 @@ import pytest
 
 from tests.plant.bench import Bench
 from tsa_ctrl.bus.drive.plan import drive_plan
-from tsa_ctrl.bus.drive.profile import load_profile
-from tsa_ctrl.bus.drive.torque_path import drive_scale
+from tsa_ctrl.bus.drive.profile import drive_scale, load_profile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"

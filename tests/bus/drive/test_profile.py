@@ -11,8 +11,7 @@ import pytest
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
-from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, load_profile
-from tsa_ctrl.bus.drive.torque_path import drive_scale
+from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, drive_scale, load_profile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.errors import UsageError
 

@@ -21,7 +21,7 @@ from tsa_ctrl.bus.settings import (
     EncoderSettings,
     TorqueSensorSettings,
 )
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 
 OVER_CURRENT = struct.pack("<HBxxxxx", 0x2310, 0x02)
 

@@ -12,10 +12,9 @@ from msgspec.structs import replace
 from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import axis_nodes, cycle
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.errors import BusError
 
 STATE = 0x281

@@ -15,7 +15,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.drive.profile import DriveProfile, Units, VelocityUnit
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings
-from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.bus.wire.bus import BusFault
 
 
 def test_cycle_is_sync_and_command_and_nothing_else() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.bus.nodes import Responder, one_axis_rig
-from tsa_ctrl.bus.live.startup_check import check_startup
+from tsa_ctrl.bus.live.rig import check_startup
 from tsa_ctrl.errors import BusError
 
 

@@ -18,7 +18,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.bus.wire.bus import Frame
 
 STATE, POSITION = "181#37160A0000000000", "281#000000000A0000"
 ENCODER, TORQUE = "1A0#10000000", "1C0#E8030000"

@@ -9,9 +9,7 @@ import struct
 import pytest
 
 from tsa_ctrl.bus.wire import link as interface
-from tsa_ctrl.bus.wire import netlink
-from tsa_ctrl.bus.wire.link import CanState, Interface, check, parse
-from tsa_ctrl.bus.wire.netlink import attribute
+from tsa_ctrl.bus.wire.link import CanState, Interface, attribute, check, parse
 from tsa_ctrl.errors import BusError
 
 
@@ -54,15 +52,15 @@ def test_truncated_answer_does_no_harm(length: int) -> None:
 def test_an_answer_ends_with_its_acknowledgement() -> None:
     """A dump comes in several datagrams, a link in one and the acknowledgement in the next."""
     bodies: list[bytes] = []
-    assert not netlink.answer(message(16, link()) + message(16, link(b"vcan")), bodies)
-    assert netlink.answer(message(16, link()) + message(2, struct.pack("=i", 0)), bodies)
+    assert not interface.answer(message(16, link()) + message(16, link(b"vcan")), bodies)
+    assert interface.answer(message(16, link()) + message(2, struct.pack("=i", 0)), bodies)
     assert bodies == [link(), link(b"vcan"), link()]
-    assert netlink.answer(message(3, struct.pack("=i", 0)), bodies)
+    assert interface.answer(message(3, struct.pack("=i", 0)), bodies)
 
 
 def test_a_refusal_is_the_kernels_reason() -> None:
     with pytest.raises(OSError, match="No such device"):
-        netlink.answer(message(2, struct.pack("=i", -19)), [])
+        interface.answer(message(2, struct.pack("=i", -19)), [])
 
 
 def test_a_vcan_that_cannot_be_brought_up_is_not_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,7 +68,7 @@ def test_a_vcan_that_cannot_be_brought_up_is_not_left_behind(monkeypatch: pytest
 
     def kernel(kind: int, flags: int, body: bytes) -> list[bytes]:
         asked.append(kind)
-        if asked == [netlink.RTM_NEWLINK] * 2:
+        if asked == [interface.RTM_NEWLINK] * 2:
             raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
         return []
 
@@ -78,7 +76,7 @@ def test_a_vcan_that_cannot_be_brought_up_is_not_left_behind(monkeypatch: pytest
     monkeypatch.setattr(interface.socket, "if_nametoindex", lambda name: 7)
     with pytest.raises(PermissionError):
         interface.make_vcan("vcan7")
-    assert asked == [netlink.RTM_NEWLINK, netlink.RTM_NEWLINK, netlink.RTM_DELLINK]
+    assert asked == [interface.RTM_NEWLINK, interface.RTM_NEWLINK, interface.RTM_DELLINK]
 
 
 @pytest.mark.vcan

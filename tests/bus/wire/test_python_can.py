@@ -17,9 +17,9 @@ import pytest
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire import python_can
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.bus.wire.seam import BusFault
 from tsa_ctrl.errors import BusError, UsageError
 
 

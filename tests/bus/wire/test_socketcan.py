@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import pytest
 
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.bus.wire.link import open_bus
-from tsa_ctrl.bus.wire.seam import BusFault
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError
 

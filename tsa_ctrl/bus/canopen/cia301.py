@@ -1,7 +1,11 @@
-"""CiA 301: identifiers of the predefined connection set, NMT, SYNC and heartbeat, as bytes."""
+"""CiA 301: identifiers of the predefined connection set, NMT, SYNC, heartbeat and EMCY, as bytes.
+
+The error codes of CiA 301 and CiA 402 are a table."""
 
 from __future__ import annotations
 
+import struct
+from dataclasses import dataclass
 from enum import Enum, IntEnum
 
 NMT = 0x000
@@ -62,3 +66,140 @@ TOGGLE = 0x80  # bit of an answer to node guarding, which alternates from answer
 def heartbeat_state(data: bytes) -> int | None:
     """The NMT state that a heartbeat reports (`NmtState` where the standard names it); None when malformed."""
     return data[0] & 0x7F if len(data) == 1 else None
+
+
+_EMCY = struct.Struct("<HB5s")
+
+ERROR_CODES: dict[int, str] = {
+    0x0000: "error reset or no error",
+    0x1000: "generic error",
+    0x2000: "current",
+    0x2100: "current on the device's input side",
+    0x2110: "short circuit or earth leakage at the input",
+    0x2120: "earth leakage at the input",
+    0x2130: "short circuit at the input",
+    0x2200: "current inside the device",
+    0x2211: "over-current inside the device",
+    0x2220: "continuous over-current inside the device",
+    0x2300: "current on the device's output side",
+    0x2310: "continuous over-current at the output",
+    0x2320: "short circuit or earth leakage at the output",
+    0x2330: "earth leakage at the output",
+    0x2340: "short circuit at the output",
+    0x2350: "load level fault (I2t, thermal state)",
+    0x3000: "voltage",
+    0x3100: "mains voltage",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3200: "voltage inside the device",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x3230: "load error",
+    0x3300: "output voltage",
+    0x4000: "temperature",
+    0x4100: "ambient temperature",
+    0x4200: "device temperature",
+    0x4210: "device temperature too high",
+    0x4220: "device temperature too low",
+    0x4300: "drive temperature",
+    0x4310: "drive temperature too high",
+    0x5000: "device hardware",
+    0x5100: "supply of the device",
+    0x5110: "low voltage supply",
+    0x5200: "control electronics",
+    0x5300: "operating unit",
+    0x5400: "power section",
+    0x5441: "safe torque off or external enable missing",
+    0x5500: "data storage",
+    0x6000: "device software",
+    0x6010: "software reset (watchdog)",
+    0x6100: "internal software",
+    0x6200: "user software",
+    0x6300: "data set",
+    0x6310: "loss of parameters",
+    0x6320: "parameter error",
+    0x7000: "additional modules",
+    0x7100: "power module",
+    0x7110: "brake chopper",
+    0x7120: "motor",
+    0x7121: "motor blocked",
+    0x7122: "motor error or wrong commutation",
+    0x7200: "measurement circuit",
+    0x7300: "sensor",
+    0x7303: "resolver 1 fault",
+    0x7305: "incremental sensor 1 fault",
+    0x7306: "incremental sensor 2 fault",
+    0x7310: "speed sensor",
+    0x7320: "position sensor",
+    0x7400: "computation circuit",
+    0x7500: "communication",
+    0x8000: "monitoring",
+    0x8100: "communication monitoring",
+    0x8110: "CAN overrun, objects lost",
+    0x8120: "CAN in error passive mode",
+    0x8130: "life guard or heartbeat error",
+    0x8140: "recovered from bus-off",
+    0x8150: "CAN identifier collision",
+    0x8200: "protocol error",
+    0x8210: "PDO not processed, length error",
+    0x8220: "PDO length exceeded",
+    0x8230: "destination object not available",
+    0x8240: "unexpected SYNC data length",
+    0x8250: "RPDO time-out",
+    0x8300: "torque control",
+    0x8311: "excess torque",
+    0x8400: "velocity controller",
+    0x8500: "position controller",
+    0x8600: "positioning controller",
+    0x8611: "following error",
+    0x8612: "reference limit",
+    0x8700: "SYNC controller",
+    0x8800: "winding controller",
+    0x8900: "process data monitoring",
+    0x8A00: "control deviation",
+    0x9000: "external error",
+    0xF000: "additional functions",
+    0xFF00: "device specific",
+}
+
+REGISTER_BITS = (  # object 0x1001, and byte 2 of an EMCY
+    (0x01, "generic"),
+    (0x02, "current"),
+    (0x04, "voltage"),
+    (0x08, "temperature"),
+    (0x10, "communication"),
+    (0x20, "device profile"),
+    (0x80, "manufacturer"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Emcy:
+    """One emergency: error code, error register 0x1001, five bytes of the vendor."""
+
+    code: int
+    register: int
+    vendor: bytes
+
+    @property
+    def is_reset(self) -> bool:
+        """The node reports the end of its errors."""
+        return self.code == 0
+
+    def __str__(self) -> str:
+        register = "+".join(name for bit, name in REGISTER_BITS if self.register & bit) or "no"
+        return f"EMCY 0x{self.code:04X} ({text(self.code)}; {register} error register; vendor {self.vendor.hex(' ')})"
+
+
+def decode(data: bytes) -> Emcy | None:
+    """The emergency in 8 bytes; None when the length is wrong."""
+    return Emcy(*_EMCY.unpack(data)) if len(data) == _EMCY.size else None
+
+
+def text(code: int) -> str:
+    """Return the meaning of an error code: the most specific line (0x2311, else 0x2310, 0x2300, 0x2000)."""
+    for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
+        found = ERROR_CODES.get(code & mask)
+        if found is not None and (code & mask or code == 0):
+            return found
+    return "error of the generic class" if code else ERROR_CODES[0]

@@ -16,7 +16,6 @@ from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.objects import Object, Write
 from tsa_ctrl.bus.drive import budget
-from tsa_ctrl.bus.drive.buses import axes_of
 from tsa_ctrl.bus.drive.checks import (
     Node,
     NodeReport,
@@ -24,6 +23,7 @@ from tsa_ctrl.bus.drive.checks import (
     check_drive,
     check_encoder,
     check_identity,
+    check_torque_path,
     check_watchdog,
     confirm_mode,
     find_inputs,
@@ -32,16 +32,13 @@ from tsa_ctrl.bus.drive.checks import (
     reset_fault,
     switch_off,
 )
-from tsa_ctrl.bus.drive.layout import check_node_ids, layout_of
+from tsa_ctrl.bus.drive.network import axes_of, check_node_ids, layout_of
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan, encoder_plan, torque_sensor_plan
-from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.release_heartbeat import release_heartbeat
-from tsa_ctrl.bus.drive.session import Session, another_master
-from tsa_ctrl.bus.drive.torque_path import check_torque_path, drive_scale
+from tsa_ctrl.bus.drive.profile import DriveProfile, drive_scale
+from tsa_ctrl.bus.drive.session import Session, another_master, release_heartbeat
 from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role, TorqueSensorSettings
-from tsa_ctrl.bus.wire.group import wire_of
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus, wire_of
 from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
 
 _TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 0x607E that reverse a sign

@@ -13,7 +13,7 @@ from typing import TypeVar
 from msgspec.structs import replace
 
 from tsa_ctrl.bus.canopen import pdo
-from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
+from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
 from tsa_ctrl.bus.drive.plan import is_rate
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.errors import UsageError

@@ -1,17 +1,17 @@
-"""Check a node before anything is written to it, and afterwards."""
+"""Check a node before anything is written to it, and afterwards; report what limits its torque."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
-from tsa_ctrl.bus.canopen import cia402, emcy, objects
+from tsa_ctrl.bus.canopen import cia301, cia402, objects
 from tsa_ctrl.bus.canopen.cia301 import Profile
-from tsa_ctrl.bus.canopen.cia402 import OFFSETS, Controlword, Mode, PowerState
+from tsa_ctrl.bus.canopen.cia402 import OFFSETS, TORQUE_PATH, Controlword, Effect, Influence, Mode, PowerState
 from tsa_ctrl.bus.canopen.objects import SERIAL_NUMBER, Object, Write
-from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, Session
+from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale
+from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, SdoRefusedError, Session
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
@@ -317,11 +317,11 @@ def read_errors(session: Session, node: Node, report: NodeReport) -> None:
     node_id = node.settings.node_id
     register = session.read_if_there(node_id, objects.ERROR_REGISTER)
     if register:
-        words = "+".join(name for bit, name in emcy.REGISTER_BITS if register & bit)
+        words = "+".join(name for bit, name in cia301.REGISTER_BITS if register & bit)
         report.notes.append(f"error register 0x{register:02X} ({words})")
     if session.read_if_there(node_id, objects.ERROR_HISTORY_COUNT):
         newest = session.read_if_there(node_id, objects.ERROR_HISTORY) or 0
-        report.notes.append(f"newest remembered error 0x{newest & 0xFFFF:04X} ({emcy.text(newest & 0xFFFF)})")
+        report.notes.append(f"newest remembered error 0x{newest & 0xFFFF:04X} ({cia301.text(newest & 0xFFFF)})")
 
 
 def is_on(session: Session, node: Node) -> bool:
@@ -353,7 +353,7 @@ def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
 
 def _error(session: Session, node: Node) -> str:
     code = node.look(session, objects.ERROR_CODE) or 0
-    return f"error 0x{code:04X} ({emcy.text(code)})"
+    return f"error 0x{code:04X} ({cia301.text(code)})"
 
 
 def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) -> None:
@@ -489,3 +489,57 @@ def _poll(session: Session, reached: Callable[[], bool], timeout: float) -> bool
             return False
         session.wait(_POLL)
     return True
+
+
+_SLOW_RAMP = 0.1  # s from zero to max_torque; a faster ramp is over before the joint has moved
+
+
+def check_torque_path(
+    session: Session, node: Node, written: Collection[tuple[int, int]]
+) -> tuple[list[Row], list[str]]:
+    """Read the objects of the torque path that the plan does not write.
+
+    Args:
+        session: an open session; nothing is written.
+        node: the drive.
+        written: keys of the objects that the plan writes; they are left out.
+
+    Returns:
+        Rows of the objects to watch while the loop runs, and a note for each object that limits or ramps the torque.
+    """
+    rows, notes = [], []
+    for influence in TORQUE_PATH:
+        entry = influence.entry.of(node.axis.drive.slot)
+        if entry.key in written or not node.profile.has(entry):
+            continue
+        try:
+            found = session.read_if_there(node.node_id, entry)
+        except SdoRefusedError:
+            notes.append(f"{entry} cannot be read, so its effect on the torque is not known")
+            continue
+        if found is None:
+            continue
+        if influence.watched:
+            rows.append(Row(entry, found, found))
+        effect = _effect(influence, found, node)
+        if effect:
+            notes.append(f"{entry.name} (0x{entry.index:04X}) is {found} {influence.unit}: {effect}")
+    return rows, notes
+
+
+def _effect(influence: Influence, found: int, node: Node) -> str:
+    """Return the effect of a value on the torque, or an empty text if it has none."""
+    drive = node.axis.drive
+    most = drive_scale(drive, node.profile, f"axis '{node.axis.name}'").max_torque_digits
+    rated = drive.rated_torque * drive.gear_ratio / PER_MILLE
+    if influence.effect is Effect.LIMITS and found < most:
+        return (
+            f"the drive delivers no more than {found * rated:.3g} N*m, and max_torque in [axis.drive] is "
+            f"{most * rated:.3g} N*m; raise the limit with the maker's tool, or lower max_torque"
+        )
+    if influence.effect is Effect.RAMPS and influence.unit and 0 < found * _SLOW_RAMP < most:
+        return (
+            f"{most / found:.3g} s from zero to max_torque; CiA 402 applies it in the profile torque mode only, but "
+            "some drives also apply it in cyclic torque; raise it with the maker's tool if the torque lags"
+        )
+    return ""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen import cia301
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.errors import BusError
 
 _SWITCH, _NODE_ID, _STORE = 0x04, 0x11, 0x17

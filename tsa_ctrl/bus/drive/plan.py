@@ -12,9 +12,8 @@ from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
 from tsa_ctrl.bus.canopen.cia402 import TORQUE_PATH, Mode
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
-from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
-from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.torque_path import PER_MILLE, DriveScale
+from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
+from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, DriveScale
 from tsa_ctrl.bus.settings import (
     AxisNodes,
     BusSettings,

@@ -1,12 +1,17 @@
-"""Read the capabilities of a drive by SDO uploads alone: nothing is written or moved, and no SYNC is sent."""
+"""Read the capabilities of a drive by SDO uploads alone, and write them as a profile with comments for its completion.
+
+Nothing is written or moved, and no SYNC is sent."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from tsa_ctrl.bus.canopen import cia301, cia402, objects
 from tsa_ctrl.bus.canopen.objects import Object, Type
 from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
+from tsa_ctrl.bus.drive.profile import VelocityUnit
 from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.errors import BusError
 
@@ -128,3 +133,256 @@ def _mapping(session: Session, node_id: int, pdo: Pdo) -> list[int]:
     count = session.read_if_there(node_id, pdo.mapping(0)) or 0
     entries = [session.read_if_there(node_id, pdo.mapping(number)) for number in range(1, min(count, 8) + 1)]
     return [entry for entry in entries if entry is not None]
+
+
+MAXON = 0x000000FB
+_ASK = "FINISH: "
+_MODES = (  # bits of 0x6502
+    (0, "profile position"),
+    (2, "profile velocity"),
+    (3, "profile torque"),
+    (5, "homing"),
+    (7, "cyclic position"),
+    (8, "cyclic velocity"),
+    (9, "cyclic torque"),
+)
+_REACTIONS = (
+    (objects.QUICK_STOP_OPTION, "quick_stop"),
+    (objects.SHUTDOWN_OPTION, "shutdown"),
+    (objects.DISABLE_OPTION, "disable_operation"),
+    (objects.HALT_OPTION, "halt"),
+    (objects.FAULT_REACTION_OPTION, "fault"),
+    (objects.ERROR_BEHAVIOUR, "communication_error"),
+)
+_USUAL = range(5)  # what else a drive is set to it may not let be changed
+_OPTIONAL = (
+    objects.SYNC_PERIOD, objects.SYNC_WINDOW, objects.SYNC_COUNTER, objects.EMCY_COB_ID, objects.CONNECTION_LOSS,
+    objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, objects.ERROR_BEHAVIOUR,
+    objects.RPDO_EVENT_TIMER,
+)  # fmt: skip
+
+
+def profile_text(found: Probe, where: str) -> str:
+    """The file's text; `where` names interface and channel. It loads without change, or lists the values to complete
+    first.
+    """
+    return "\n".join(_lines(found, where)) + "\n"
+
+
+def _lines(found: Probe, where: str) -> Iterator[str]:
+    texts = found.texts
+    name = texts.get("device name") or "drive of an unknown kind"
+    yield f"# Written by tsa drive probe: node {found.node_id} on {where}, read without moving anything."
+    yield f"# What {_ASK.strip()} stands at is for you: a drive does not say it, or in a way that nobody can trust."
+    yield f"name = {json.dumps(name, ensure_ascii=False)}"
+    version = ", ".join(f"{key} {texts[key]}" for key in ("hardware version", "software version") if texts.get(key))
+    yield f"sources = [{json.dumps(f'values that the drive reported: {version or name}', ensure_ascii=False)}]"
+    yield from _state(found)
+    yield ""
+    yield from _absent(found)
+    yield from _modes(found)
+    yield from _watchdogs(found)
+    yield from _sync(found)
+    yield from _timing(found)
+    yield f"rpdo_count = {max(1, found.rpdos)}"
+    yield f"tpdo_count = {max(2, found.tpdos)}"
+    if found.rpdos < 1 or found.tpdos < 2:
+        yield f"# {_ASK}it has {found.rpdos} RPDOs and {found.tpdos} TPDOs; one and two are needed"
+    for pdo, entries in found.mapped.items():
+        yield f"# {pdo} carries now: {', '.join(f'0x{entry:08X}' for entry in entries) or 'nothing'}"
+    yield ""
+    yield from _identity(found)
+    yield ""
+    yield from _units(found)
+    yield from _torque_path(found)
+    yield ""
+    yield from _reactions(found)
+    yield from _clamp(found)
+    yield ""
+    yield from _for_the_controller(found)
+
+
+def _state(found: Probe) -> Iterator[str]:
+    yield f"# Its state was {found.state}, statusword 0x{found.values[objects.STATUSWORD]:04X}."
+    code = found.get(objects.ERROR_CODE)
+    if code:
+        yield f"# Its error code was 0x{code:04X} ({cia301.text(code)})."
+    for said in found.emcys:
+        yield f"# It sent {said} meanwhile."
+    if len(found.slots) > 1:
+        yield f"# The device has axes in the slots {', '.join(map(str, found.slots))}; this is slot {found.slot}."
+    for entry, length in found.lengths.items():
+        yield f"# {_ASK}0x{entry.index:04X}:{entry.subindex} answers with {length} bytes, {entry.type.size} are usual"
+
+
+def _absent(found: Probe) -> Iterator[str]:
+    """Objects that must be declared, and, as a comment, those that are merely not there."""
+    needed = [
+        objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.VELOCITY_UNIT, objects.RATED_TORQUE, objects.ERROR_CODE,
+    ]  # fmt: skip
+    names = [entry.name for entry in needed if not found.has(entry)]
+    if not found.has(objects.SUPPORTED_MODES):
+        names.append(objects.SUPPORTED_MODES.name)
+    yield f"absent = {json.dumps(names)}"
+    others = [entry.name for entry in _OPTIONAL if not found.has(entry) and entry.name not in names]
+    if others:
+        yield f"# Not there either, and not needed: {', '.join(others)}"
+
+
+def _modes(found: Probe) -> Iterator[str]:
+    modes = found.modes
+    if modes is None:
+        yield f"# {_ASK}it does not report its modes (0x6502); mode 10 (cyclic synchronous torque) is needed"
+    else:
+        yield f"# Modes 0x{modes:08X}: {', '.join(name for bit, name in _MODES if modes >> bit & 1) or 'none known'}"
+        if not modes & cia402.CST_SUPPORTED:
+            yield f"# {_ASK}no cyclic synchronous torque (bit 9): this controller cannot use it as it is"
+    asked, shown = found.get(objects.MODE), found.get(objects.MODE_DISPLAY)
+    if asked and shown != asked:
+        yield f"# 0x6060 is {asked} and 0x6061 shows {shown} while it is {found.state}: it shows its mode later"
+        yield f'mode_shows = "enabled"          # {_ASK}or "operational"'
+        return
+    yield 'mode_shows = "written"          # else "operational" or "enabled"; startup reports if it must be changed'
+
+
+def _watchdogs(found: Probe) -> Iterator[str]:
+    consumers = found.get(objects.HEARTBEAT_CONSUMERS)
+    held = found.get(objects.RPDO_EVENT_TIMER)
+    names = []
+    if consumers:
+        names.append(f"{consumers} entries of the heartbeat consumer 0x1016")
+    if held is not None:
+        names.append("the RPDO event timer 0x1400:5")
+    if found.has(objects.LIFE_TIME_FACTOR):
+        names.append("life guarding 0x100D")
+    yield f"# Watchdogs: {', '.join(names) or 'none'}; try them with tsa verify-safety."
+    reaction = found.get(objects.CONNECTION_LOSS)
+    yield "# Reaction to a lost connection 0x6007: " + ("not there" if reaction is None else f"{reaction} as found")
+    if not found.has(objects.HEARTBEAT_PRODUCER):
+        yield 'supervision = "guarding"        # the drive has no heartbeat 0x1017'
+    elif not consumers and held is None and found.has(objects.LIFE_TIME_FACTOR):
+        yield 'supervision = "guarding"        # its only watchdog is life guarding 0x100D'
+
+
+def _sync(found: Probe) -> Iterator[str]:
+    raw = found.get(objects.SYNC_COB_ID)
+    if (raw is not None and raw & cia301.PRODUCES_SYNC) or found.sync_heard:
+        yield "produces_sync = true            # 0x1005 bit 30 was set: it sends SYNC; startup disables that"
+    for entry in (objects.SYNC_PERIOD, objects.SYNC_COUNTER, objects.SYNC_WINDOW):
+        if found.get(entry):
+            yield f"# {entry} is {found.get(entry)} and is set to 0 at the start"
+    if found.get(objects.SYNC_PERIOD):
+        yield f"needs_sync_period = false       # {_ASK}true, if its manual wants 0x1006 to be the period"
+
+
+def _torque_path(found: Probe) -> Iterator[str]:
+    """List the objects that act on the torque, because their values may explain a torque that is missing or left."""
+    for influence in cia402.TORQUE_PATH:
+        value = found.get(influence.entry)
+        if value is None:
+            continue
+        change = "" if influence.restored in (None, value) else f"; the start sets it to {influence.restored}"
+        unit = f" {influence.unit}" if influence.unit else ""
+        yield f"# {influence.entry} is {value}{unit}; it {influence.effect.value}{change}"
+
+
+def _timing(found: Probe) -> Iterator[str]:
+    patience = max(0.5, round(3.0 * found.slowest, 1))
+    yield f"answer_timeout = {patience:g}            # s; its slowest answer took {1e3 * found.slowest:.0f} ms"
+    yield "boot_timeout = 3.0              # s; how long it takes to boot was not tried: that would have reset it"
+
+
+def _identity(found: Probe) -> Iterator[str]:
+    yield "[identity]"
+    vendor, product = found.get(objects.VENDOR_ID), found.get(objects.PRODUCT_CODE)
+    if vendor is not None:
+        yield f"vendor_id = 0x{vendor:08X}"
+    yield f"product_codes = [{'' if product is None else f'0x{product:08X}'}]"
+
+
+def _units(found: Probe) -> Iterator[str]:
+    yield "[units]"
+    rated = found.get(objects.RATED_TORQUE)
+    unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
+    if rated is not None:
+        yield f"# {_ASK}0x6076 is {rated}: {rated * 1e-3:g} N*m in the standard's mN*m, {rated * 1e-6:g} N*m in uN*m,"
+        yield "# and some count the peak value: compare with the motor's data sheet."
+    yield f"rated_torque = {unit:g}            # N*m per digit of 0x6076"
+    yield f"torque = 1000.0                 # {_ASK}digits of 0x6071 at rated torque, if it is not per mille"
+    yield from _velocity(found)
+    speed = found.get(objects.MAX_MOTOR_SPEED)
+    if speed is not None:
+        yield f"# 0x6080 is {speed}: compare with the motor's maximum in rpm."
+    yield f'max_speed = "rpm"               # {_ASK}unit of 0x6080'
+
+
+def _velocity(found: Probe) -> Iterator[str]:
+    code = found.get(objects.VELOCITY_UNIT)
+    if code is None:
+        yield f"# {_ASK}there is no 0x60A9; the unit of 0x606C is in its manual, its name in drives/generic.toml"
+        yield 'velocity = "counts/s"'
+        return
+    known = {unit.si_code: unit for unit in VelocityUnit if unit.si_code is not None}
+    unit = known.get(code)
+    name = unit.value if unit is not None else "a unit that is not known here"
+    yield f"# 0x60A9 is 0x{code:08X}: {name}; finer is better near zero."
+    yield 'velocity = "mrpm"               # value for 0x60A9; coarser if startup reports that it is rejected'
+
+
+def _reactions(found: Probe) -> Iterator[str]:
+    yield '[reactions]                      # as found in the comments; 0 lets the motor coast, "keep" leaves it'
+    for entry, key in _REACTIONS:
+        value = found.get(entry)
+        if value is None:
+            yield f'{key} = "keep"'.ljust(32) + "# the drive has no such object"
+        else:
+            wanted = '"keep"' if key == "halt" or value not in _USUAL else "0"
+            yield f"{key} = {wanted}".ljust(32) + f"# {value} as found"
+
+
+def _clamp(found: Probe) -> Iterator[str]:
+    if found.has(objects.MAX_TORQUE):
+        return
+    yield ""
+    if found.get(objects.VENDOR_ID) == MAXON and found.has(CURRENT_LIMIT) and found.has(CURRENT_NOMINAL):
+        yield "[torque_clamp]                   # there is no 0x6072: the output current limit, mA"
+        yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "output current limit", "")
+        return
+    yield f"# {_ASK}there is no 0x6072: name the object that limits the torque, and the one that holds its value at"
+    yield "# rated torque (or that value itself: rated = ..., and zero = ... at none); without them this does not load."
+    yield "# [torque_clamp]"
+    yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "what it is", "# ")
+
+
+def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator[str]:
+    yield f"{mark}index = 0x{limit.index:04X}"
+    yield f"{mark}subindex = {limit.subindex}"
+    yield f"{mark}rated_index = 0x{rated.index:04X}"
+    yield f"{mark}rated_subindex = {rated.subindex}"
+    yield f'{mark}type = "u32"'
+    yield f'{mark}name = "{name}"'
+
+
+def _for_the_controller(found: Probe) -> Iterator[str]:
+    """Return the keys for [axis.drive]: as comments, as it is about this drive and its motor."""
+    yield "# For [axis.drive] of the controller's file:"
+    yield f"#   node_id = {found.node_id}"
+    if found.slot > 1:
+        yield f"#   slot = {found.slot}"
+    serial = found.get(objects.SERIAL_NUMBER)
+    if serial:
+        yield f"#   serial_number = {serial}"
+    rated, current = found.get(objects.RATED_TORQUE), found.get(objects.RATED_CURRENT)
+    if rated is not None:
+        unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
+        yield f"#   rated_torque = {rated * unit:g}  # N*m, if the unit above is right"
+    elif current is not None:
+        yield f"#   rated_torque = ...  # N*m: torque constant times the rated current, {current * 1e-3:g} A by 0x6075"
+    increments, turns = found.get(objects.ENCODER_INCREMENTS), found.get(objects.ENCODER_REVOLUTIONS)
+    if increments and turns:
+        yield f"#   counts_per_revolution = {increments // turns}  # 0x608F"
+    motor, shaft = found.get(objects.GEAR_MOTOR), found.get(objects.GEAR_SHAFT)
+    if motor and shaft and motor != shaft:
+        yield f"#   its own gear 0x6091 is {motor}:{shaft}; this controller wants positions and torques of the motor"
+    if found.get(objects.POLARITY):
+        yield f"#   its polarity 0x607E is 0x{found.get(objects.POLARITY):02X}: some signs are turned in the drive"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import replace
 from types import TracebackType
 
 import can
@@ -16,13 +17,11 @@ import canopen
 from canopen.sdo import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from tsa_ctrl.bus.canopen import cia301, emcy
-from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
-from tsa_ctrl.bus.canopen.emcy import Emcy
+from tsa_ctrl.bus.canopen import cia301, objects
+from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtCommand, NmtState
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.group import wire_of
-from tsa_ctrl.bus.wire.seam import REMOTE_FLAG, Bus, Frame
+from tsa_ctrl.bus.wire.bus import REMOTE_FLAG, Bus, Frame, wire_of
 from tsa_ctrl.errors import BusError, StoppedError
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
@@ -316,7 +315,7 @@ class Session:
             self._states.setdefault(node_id, []).append(state)
 
     def _on_emergency(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        found = emcy.decode(bytes(data))
+        found = cia301.decode(bytes(data))
         if found is not None and not found.is_reset:
             self._emcys.setdefault(can_id - cia301.EMCY, []).append(found)
 
@@ -343,3 +342,30 @@ def another_master(name: str, heard: Collection[int]) -> str:
         f"{name}: another master is active (heard its frames {frames}); nothing was sent: "
         "stop the other program, or give this one another bus"
     )
+
+
+def release_heartbeat(session: Session, node_id: int, host: int) -> None:
+    """Switch off the heartbeat consumer (0x1016) that names `host`, and life guarding (0x100D), and read both back.
+
+    While our heartbeat still goes on; raises BusError when the node does not answer or keeps watching.
+    """
+    for entry in _armed(session, node_id, host):
+        session.write(node_id, entry, 0)
+        found = session.read(node_id, entry)
+        if found:
+            raise BusError(
+                f"node {node_id}: {entry} stays {found:#x} although 0 was written; the drive will report "
+                "that we are gone: start with --reset-faults next time"
+            )
+
+
+def _armed(session: Session, node_id: int, host: int) -> list[objects.Object]:
+    armed = []
+    for number in range(1, (session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 0) + 1):
+        entry = replace(objects.HEARTBEAT_CONSUMER, subindex=number)
+        value = session.read_if_there(node_id, entry) or 0
+        if value >> 16 & 0x7F == host and value & 0xFFFF:
+            armed.append(entry)
+    if session.read_if_there(node_id, objects.LIFE_TIME_FACTOR):
+        armed.append(objects.LIFE_TIME_FACTOR)
+    return armed

@@ -10,8 +10,8 @@ from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
 from tsa_ctrl.bus.drive.checks import Row
+from tsa_ctrl.bus.drive.profile import PER_MILLE
 from tsa_ctrl.bus.drive.session import ABSENT, SdoRefusedError, Session
-from tsa_ctrl.bus.drive.torque_path import PER_MILLE
 from tsa_ctrl.errors import BusError
 
 _READ_ONLY = frozenset({0x06010000, 0x06010002})  # abort codes

@@ -6,17 +6,15 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tsa_ctrl.bus.canopen import cia301, emcy, objects, pdo
+from tsa_ctrl.bus.canopen import cia301, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.pdo import Pdo
-from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
-from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.torque_path import DriveScale, drive_scale, encoder_scale
+from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
+from tsa_ctrl.bus.drive.profile import DriveProfile, DriveScale, drive_scale, encoder_scale
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
-from tsa_ctrl.bus.wire.group import wire_of
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus, wire_of
 
 
 class PositionTracker:
@@ -199,7 +197,7 @@ class Guard:
 
     def emergency(self, data: bytes) -> None:
         health = self._health
-        found = emcy.decode(data)
+        found = cia301.decode(data)
         if found is None:
             health.malformed += 1
         elif found.code in health.told:

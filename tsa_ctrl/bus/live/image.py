@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from tsa_ctrl.bus.canopen.cia301 import NmtState
-from tsa_ctrl.bus.canopen.emcy import Emcy
+from tsa_ctrl.bus.canopen.cia301 import Emcy, NmtState
 from tsa_ctrl.bus.settings import Role
-from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.system.realtime import Overruns
 
 

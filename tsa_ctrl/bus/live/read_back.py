@@ -22,7 +22,7 @@ from tsa_ctrl.bus.canopen.cia301 import SDO_REQUEST
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.live.image import Image
-from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.bus import Bus
 
 # Commands by which an answer may exceed the drive's usual delay, because PDOs and SDO server are often separate tasks.
 # Two periods are harmless, and a drive that receives only every fifth command exceeds them half the time.

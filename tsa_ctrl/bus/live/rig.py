@@ -1,8 +1,8 @@
-"""The cyclic side of all axes: SYNC out, TPDOs in, RPDOs out. Nothing here allocates more than it must.
+"""Run the cyclic side of all axes: SYNC out, TPDOs in, RPDOs out, with as few allocations as possible.
 
 A cycle is `rig.sync()`, `rig.collect(deadline)`, then for each axis `axis.command(controlword, tau_m)`. A TPDO counts
-as fresh only when it came after this cycle's SYNC: what waited before that is late, what comes twice is repeated, and
-neither is believed.
+as fresh only if it arrives after this cycle's SYNC. An earlier TPDO is late, a second one is repeated, and neither is
+used. `check_startup` runs such cycles without any command before the first torque.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from tsa_ctrl.bus.canopen.objects import DIGITAL_INPUTS
 from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
+from tsa_ctrl.bus.live.image import NodeHealth
 from tsa_ctrl.bus.live.read_back import Heard, ReadBack, StopBit, StopInput, held_by
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
+from tsa_ctrl.bus.wire.bus import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
+from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Lead
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old and new answers cannot be distinguished
@@ -33,7 +35,7 @@ _HIGHEST_EMCY = cia301.EMCY + 127
 
 
 class Rig:
-    """All axes of one bus, or of several behind one seam (`bus.wire.group`).
+    """All axes of one bus, or of several as one (`bus.wire.bus.BusGroup`).
 
     `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
     the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
@@ -354,3 +356,46 @@ class Rig:
             return
         for axis in self.axes:
             axis.image.intruder = can_id
+
+
+_LEAST_ANSWERED = 0.8  # share of SYNCs that each node must answer before torque
+_MOST_PDOS = 4  # of a node in a cycle, the TPDOs of CiA 301's defaults: as many come late with one cycle
+_GONE = 3  # SYNCs at the end that a node did not answer
+
+
+def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
+    """SYNC at the period without any command: first cycles are slow ones, so none of them shall count in the loop.
+
+    Raises BusError for a node that does not answer 80 % of `cycles` SYNCs or none of the last three, or that answers
+    more than once, as two nodes of one id do.
+    """
+    nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
+    cycles += rig.longest_turn  # so that what comes seldom has had its turn
+    before = [(health.missed, health.repeated) for _, health in nodes]
+    begin = rig.wait(0.0)
+    for _ in range(cycles):
+        begin = rig.wait(begin + period)
+        rig.sync(begin)
+        rig.collect(begin + 0.8 * period)
+        rig.heartbeat(begin)
+    for (name, health), (missed, repeated) in zip(nodes, before, strict=True):
+        answered = cycles - (health.missed - missed)
+        if answered < _LEAST_ANSWERED * cycles or health.misses >= _GONE:
+            raise BusError(
+                f"axis '{name}' {health}: answered {answered} of {cycles} SYNCs in time "
+                f"(late {health.late}, wrong length {health.malformed}){_said(health)}"
+            )
+        more = health.repeated - repeated - _MOST_PDOS * (health.missed - missed)  # late ones come with the next
+        if more > (1.0 - _LEAST_ANSWERED) * cycles:
+            raise BusError(
+                f"axis '{name}' {health}: sent {more} more PDOs than {cycles} SYNCs asked for; "
+                f"another node may have the same id: give each its own (its switches, its maker's tool, or "
+                f"tsa drive set-node-id){_said(health, '')}"
+            )
+
+
+def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in [controller], and the cable") -> str:
+    """Return the emergencies that the node sent meanwhile."""
+    if health.emcy is None:
+        return otherwise
+    return f"; it sent {health.emcy}: remove the reported cause, power the node off and on, and start again"

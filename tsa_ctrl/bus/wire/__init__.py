@@ -1,1 +1,1 @@
-"""Frames on a bus, whatever carries them: the seam, its two sides, and the kernel's links. Knows nothing of CANopen."""
+"""CAN frames on any kind of bus: the interface of a bus, its implementations, and the links of the kernel."""

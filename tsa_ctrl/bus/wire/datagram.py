@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 
-from tsa_ctrl.bus.wire.seam import BusInProcess, Frame
+from tsa_ctrl.bus.wire.bus import BusInProcess, Frame
 from tsa_ctrl.bus.wire.socketcan import FRAME
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import sleep_until

@@ -1,4 +1,4 @@
-"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) behind the seam: adapters without SocketCAN."""
+"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) as a `Bus`: adapters without SocketCAN."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import can
 
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, EXTENDED_FLAG, FLUSH_LIMIT, REMOTE_FLAG, BusFault, BusInProcess, Frame
+from tsa_ctrl.bus.wire.bus import ERROR_FLAG, EXTENDED_FLAG, FLUSH_LIMIT, REMOTE_FLAG, BusFault, BusInProcess, Frame
 from tsa_ctrl.errors import BusError
 
 Option = str | int | float | bool

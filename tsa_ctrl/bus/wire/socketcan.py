@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable
 from select import select
 
-from tsa_ctrl.bus.wire.seam import FLUSH_LIMIT, BusFault, Counters, Frame
+from tsa_ctrl.bus.wire.bus import FLUSH_LIMIT, BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Alarm, sleep_until
 
