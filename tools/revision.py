@@ -1,7 +1,7 @@
 """Another revision of the package, in a worktree, with these tools: what a command is compared with.
 
 A module of the package may have moved since that revision. So each import of the copied tools is led to the module that
-defines the name there.
+defines the name there. A constant that the revision does not have yet is copied from here.
 """
 
 from __future__ import annotations
@@ -89,13 +89,27 @@ def _lead_imports(path: Path, defined: dict[str, set[str]]) -> None:
             continue
         wanted = {alias.name for alias in node.names}
         home = {alias.name: module for alias in node.names}
+        copied = {}
         for name in wanted - defined.get(module, set()):
             places = [other for other, names in defined.items() if name in names]
             home[name] = max(places, key=lambda other: len(wanted & defined[other]), default=module)
+            if not places and (value := _constant(module, name)) is not None:
+                copied[name] = value
         words = (
-            f"from {home[one.name]} import {one.name}" + (f" as {one.asname}" if one.asname else "")
+            f"{one.asname or one.name} = {copied[one.name]}"
+            if one.name in copied
+            else f"from {home[one.name]} import {one.name}" + (f" as {one.asname}" if one.asname else "")
             for one in node.names
         )
         indent = " " * node.col_offset
         lines[node.lineno - 1 : node.end_lineno] = [f"{indent}{line}\n" for line in words]
     path.write_text("".join(lines), encoding="utf-8")
+
+
+def _constant(module: str, name: str) -> str | None:
+    """Return the literal that a module of this revision assigns to a name, as source text; None if there is none."""
+    path = command.ROOT / Path(*module.split(".")).with_suffix(".py")
+    for node in ast.parse(path.read_text(encoding="utf-8")).body if path.is_file() else ():
+        if isinstance(node, ast.Assign) and any(isinstance(at, ast.Name) and at.id == name for at in node.targets):
+            return ast.unparse(node.value) if isinstance(node.value, ast.Constant) else None
+    return None

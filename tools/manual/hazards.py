@@ -1,4 +1,4 @@
-"""The table of hazards, from the campaign in virtual time, its catalogue, and the table of causes with their cures."""
+"""The table of hazards, from the campaign in virtual time and its catalogue."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tools.campaign.phase import plan
 from tools.campaign.phase.catalogue import HAZARDS, Hazard
 from tools.campaign.phase.results import KEPT
 from tools.campaign.phase.rigs import LIMIT
-from tsa_ctrl.safety.causes import REMEDIES, Cause
+from tsa_ctrl.safety.causes import Cause
 
 HEAD = (
     "hazard", "cause", "detected as", "reaction", "torque zero after, median (worst)",
@@ -23,7 +23,7 @@ HARDWARE = (
 )
 WHOLE = len(HAZARDS) * len(plan.PHASES) * plan.MOMENTS  # trials of the campaign
 PAIRS = plan.PAIRS
-STOPS = "latched: torque 0, drive off"
+STOPS = "latched"
 
 
 def load() -> dict[str, Any]:
@@ -50,15 +50,12 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
     else:
         reaction = STOPS
     detected = "; ".join(row["causes"]) or "-"
-    mend = REMEDIES.get(row["cause_ids"][0], "") if row["causes"] else ""
     zero = "-"
     if row["zero_worst"] is not None:
         zero = f"{1e3 * row['zero_median']:.0f} ms ({1e3 * row['zero_worst']:.0f} ms)"
     worst = f"{row['speed']:.1f}, {row['travel']:.2f}, {row['energy']:.2f}"
     unsafe = "".join(f"; {count} unsafe while {phase}" for phase, count in row["unsafe"].items())
     residual = "; ".join(words for words in (hazard.residual, _open(hazard, row)) if words) or "-"
-    if mend:
-        reaction = f"{reaction}; then: {mend}"
     counted = f"{row['safe']}/{row['trials']}{unsafe}"
     return hazard.hazard, hazard.name, detected, reaction, zero, worst, residual, counted
 
