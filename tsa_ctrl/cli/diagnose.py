@@ -153,8 +153,7 @@ def _diagnose(
     import tsa_ctrl.system.lazy_imports  # noqa: F401 (before all that imports scipy)
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
-    from tsa_ctrl.identify.diagnosis.report.beside import drawing
-    from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
+    from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, drawing, write
     from tsa_ctrl.model.parameters import load_model
 
     give_back_large()

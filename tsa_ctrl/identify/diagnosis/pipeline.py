@@ -11,9 +11,8 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.audit import audit
 from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
 from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
-from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
+from tsa_ctrl.identify.diagnosis.data.prepare import Logs, left_out, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
-from tsa_ctrl.identify.diagnosis.data.thinning import left_out
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.parameters.claims import claims

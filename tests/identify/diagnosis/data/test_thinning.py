@@ -13,7 +13,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import diagnose
 from tsa_ctrl.identify.diagnosis.data import prepare
-from tsa_ctrl.identify.diagnosis.data.thinning import informative
+from tsa_ctrl.identify.diagnosis.data.prepare import informative
 from tsa_ctrl.model.parameters import RigidDrive
 
 SECONDS, RATE = 20.0, 50.0

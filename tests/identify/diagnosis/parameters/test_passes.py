@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from tsa_ctrl.identify.diagnosis.parameters.passes import ANGLES, VELOCITIES, states, widened
+from tsa_ctrl.identify.diagnosis.parameters.refit import ANGLES, VELOCITIES, states, widened
 
 Array = NDArray[np.float64]
 RATE, CYCLES = 125.0, 16

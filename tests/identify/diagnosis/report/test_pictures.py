@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from tests.blind import case
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report import pictures
-from tsa_ctrl.identify.diagnosis.report.beside import drawing
-from tsa_ctrl.identify.diagnosis.report.page import drawn_here
+from tsa_ctrl.identify.diagnosis.report.page import drawing, drawn_here
 from tsa_ctrl.identify.diagnosis.report.pictures import _span
 from tsa_ctrl.model.parameters import model_from
 
@@ -59,7 +58,7 @@ def test_no_text_is_cut_off_and_none_lies_over_other_axes(
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         drawn_here(shown(family, name), tmp_path)
-        assert len(figures) == 7
+        assert len(figures) == 8
         for file, figure in figures.items():
             width, height = figure.get_size_inches()
             box = figure.get_tightbbox()
@@ -82,7 +81,7 @@ def test_pictures_drawn_by_other_processes_are_those_drawn_here(tmp_path: Path) 
         with drawing() as plot:
             beside = plot(result, folders[1])
         gone = plot(result, folders[2])
-    assert len(here) == 7
+    assert len(here) == 8
     assert list(here) == list(beside) == list(gone)
     for paths in zip(here.values(), beside.values(), gone.values(), strict=True):
         assert len({path.read_bytes() for path in paths}) == 1

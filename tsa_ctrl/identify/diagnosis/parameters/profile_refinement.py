@@ -4,7 +4,7 @@ Along them a prediction jumps at every reversal, so a gradient says neither wher
 and the columns that free each reversal's own moment take out the very pulses that tell it. So without these columns
 the sum of squares is followed along the coordinate, block by block, everything else solved for linearly; blocks drawn
 with replacement then spread the best value (a block bootstrap, Efron and Tibshirani 1993); where structure is left,
-states of motion are drawn as well, and the wider spread counts (`passes`).
+states of motion are drawn as well, and the wider spread counts (`refit`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
-from tsa_ctrl.identify.diagnosis.parameters.passes import states_of
-from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, states_of
 from tsa_ctrl.model.functions import Array
 
 POINTS = 41  # of a profile: steps of a twentieth of its half, between which a parabola places the lowest point

@@ -35,7 +35,8 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         Cause(
             effect=group.name,
             alternatives=tuple(rival.name for rival in group.alternatives),
-            probability=group.probability,
+            probability=group.probabilities[group.name],
+            others={rival.name: group.probabilities[rival.name] for rival in group.alternatives},
             parameters=parameters[group.name],
             explained_fraction=errors.lost[index],
             rivals={rival.name: rival.fitted.hypothesis.model(rival.fitted.point) for rival in group.alternatives},

@@ -6,10 +6,15 @@ The page is one file that opens without a network; all that it says in numbers s
 from __future__ import annotations
 
 import base64
+import contextlib
+import os
 import shutil
 import tempfile
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +23,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import four_lines, listed, remarks, spoken, summary_of, told_torque
+from tsa_ctrl.identify.diagnosis.report.words import (
+    captions,
+    four_lines,
+    listed,
+    remarks,
+    spoken,
+    summary_of,
+    told_torque,
+)
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.model.parameters import save_model
@@ -93,12 +106,14 @@ def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = N
     environment.filters.update(
         spoken=spoken, listed=listed, torque=told_torque, percent=_percent, number=_number, spelled=spelled
     )
+    images = [(caption, base64.b64encode(path.read_bytes()).decode("ascii")) for caption, path in pictures.items()]
     return environment.get_template("report.html.j2").render(
         result=result,
         data=result.to_dict(),
         verdict=WORDS[result.verdict],
         causes=[_cause(cause.effect, cause.parameters) for cause in result.causes],
-        pictures={caption: base64.b64encode(path.read_bytes()).decode("ascii") for caption, path in pictures.items()},
+        first=dict(images[:1]),
+        pictures=dict(images[1:]),
         details=result.details,
         experiment_file=EXPERIMENT if result.experiment.t else "",
         lines=four_lines(result),
@@ -144,3 +159,43 @@ def _percent(value: float | None) -> str:
 
 def _number(value: float) -> str:
     return f"{value:.4g}"
+
+
+# Draw the pictures in other processes, which load the drawing code while the search for causes runs. Loading and
+# drawing takes about a tenth of the search.
+
+PICTURES = "tsa_ctrl.identify.diagnosis.report.pictures"
+PROCESSES = 2  # beside the search, which is done when they draw: seven pictures of which three take most of the time
+
+
+@contextlib.contextmanager
+def drawing() -> Iterator[Plot]:
+    """Pictures as `pictures.plot` draws them, by other processes; by this one where it may use one core only."""
+    if len(os.sched_getaffinity(0)) < 2:
+        yield drawn_here
+        return
+    from tsa_ctrl.identify.fleet.executors import local  # its package imports this module
+
+    with local(PROCESSES, PICTURES) as workers:
+        # A first job starts what loads the pictures' code, and is taken only once that is loaded: a thread waits for it
+        threading.Thread(target=_begin, args=(workers.executor,), daemon=True).start()
+        yield partial(_plot_by, workers.executor)
+
+
+def _begin(executor: Executor) -> None:
+    with contextlib.suppress(RuntimeError, OSError):  # the pictures will meet it again, and are drawn here then
+        executor.submit(os.getpid)
+
+
+def _plot_by(executor: Executor, result: Diagnosis, folder: Path) -> dict[str, Path]:
+    try:
+        made = {caption: executor.submit(_draw, result, name, folder) for name, caption in captions(result).items()}
+        return {caption: path.result() for caption, path in made.items()}
+    except (RuntimeError, OSError):  # they are gone, for want of memory maybe: it only takes longer
+        return drawn_here(result, folder)
+
+
+def _draw(result: Diagnosis, name: str, folder: Path) -> Path:
+    from tsa_ctrl.identify.diagnosis.report.pictures import draw
+
+    return draw(result, name, folder)

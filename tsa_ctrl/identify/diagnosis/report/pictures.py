@@ -30,6 +30,7 @@ DOTS = 4000  # at most, of a scatter
 RANKED = 12  # lines that can still be read
 MEASURED, GIVEN, CALIBRATED, EXTENDED = "black", "tab:red", "tab:orange", "tab:blue"
 DESCRIBED = "tab:green"
+DIRECTIONS = ((1.0, "tab:green"), (-1.0, "tab:purple"))  # sigma, and the colour of its curves
 
 Draw = Callable[[Diagnosis, Details], Figure]
 
@@ -42,6 +43,7 @@ def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
 def draw(result: Diagnosis, name: str, folder: Path) -> Path:
     """Write one of the pictures that a result has, by its name."""
     makes: dict[str, Draw] = {
+        "load.png": _load,
         "worst.png": _worst,
         "staircase.png": _staircase,
         "ranking.png": _ranking,
@@ -85,6 +87,30 @@ def _figure(
         each.grid(alpha=0.25)
         each.spines[["top", "right"]].set_visible(False)
     return figure, axes
+
+
+def _load(result: Diagnosis, details: Details) -> Figure:
+    """Draw the error of the nominal and of the best model against the motor torque, for each direction of motion."""
+    load, direction = _joined(details, lambda c: c.tau_m), _joined(details, lambda c: c.sigma)
+    name = "extended" if result.of_torque else "recalibrated"
+    nominal = _joined(details, lambda c: c.measured - c.as_given)
+    best = _joined(details, lambda c: c.measured - (c.extended if result.of_torque else c.recalibrated))
+    factor, unit = torque_scale(result.rms)
+    figure, (axes,) = _figure(1, 1, 3.2, top=RIGHT)
+    step = max(1, len(load) // DOTS)
+    for sign, colour in DIRECTIONS:
+        there = direction == sign
+        axes.plot(load[there][::step], factor * nominal[there][::step], ".", ms=1.5, color=colour, alpha=0.25)
+        for error, model, style in ((nominal, "nominal", "-"), (best, name, "--")):
+            binned = _binned(load[there], factor * error[there])
+            axes.plot(*binned, style, color=colour, lw=1.6, label=f"{model}, σ = {sign:+.0f}")
+    band = 2.0 * factor * details.noise
+    axes.axhspan(-band, band, color="grey", alpha=0.25, lw=0, label="noise, 2 sigma")
+    axes.set_ylim(_span(factor * nominal))
+    axes.set_xlabel("motor torque (N·m)")
+    axes.set_ylabel(f"error ({unit})")
+    axes.legend(fontsize=7, ncols=3)
+    return figure
 
 
 def _worst(result: Diagnosis, details: Details) -> Figure:
@@ -185,7 +211,6 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     factor, unit = torque_scale(result.rms)
     signals = [
         ("joint velocity (rad/s)", _joined(details, lambda c: c.omega)),
-        ("motor torque (N·m)", _joined(details, lambda c: c.tau_m)),
         ("angle (rad)", _joined(details, lambda c: c.angle)),
         ("time, logs in sequence (s)", np.arange(len(error)) * details.period),
     ]
@@ -198,7 +223,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     span = _span(factor * error)
     for each, (name, signal) in zip(axes, signals, strict=False):
         each.plot(signal[::step], factor * error[::step], ".", ms=1.5, color="lightgrey")
-        for sign, colour in ((1.0, "tab:green"), (-1.0, "tab:purple")):
+        for sign, colour in DIRECTIONS:
             there = direction == sign
             each.plot(
                 *_binned(signal[there], factor * error[there]),

@@ -41,7 +41,8 @@ class Cause:
 
     `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
     lost without it. `parameters`: numbers with intervals (infinite where these logs leave all open that is allowed),
-    choices as words. `rivals`: the model with each alternative in its place, fitted to the same logs.
+    choices as words. `rivals`: the model with each alternative in its place, fitted to the same logs. `others`: the
+    probability of each alternative, estimated from these logs alone.
     """
 
     effect: str
@@ -50,6 +51,7 @@ class Cause:
     parameters: Mapping[str, Quantity | str]
     explained_fraction: float
     rivals: Mapping[str, Model] = field(default_factory=dict, compare=False, repr=False)
+    others: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,7 @@ class Diagnosis(Displayed):
                     "effect": cause.effect,
                     "alternatives": list(cause.alternatives),
                     "probability": _rounded(cause.probability),
+                    "alternative_probabilities": {name: _rounded(value) for name, value in cause.others.items()},
                     "parameters": {name: _plain(value) for name, value in cause.parameters.items()},
                     "explained_fraction": _rounded(cause.explained_fraction),
                 }

@@ -275,14 +275,21 @@ def captions(result: Diagnosis) -> dict[str, str]:
     if result.details is None:
         return {}
     return {
+        "load.png": f"Error against load, by direction of motion: {_fallen(result)}",
         "worst.png": "Measured and simulated torque in the segments with the largest error",
         "staircase.png": _fall(result),
         "ranking.png": _ranked(result),
-        "residual.png": "Residual against velocity, torque, angle, time and temperature",
+        "residual.png": "Residual against velocity, angle, time and temperature",
         "reversals.png": "Residual after friction reversals, against time and displacement",
         "autocorrelation.png": "Autocorrelation of the whitened residual",
         "occupancy.png": "Operating range of the logs: share of the samples by velocity and torque",
     }
+
+
+def _fallen(result: Diagnosis) -> str:
+    """Return the errors of the nominal and of the written model while sliding."""
+    name = "extended" if result.causes else "recalibrated"
+    return f"{told_torque(result.rms.as_given)} nominal, {told_torque(result.errors.sliding)} {name} while sliding"
 
 
 def _fall(result: Diagnosis) -> str:

@@ -68,10 +68,15 @@ class Rival:
             return True
         return self.worse > BY_NOISE + self.tolerance and not self.within_structure
 
+    @property
+    def weight(self) -> float:
+        """Return the likelihood relative to the named cause, by the same evidence that decides `excluded`."""
+        return 1.0 if self.within_structure else float(np.exp(-0.5 * max(self.worse - self.tolerance, 0.0)))
+
 
 @dataclass(frozen=True)
 class Group:
-    """A cause with what it was compared to, best rival first; `probability` is that of the cause within its group."""
+    """A cause with the effects that it was compared to, best first."""
 
     name: str
     rivals: tuple[Rival, ...]
@@ -81,9 +86,11 @@ class Group:
         return tuple(rival for rival in self.rivals if not rival.excluded)
 
     @property
-    def probability(self) -> float:
-        weights = [np.exp(-0.5 * max(rival.worse, 0.0)) for rival in self.alternatives]
-        return float(1.0 / (1.0 + sum(weights)))
+    def probabilities(self) -> dict[str, float]:
+        """Return the probability of the cause and of each alternative within the group."""
+        weights = {self.name: 1.0} | {rival.name: rival.weight for rival in self.alternatives}
+        total = sum(weights.values())
+        return {name: weight / total for name, weight in weights.items()}
 
 
 def groups(problem: Problem, fitted: Fit, catalogue: Catalogue, structure: ErrorCriterion | None = None) -> list[Group]:
