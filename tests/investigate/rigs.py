@@ -1,7 +1,8 @@
 """Simulated rigs with a hidden cause, on which an investigation moves the joint itself.
 
 The plant computes the hidden effects independently of the models of the diagnosis. A third of the causes are formulas
-outside the catalogue. On some rigs no motion separates the causes.
+outside the catalogue. On some rigs no motion separates the causes. The rigs are single joints, the knee of a leg whose
+other joints move as well, and drives with a gear.
 """
 
 from __future__ import annotations
@@ -11,19 +12,31 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import tomlkit
 
+from tests.blind import geared, sensors
+from tests.blind.motion import Motion
+from tsa_ctrl import settings
+from tsa_ctrl.cli.init import leg
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.example import MOTION
 from tsa_ctrl.demo.rig import VIRTUAL, Play
-from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import GearedDrive, save_model
+from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 Effects = dict[str, dict[str, Any]]
 
 RATE = 500.0  # Hz of the loop
 ELASTIC = 0.01  # rad, in which the friction of stiff tendons turns over
+LEG, KNEE, GEARED = "leg", "knee", "geared"
+ROUTED = "routing_by_joint"
+DRIVE = geared.Drive(ratio=9.0, efficiency=0.85, coulomb=0.6, viscous=0.15)
+FINE = 8  # steps of the simulated gear in one sample
+GEAR_NOISE = 0.01  # N*m RMS of the joint torque sensor
 
 
 @dataclass(frozen=True)
@@ -102,6 +115,7 @@ OUTSIDE = {
     "cubic spring": "2.0*q_j**3",
     "a slow second lag": "0.6*(tau - lag(tau, 0.4))",
 }
+SWINGS = {"gain that swings with the angle": "0.15*tau*sin(9*q_j)", "cubic spring": "6.0*q_j**3"}  # of a gear
 INSIDE = (
     ("viscous_friction", "imposed"),
     ("direction_asymmetric_friction", "imposed"),
@@ -134,6 +148,18 @@ def rigs(seed: int) -> list[Rig]:
     for name, expression in OUTSIDE.items():
         formula: Effects = {"custom": {"expression": expression, "stage": "joint"}}
         out.append(Rig(f"outside: {name}", "imposed", formula, inside=False))
+    for name in ("", ROUTED, "torque_offset"):
+        effects: Effects = {ROUTED: {}} if name == ROUTED else _draw(name, _generator(name + LEG, seed)) if name else {}
+        out.append(Rig(f"{name or 'healthy'}, leg", LEG, effects))
+    for name in ("", "torque_saturation", "torque_sensor_lag", "gravity_load"):
+        out.append(Rig(f"{name or 'healthy'}, geared", GEARED, _of_the_gear(name, _generator(name + GEARED, seed))))
+    for name, expression in SWINGS.items():
+        formula = {"custom": {"expression": expression}}
+        out.append(Rig(f"outside: {name}, geared", GEARED, formula, inside=False))
+    short = _of_the_gear("gravity_load", _generator("short gear", seed))
+    out.append(
+        Rig("weight on a short stroke, geared", GEARED, short, alike=("joint_stiffness", "torque_offset"), reach=0.12)
+    )
     weight = _draw("gravity_load", _generator("short", seed))
     out.append(
         Rig("weight on a short stroke", "imposed", weight, alike=("joint_stiffness", "torque_offset"), reach=0.12)
@@ -149,6 +175,8 @@ def _generator(name: str, seed: int) -> np.random.Generator:
 def write(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
     """Write the files of the rig, and return the paths of controller and plant."""
     folder.mkdir(parents=True, exist_ok=True)
+    if hidden.load == LEG:
+        return _write_leg(folder, hidden, seed)
     rng = _generator("factors", seed)
     axis: Mapping[str, Mapping[str, Any]] = {
         "effects": hidden.effects,
@@ -174,3 +202,87 @@ def write(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
         folder / "nominal.toml",
     )
     return folder / "controller-rig.toml", folder / "plant.toml"
+
+
+def _write_leg(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
+    """Write the leg of `tsa init --leg`; the file of the knee lacks the routing if that is the hidden cause."""
+    for files in leg():
+        for name, text in files.items():
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text, encoding="utf-8")
+    rng = _generator("factors", seed)
+    controller, plant = (tomlkit.parse((folder / f"{name}.toml").read_text()) for name in ("controller", "plant"))
+    for axis in plant["axis"]:  # type: ignore[union-attr]
+        if axis["name"] == KNEE:
+            factors = {name: float(rng.uniform(0.85, 1.2)) for name in ("friction_coefficient", "pretension")}
+            axis["perturbation"].update(factors)
+            axis["effects"] = {name: effect for name, effect in hidden.effects.items() if name != ROUTED}
+        axis["tendon"]["kind"] = "full"
+    if ROUTED in hidden.effects:
+        file = tomlkit.parse((folder / f"{KNEE}.toml").read_text())
+        del file["routing"]
+        settings.write_text(folder / "nominal.toml", tomlkit.dumps(file))
+        for axis in controller["axis"]:  # type: ignore[union-attr]
+            if axis["name"] == KNEE:
+                axis["model"] = "nominal.toml"
+    settings.write_text(folder / "controller.toml", tomlkit.dumps(controller))
+    settings.write_text(folder / "plant.toml", tomlkit.dumps(plant))
+    return folder / "controller.toml", folder / "plant.toml"
+
+
+def _of_the_gear(name: str, rng: np.random.Generator) -> Effects:
+    """A hidden effect of the simulated gear; torques at the joint reach 6 N*m, those of the motor 0.7 N*m."""
+    table: dict[str, dict[str, Any]] = {
+        "torque_saturation": {"limit": float(rng.uniform(0.35, 0.5))},
+        "torque_sensor_lag": {"time_constant": float(rng.uniform(0.03, 0.08))},
+        "gravity_load": {"amplitude": float(rng.uniform(0.8, 1.5)), "phase": float(rng.uniform(-0.5, 0.5))},
+    }
+    return {name: table[name]} if name else {}
+
+
+@dataclass
+class Gear:
+    """Play set-points on a simulated gear, whose joint is moved from outside."""
+
+    hidden: Rig
+    seed: int
+
+    bounds: ClassVar[Bounds] = Bounds(torque=6.0, speed=8.0)
+
+    @property
+    def nominal(self) -> GearedDrive:
+        """The file of the rig, whose numbers differ from the true ones by up to a fifth."""
+        rng = _generator("gear", self.seed)
+        efficiency, coulomb, viscous = (
+            value * float(rng.uniform(0.85, 1.15)) for value in (DRIVE.efficiency, DRIVE.coulomb, DRIVE.viscous)
+        )
+        return GearedDrive(DRIVE.ratio, efficiency, coulomb, viscous)
+
+    def play(self, name: str, wave: Waveform) -> tuple[list[Dataset], Path]:
+        """Return the log of one set-point, and a folder that is not written."""
+        rng = _generator(f"{self.hidden.name}/{name}", self.seed)
+        period = 1.0 / RATE
+        t = np.arange(0.0, wave.seconds, period / FINE)
+        angle, speed, rate = (
+            self.hidden.reach * np.sum([a * (2.0 * np.pi * f) ** n * wave_of(2.0 * np.pi * f * t)
+                                        for f, a in MOTION], axis=0)
+            for n, wave_of in enumerate((np.sin, np.cos, lambda x: -np.sin(x)))
+        )  # fmt: skip
+        motion = Motion(t, angle, speed, rate, ("sine",), float(np.abs(speed).max()))
+        tau_m = np.interp(t, wave.t, wave.tau_j_des) / DRIVE.ratio
+        catalogued = {name: effect for name, effect in self.hidden.effects.items() if name != "custom"}
+        tau_j = geared.torque(DRIVE, motion, tau_m, catalogued)
+        if "custom" in self.hidden.effects:
+            tau, q = tau_j, angle
+            tau_j = tau_j - (0.15 * tau * np.sin(9.0 * q) if "sin" in str(self.hidden.effects) else 6.0 * q**3)
+        kept = slice(None, None, FINE)
+        count = t[kept].size
+        noise = GEAR_NOISE * sensors.coloured_noise(rng, count, RATE)
+        columns = {
+            "t": t[kept],
+            "tau_m": tau_m[kept] + 2e-3 * rng.standard_normal(count),
+            "tau_j": tau_j[kept] + noise,
+            "q_j": sensors.quantised(angle[kept], 2.0 * np.pi / 2**20),
+            "omega_j": speed[kept] + 2e-3 * rng.standard_normal(count),
+        }
+        return [Dataset.from_arrays(columns, name)], Path(name)

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -106,7 +107,8 @@ def command(
         shutil.copyfile(own / MODEL, folder / MODEL)  # the last motion replaces it
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
-        play = on_the_rig(session.runner, folder, session.path)
+        # The angle of any other joint may bend the sheath.
+        play = on_the_rig(partial(session.runner, all_axes=True), folder, session.path)
         found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
     page = write_report(found, folder)
     if as_json:

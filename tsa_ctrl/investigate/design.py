@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.investigate.response import Joint, Motion
+from tsa_ctrl.investigate.response import Joint, JointModel, Motion, gear_of
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -54,8 +54,8 @@ class Pair:
     """Hold two hypotheses, as models, that the present logs do not separate."""
 
     names: tuple[str, str]
-    leading: TendonSheath
-    rival: TendonSheath
+    leading: JointModel
+    rival: JointModel
 
 
 @dataclass(frozen=True)
@@ -208,12 +208,18 @@ def _coverage(motion: Motion) -> float:
     return float(-np.sum(shares * np.log(shares))) + 0.1 * math.log(float(np.std(motion.omega_j)) + 1e-9)
 
 
-def variations(model: TendonSheath) -> list[TendonSheath]:
+def variations(model: JointModel) -> list[JointModel]:
     """Return the model with one parameter slightly increased, for each parameter of the base model and the effects."""
-    out = [
-        model.recalibrated(friction_angle=model.friction_angle * math.exp(CHANGE)),
-        model.recalibrated(pretension=model.pretension * math.exp(CHANGE)),
-    ]
+    out: list[JointModel]
+    if isinstance(model, TendonSheath):
+        out = [
+            model.recalibrated(friction_angle=model.friction_angle * math.exp(CHANGE)),
+            model.recalibrated(pretension=model.pretension * math.exp(CHANGE)),
+        ]
+    else:
+        base = {name: getattr(model, name) for name in ("efficiency", "coulomb_friction", "viscous_friction")}
+        changed = {name: value * (1.0 - CHANGE) for name, value in base.items() if value}  # efficiency is at most 1
+        out = [dataclasses.replace(model, **{name: value}) for name, value in changed.items()]
     for name, parameters in model.effects.items():
         for key, value in parameters.items():
             parameter = CATALOGUE[name].parameter(key)
@@ -236,10 +242,10 @@ def _left(difference: Array, gradients: Array) -> float:
     return float(rest @ rest)
 
 
-def _signals(motion: Motion, model: TendonSheath, like: Signals) -> Signals:
+def _signals(motion: Motion, model: JointModel, like: Signals) -> Signals:
     """Return the predicted motion as a log with the columns of `like`."""
     columns: dict[str, Array] = {"t": motion.t, "tau_m": motion.tau_m, "omega_j": motion.omega_j}
-    gear = model.joint_pulley_radius / model.motor_pulley_radius
+    gear = gear_of(model)
     optional: Mapping[str, Callable[[], Array]] = {
         "q_j": lambda: motion.q_j,
         "q_m": lambda: gear * motion.q_j,
@@ -250,13 +256,7 @@ def _signals(motion: Motion, model: TendonSheath, like: Signals) -> Signals:
         ),
     }
     columns |= {name: make() for name, make in optional.items() if getattr(like, name) is not None}
-    joints = {name: np.full_like(motion.t, float(angle[-1])) for name, angle in like.joints.items()}
-    return Signals(**columns, joints=joints)
-
-
-def _held(motion: Motion, column: Array | None) -> Array:
-    """Return the last value of a column for the whole motion."""
-    return np.full_like(motion.t, math.nan if column is None else float(column[-1]))
+    return Signals(**columns, joints={name: motion.joints[name] for name in like.joints})
 
 
 def _thinned(signals: Signals, every: float) -> Signals:

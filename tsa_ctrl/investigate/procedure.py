@@ -18,9 +18,9 @@ from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.diagnosis.report.words import four_lines
 from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE
 from tsa_ctrl.investigate.design import SECONDS, Designer, Experiment, Pair
-from tsa_ctrl.investigate.response import Joint
+from tsa_ctrl.investigate.response import Joint, JointModel
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR
-from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.parameters import RigidDrive
 from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Waveform, probe, response
 from tsa_ctrl.tune.run import RigRunner, longest
 
@@ -84,7 +84,7 @@ class Investigation:
 
 def investigate(
     play: Play,
-    model: TendonSheath,
+    model: JointModel,
     bounds: Bounds,
     most: int,
     seed: int = 0,
@@ -109,7 +109,7 @@ class _Investigator:
     def __init__(
         self,
         play: Play,
-        model: TendonSheath,
+        model: JointModel,
         bounds: Bounds,
         most: int,
         seed: int,
@@ -222,8 +222,8 @@ class _Investigator:
 
     def _designer(self, result: Diagnosis) -> Designer:
         noise = result.rms.extended or result.rms.recalibrated or 1.0
-        model = result.model if isinstance(result.model, TendonSheath) else self._model
-        joint = Joint.of(self._logs, model)
+        assert not isinstance(result.model, RigidDrive)  # it is of the kind of self._model
+        joint = Joint.of(self._logs, result.model)
         return Designer(joint, self._bounds, self._logs, noise, self._seed + self._motions + 1, self._seconds)
 
     def _ended(self, answer: Answer, statement: str) -> Investigation:
@@ -244,12 +244,12 @@ def unexplained_while_sliding(result: Diagnosis) -> bool:
 
 def open_pairs(result: Diagnosis) -> list[Pair]:
     """Return each cause with each remaining alternative, as models; base parameters are left to calibration."""
-    assert isinstance(result.model, TendonSheath)
+    assert not isinstance(result.model, RigidDrive)
     return [
         Pair((cause.effect, name), result.model, rival)
         for cause in result.of_torque
         for name, rival in cause.rivals.items()
-        if isinstance(rival, TendonSheath) and name != PARAMETER_ERROR
+        if not isinstance(rival, RigidDrive) and name != PARAMETER_ERROR
     ]
 
 

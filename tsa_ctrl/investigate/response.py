@@ -8,19 +8,20 @@ A joint that something else moves repeats its recorded motion, whatever the torq
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.parameters import GearedDrive, TendonSheath
 from tsa_ctrl.model.signals import low_pass
-from tsa_ctrl.model.steady_sliding import sliding
+from tsa_ctrl.model.steady_sliding import Sliding, sliding
 from tsa_ctrl.tune.excitation import MOVED_BY_TORQUE, Waveform, response
 
 Array = NDArray[np.float64]
+JointModel = TendonSheath | GearedDrive  # that predicts a joint torque
 
 BAND = 8.0  # Hz, in which the equation of motion is fitted: joints move below 5 Hz, and noise of derivatives is above
 SLIDES = 0.02  # rad/s over which the friction of the prediction turns: a step would chatter at STEP
@@ -30,24 +31,41 @@ FASTEST = 60.0  # rad/s at which a prediction ends that has run away
 
 @dataclass(frozen=True)
 class Motion:
-    """Hold a predicted motion with period STEP: t (s), tau_m (N*m), q_j (rad) and omega_j (rad/s), (n,) each."""
+    """Hold a predicted motion with period STEP: t (s), tau_m (N*m), q_j (rad) and omega_j (rad/s), (n,) each.
+
+    `joints`: angles (n,) of other joints in rad by name.
+    """
 
     t: Array
     tau_m: Array
     q_j: Array
     omega_j: Array
+    joints: Mapping[str, Array] = field(default_factory=dict)
+
+
+def gear_of(model: JointModel) -> float:
+    """Return the turns of the motor for one turn of the joint."""
+    return model.ratio if isinstance(model, GearedDrive) else model.joint_pulley_radius / model.motor_pulley_radius
+
+
+def _line(model: JointModel) -> Sliding:
+    """Return slope and half loop of the transmission; of a gear, the mean slope of both directions of power."""
+    if isinstance(model, TendonSheath):
+        return sliding(model)
+    efficiency = 1.0 if model.efficiency is None else model.efficiency
+    return Sliding(0.5 * model.ratio * (efficiency + 1.0 / efficiency), model.coulomb_friction or 0.0)
 
 
 @dataclass(frozen=True)
 class Joint:
     """Predict one joint. `terms`: factors of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None: moved from outside."""
 
-    model: TendonSheath
+    model: JointModel
     terms: tuple[float, ...] | None
     recorded: Dataset
 
     @classmethod
-    def of(cls, logs: Sequence[Dataset], model: TendonSheath) -> Joint:
+    def of(cls, logs: Sequence[Dataset], model: JointModel) -> Joint:
         """Fit the joint's equation of motion to the logs."""
         longest = max(logs, key=lambda log: log.seconds)
         if max(response(log).by_torque for log in logs) < MOVED_BY_TORQUE:
@@ -75,11 +93,10 @@ class Joint:
         """Return the motion under a desired joint torque, without compensation of friction."""
         t = np.arange(0.0, wave.seconds, STEP)
         wanted = np.interp(t, wave.t, wave.tau_j_des)
-        gear = self.model.joint_pulley_radius / self.model.motor_pulley_radius
-        tau_m = wanted / gear
+        tau_m = wanted / gear_of(self.model)
         if self.terms is None:
             return self._repeated(t, tau_m)
-        line = sliding(self.model)
+        line = _line(self.model)
         driving = (line.slope * tau_m).tolist()
         a, b, k, s, c, d = self.terms
         q, omega = float(np.median(_angle(self.recorded))), 0.0
@@ -95,13 +112,20 @@ class Joint:
             q += STEP * omega
             angles.append(q)
             speeds.append(omega)
-        return Motion(t, tau_m, np.array(angles), np.array(speeds))
+        return Motion(t, tau_m, np.array(angles), np.array(speeds), self._joints(t))
 
     def _repeated(self, t: Array, tau_m: Array) -> Motion:
         log = self.recorded
-        own = log["t"] - log["t"][0]
-        there = np.mod(t, own[-1])
-        return Motion(t, tau_m, np.interp(there, own, _angle(log)), np.interp(there, own, log["omega_j"]))
+        angle, speed = (self._again(t, column) for column in (_angle(log), log["omega_j"]))
+        return Motion(t, tau_m, angle, speed, self._joints(t))
+
+    def _joints(self, t: Array) -> dict[str, Array]:
+        """Return the recorded angles of other joints, repeated: this motor does not move them."""
+        return {name: self._again(t, angle) for name, angle in self.recorded.signals().joints.items()}
+
+    def _again(self, t: Array, column: Array) -> Array:
+        own = self.recorded["t"] - self.recorded["t"][0]
+        return np.asarray(np.interp(np.mod(t, own[-1]), own, column))
 
 
 def _angle(log: Dataset) -> Array:

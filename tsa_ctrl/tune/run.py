@@ -79,16 +79,19 @@ class RigRunner:
         folder: Path,
         run: Play = daemon,
         by_stretch: bool = False,
+        all_axes: bool = False,
     ) -> None:
         """Prepare the runs of one axis.
 
         `run` plays `controller-NAME.toml` of a folder, on the rig or in a simulation. Set `by_stretch` on a rig without
-        a joint torque sensor to estimate the joint torque from the tendon elongation. The attribute `origin` holds the
+        a joint torque sensor to estimate the joint torque from the tendon elongation. Set `all_axes` to record the
+        angles of all joints of the rig, not only those that the model's routing names. The attribute `origin` holds the
         nodes that the last run found and whether they were simulated. It is empty before the first run.
         """
         self.origin = Origin()
         self._run = run
         self._by_stretch = by_stretch
+        self._all_axes = all_axes
         self._configuration = configuration
         self._axis = axis
         self._bounds = bounds
@@ -163,13 +166,16 @@ class RigRunner:
         return text
 
     def _needed(self) -> set[str]:
-        """Return the names of the tuned axis and of all axes whose joints bend its sheaths, directly or in turn."""
+        """Return the names of the tuned axis and of all axes whose joints bend its sheaths, directly or in turn.
+
+        With `all_axes` these are all axes of the file.
+        """
         file = self._configuration.file
         crossed = {
             axis.name: () if (routing := routing_of(axis.bending, model.routing)) is None else routing.joints
             for axis, model in zip(file.axes, self._configuration.models, strict=True)
         }
-        needed, open_names = set[str](), [self._axis.name]
+        needed, open_names = set[str](), [*crossed] if self._all_axes else [self._axis.name]
         while open_names:
             name = open_names.pop()
             if name in crossed and name not in needed:

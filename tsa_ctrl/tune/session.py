@@ -388,10 +388,10 @@ class Session:
         folder = self._folder
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()
 
-    def runner(self, folder: Path) -> RigRunner:
-        """Return what plays waveforms on the axis, with all files in `folder`."""
+    def runner(self, folder: Path, all_axes: bool = False) -> RigRunner:
+        """Return what plays waveforms on the axis, with all files in `folder`; `all_axes` as of a RigRunner."""
         by_stretch = self._settings.by_stretch
-        return RigRunner(self._configuration, self.axis, self.bounds, folder, self._play(), by_stretch)
+        return RigRunner(self._configuration, self.axis, self.bounds, folder, self._play(), by_stretch, all_axes)
 
     @property
     def model(self) -> TendonSheath:
