@@ -46,7 +46,7 @@ ROOMS: dict[str, str] = {
     "monitor": "bus.canopen",  # the second channel: no clock, no input or output, nothing of the loop
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
     "safety": "errors bus.settings bus.wire bus.canopen bus.drive.session bus.live",
-    "control": "errors log.waypoints model observer bus.canopen bus.live safety",
+    "control": "errors log.table model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.law_design config",
     "ipc": "errors system signals",
@@ -57,7 +57,7 @@ ROOMS: dict[str, str] = {
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors display version settings outputs system signals log model observer",
     # the machine that answers: independent of everything that computes
-    "plant": "errors settings system.compiling log.waypoints model.parameters model.routing model.catalogue bus.wire",
+    "plant": "errors settings system.compiling log.table model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
     "virtual": (
         "errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety control config "

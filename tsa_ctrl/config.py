@@ -49,8 +49,8 @@ from tsa_ctrl.model.stretch import unsupported_reason
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
-from tsa_ctrl.sensors import settings as serial
-from tsa_ctrl.sensors.settings import SerialSensorSettings
+from tsa_ctrl.sensors import process as serial
+from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.torque_off import MonitorSettings
 

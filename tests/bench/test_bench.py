@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import ROOT
-from tsa_ctrl.bench.cycles import Measured, Times
-from tsa_ctrl.bench.run import HIGHEST, LOWEST, bounds, holds, rounded_down
+from tsa_ctrl.bench.run import HIGHEST, LOWEST, Measured, Times, bounds, holds, rounded_down
 from tsa_ctrl.cli import cli, main
 
 QUICK = Times(1e-5, 2e-5, 3e-5, 9e-5)

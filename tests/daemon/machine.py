@@ -15,8 +15,8 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.build import control_axes, tuners_of
-from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.log.ring import RingReader, RingWriter

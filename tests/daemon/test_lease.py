@@ -19,8 +19,7 @@ import pytest
 from tests.daemon.serving import PATIENCE, QUARTERS, description
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.connection import Peer, Role, peer_of, role_of
-from tsa_ctrl.ipc.listener import CLIENTS, listen
+from tsa_ctrl.ipc.connection import CLIENTS, Peer, Role, listen, peer_of, role_of
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
 from tsa_ctrl.ipc.server import HANGS, Server
 
@@ -74,7 +73,7 @@ class Desk:
         self.server._command, self.server._watch = {COMMAND}, {WATCH}
         self._select = self.server._selector.select
         monkeypatch.setattr(self.server._selector, "select", self._look)
-        monkeypatch.setattr("tsa_ctrl.ipc.listener.peer_of", lambda connection: self.peer)
+        monkeypatch.setattr("tsa_ctrl.ipc.connection.peer_of", lambda connection: self.peer)
         self._talks: list[Talk] = []
 
     def _look(self, timeout: float) -> list[Any]:

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from tests.virtual.joints import play
-from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.notices import AGAIN, AxisNotices
+from tsa_ctrl.daemon.notices import AGAIN, AxisNotices, Events
 
 
 def said(words: list[tuple[float, int]]) -> list[tuple[float, str]]:

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc import server_process
 
 # Listens as a socket server that hangs would: connections are taken by the kernel, nobody answers.
 DAEMON = """
@@ -39,7 +39,7 @@ def daemon(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str
     process = subprocess.Popen([sys.executable, "-c", DAEMON, path, request.param], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "up\n"
-    pid_file.write(path, process.pid)
+    server_process.write(path, process.pid)
     yield path, process
     process.kill()
     process.wait()
@@ -62,7 +62,7 @@ def test_stop_ends_a_daemon_that_rejects_it(daemon: tuple[str, subprocess.Popen[
         raise UsageError("daemon: 16 clients are connected already")
 
     path, process = daemon
-    assert pid_file.stop(path, reject)["signalled"] == process.pid
+    assert server_process.stop(path, reject)["signalled"] == process.pid
     assert process.communicate(timeout=30)[0] == "told to stop\n"
 
 
@@ -71,7 +71,7 @@ def test_stop_ends_a_suspended_daemon(daemon: tuple[str, subprocess.Popen[str]])
     path, process = daemon
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)
-    found = pid_file.stop(path, lambda: {"waiting_for": None})
+    found = server_process.stop(path, lambda: {"waiting_for": None})
     assert (found["signalled"], "is suspended" in found["reason"]) == (process.pid, True)
     assert process.communicate(timeout=30)[0] == "told to stop\n"
 
@@ -81,52 +81,52 @@ def test_a_user_who_may_only_watch_keeps_the_rejection(tmp_path: Path) -> None:
         raise UsageError("daemon: stop: user 12345 may only watch here")
 
     with pytest.raises(UsageError, match="may only watch"):
-        pid_file.stop(str(tmp_path / "tsa.sock"), reject)
+        server_process.stop(str(tmp_path / "tsa.sock"), reject)
 
 
 def test_only_who_wrote_it_takes_it_away(tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
-    pid_file.write(path, os.getpid())
-    pid_file.remove(path, os.getpid() + 1)
-    assert pid_file.running(path) == os.getpid()
-    pid_file.remove(path, os.getpid())
+    server_process.write(path, os.getpid())
+    server_process.remove(path, os.getpid() + 1)
+    assert server_process.running(path) == os.getpid()
+    server_process.remove(path, os.getpid())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_costs_the_file_alone(tmp_path: Path) -> None:
-    pid_file.write(str(tmp_path / "none/tsa.sock"), os.getpid())
-    assert pid_file.running(str(tmp_path / "none/tsa.sock")) is None
+    server_process.write(str(tmp_path / "none/tsa.sock"), os.getpid())
+    assert server_process.running(str(tmp_path / "none/tsa.sock")) is None
 
 
 def test_a_number_that_another_process_got_is_not_the_daemon(tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
-    pid_file.write(path, os.getpid())
-    number, start = pid_file.place(path).read_text().split()
-    pid_file.place(path).write_text(f"{number} {int(start) - 1}\n")
-    assert pid_file.running(path) is None
-    assert pid_file.terminate(path) is None
+    server_process.write(path, os.getpid())
+    number, start = server_process.place(path).read_text().split()
+    server_process.place(path).write_text(f"{number} {int(start) - 1}\n")
+    assert server_process.running(path) is None
+    assert server_process.terminate(path) is None
 
 
 @pytest.mark.parametrize("text", ["", "7", "x y", "-1 -1", "1 2 3", "99999999999999999999 1"])
 def test_a_file_that_says_nothing_stops_nobody(text: str, tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
-    pid_file.place(path).write_text(text)
-    assert pid_file.running(path) is None
+    server_process.place(path).write_text(text)
+    assert server_process.running(path) is None
     result = CliRunner().invoke(cli, ["stop", "--socket", path])
     assert isinstance(result.exception, BusError)
 
 
 def test_a_file_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
-    pid_file.write(path, os.getpid())
-    pid_file.place(path).chmod(0o666)
-    assert pid_file.running(path) is None
+    server_process.write(path, os.getpid())
+    server_process.place(path).chmod(0o666)
+    assert server_process.running(path) is None
 
 
 def test_a_daemon_that_ended_is_not_signalled(tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    pid_file.write(path, process.pid)
+    server_process.write(path, process.pid)
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    assert pid_file.terminate(path) is None
+    assert server_process.terminate(path) is None

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.notices import ProcessNotices
+from tsa_ctrl.daemon.notices import Events, ProcessNotices
 
 STATUS = 0.02  # s between two looks, as of the loop
 

@@ -25,9 +25,9 @@ import pytest
 from tests.daemon.serving import PATIENCE, Serving, until
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc import server_process
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.listener import CLIENTS, listen
+from tsa_ctrl.ipc.connection import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop, make_private
 from tsa_ctrl.ipc.report import EventPrinter
@@ -318,7 +318,7 @@ def test_no_daemon_is_one_line(tmp_path: Path) -> None:
 def test_a_daemon_without_a_socket_yet_is_named(tmp_path: Path) -> None:
     """At the first use it compiles before it opens the socket."""
     socket = str(tmp_path / "tsa.sock")
-    pid_file.write(socket, os.getpid())
+    server_process.write(socket, os.getpid())
     with pytest.raises(BusError, match=f"process {os.getpid()} is starting"):
         Client(socket)
 

@@ -14,7 +14,7 @@ from tests.daemon.serving import QUARTERS
 from tests.daemon.test_lease import COMMAND, SET_POINT, Desk, measured
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.ipc import server
-from tsa_ctrl.ipc.listener import CLIENTS
+from tsa_ctrl.ipc.connection import CLIENTS
 from tsa_ctrl.ipc.mailbox import RELEASE, AxisStatus, Command, General
 from tsa_ctrl.ipc.protocol import Range
 

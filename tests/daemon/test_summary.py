@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tsa_ctrl.daemon.events import MOST, Events
+from tsa_ctrl.daemon.notices import MOST, Events
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.daemon.torque_error import SENSOR, UNKNOWN, TorqueError
 from tsa_ctrl.ipc.mailbox import TEXT

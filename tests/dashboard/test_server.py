@@ -24,7 +24,7 @@ from tests.dashboard.playing import Played, played
 from tsa_ctrl.dashboard import server
 from tsa_ctrl.dashboard.server import Feed, application, serve
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc import server_process
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 TOKEN, PORT = "secret-of-the-test", 8402
@@ -127,7 +127,7 @@ def test_stop_ends_a_daemon_whose_socket_does_not_answer(tmp_path: Path) -> None
     client = TestClient(application(Feed(path), TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}")
     assert client.post("/stop", headers=ALLOWED).status_code == 503
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    pid_file.write(path, process.pid)
+    server_process.write(path, process.pid)
     answer = client.post("/stop", headers=ALLOWED).json()
     assert (answer["signalled"], "no daemon answers there" in answer["reason"]) == (process.pid, True)
     assert process.wait(30) == -signal.SIGTERM

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tsa_ctrl.doctor.can_interface import Check, Result
-from tsa_ctrl.doctor.interrupts import can_interrupts, isolation
+from tsa_ctrl.doctor.machine import can_interrupts, isolation
 from tsa_ctrl.system.realtime import RealtimeSettings
 
 HEAD = "           CPU0       CPU1       CPU2       CPU3\n"

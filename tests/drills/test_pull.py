@@ -13,7 +13,7 @@ import pytest
 from tests.drills.test_listener import Bench
 from tests.virtual.joints import play
 from tsa_ctrl.demo.rig import NOMINAL
-from tsa_ctrl.drills.pull import Pull, Row, pull
+from tsa_ctrl.drills.listener import Pull, Row, pull
 from tsa_ctrl.model.steady_sliding import wound_by_friction
 
 GEARED = 1.25  # of the shipped actuator

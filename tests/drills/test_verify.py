@@ -18,8 +18,7 @@ from tests.virtual.files import controller, merged, plant, write
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.loop import under_trial
-from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial
-from tsa_ctrl.drills.verify import trial_torque, verify
+from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial, trial_torque, verify
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import plant as plant_process
 

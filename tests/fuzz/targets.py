@@ -34,11 +34,10 @@ from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc.mailbox import General, Mailbox
 from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.table import read_table
-from tsa_ctrl.log.waypoints import read_waypoints
+from tsa_ctrl.log.table import read_table, read_waypoints
 from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.sensors.reader import LineParser
-from tsa_ctrl.sensors.settings import SerialSensorSettings
 
 IDS = (0x181, 0x281, 0x1A0, 0x1C0, 0x081, 0x0A0, 0x701, 0x720, 0x740, 0x581, 0x601, 0x201, 0x080, 0x000, 0x77F,
        0x20000040)  # fmt: skip

@@ -14,7 +14,7 @@ from tests.sensors.lines import Line, wait_for
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.control.temperature import Temperature
-from tsa_ctrl.daemon.events import AxisSensors, Events
+from tsa_ctrl.daemon.notices import AxisSensors, Events
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward
 

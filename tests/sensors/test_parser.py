@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.sensors.process import SerialSensorSettings, check
 from tsa_ctrl.sensors.reader import MOST_LINE, LineParser
-from tsa_ctrl.sensors.settings import SerialSensorSettings, check
 
 
 def settings(**changes: object) -> SerialSensorSettings:

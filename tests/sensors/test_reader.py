@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.sensors.lines import PATIENCE, Line, wait_for
-from tsa_ctrl.sensors.process import NOTHING, LineState, Reading, SerialSensors, Slots
-from tsa_ctrl.sensors.settings import SerialSensorSettings
+from tsa_ctrl.sensors.process import NOTHING, LineState, Reading, SerialSensors, SerialSensorSettings, Slots
 
 
 @pytest.fixture
@@ -102,7 +101,7 @@ def test_two_sensors_do_not_mix(tmp_path: Path) -> None:
 def test_the_reader_ends_when_the_daemon_is_killed(line: Line) -> None:
     program = (
         "import sys, time\nfrom tsa_ctrl.sensors.process import SerialSensors\n"
-        "from tsa_ctrl.sensors.settings import SerialSensorSettings\n"
+        "from tsa_ctrl.sensors.process import SerialSensorSettings\n"
         f"s = SerialSensors([SerialSensorSettings(port={str(line.path)!r}, quantity='t1')])\n"
         "print(s._children[0].pid, flush=True)\ntime.sleep(60)\n"
     )

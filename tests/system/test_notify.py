@@ -14,7 +14,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.system.notify import LONGEST, Notifier
+from tsa_ctrl.system.process_supervisor import LONGEST, Notifier
 
 UNIT = ROOT / "config" / "tsa.service"
 

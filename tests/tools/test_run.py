@@ -34,7 +34,7 @@ def test_a_listed_command_can_be_called(name: str) -> None:
     ("name", "hint"),
     [
         ("bench_diagnose", "did you mean 'bench/diagnose'?"),
-        ("tools/bench/cycles.py", "did you mean 'bench/cycle'?"),
+        ("tools/bench/run.py", "did you mean 'bench/cycle'?"),
         ("xyz", "tools/run alone lists what there is"),
         ("command", "tools/run alone lists what there is"),
     ],

@@ -5,9 +5,9 @@ from __future__ import annotations
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.build import control_axes, tuners_of
-from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.lifecycle import Lifecycle, Say
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.virtual.lockstep import Wire

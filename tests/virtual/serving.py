@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.build import describe
-from tsa_ctrl.ipc.listener import listen
+from tsa_ctrl.ipc.connection import listen
 from tsa_ctrl.ipc.mailbox import Command
 from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.plant.process import check

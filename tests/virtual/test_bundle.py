@@ -17,7 +17,7 @@ from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.settings import MOST_TEXT, referenced
-from tsa_ctrl.virtual.replay import Replay, first_difference
+from tsa_ctrl.virtual.script import Replay, first_difference
 
 
 def tsa(*words: str | Path) -> Result:

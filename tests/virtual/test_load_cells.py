@@ -19,9 +19,8 @@ from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.plant.process import check
-from tsa_ctrl.sensors.process import LineState, Reading, Slots
+from tsa_ctrl.sensors.process import LineState, Reading, SerialSensorSettings, Slots
 from tsa_ctrl.sensors.reader import LineParser
-from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run
 

@@ -37,7 +37,7 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
     "log": "ring",
     "system": "shared_memory histogram",
     "model": "feedforward stretch",
-    "plant": "cia402 drive fault_kind faults machine mechanism motion node pdo sensors state sync",
+    "plant": "cia301 cia402 drive faults machine mechanism motion node pdo sensors state",
 }
 OPTIONS = ("--config-file=", "--ignore-missing-imports", "--follow-imports=silent")  # CI checks the types strictly
 TYPES = ("mypy>=2.4", "numpy>=2.0", "msgspec>=0.19")  # what mypyc reads of the packages that are imported

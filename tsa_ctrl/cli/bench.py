@@ -14,8 +14,7 @@ from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.outputs import json_types
 
 if TYPE_CHECKING:
-    from tsa_ctrl.bench.cycles import Measured, Times
-    from tsa_ctrl.bench.run import Found
+    from tsa_ctrl.bench.run import Found, Measured, Times
 
 
 @click.command("bench", epilog="Example: tsa bench config/controller.toml")

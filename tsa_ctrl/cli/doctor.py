@@ -42,7 +42,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
     """
     from tsa_ctrl.bus.drive.network import axes_of
     from tsa_ctrl.config import check_drives, load_configuration
-    from tsa_ctrl.doctor import can_interface, interrupts, machine
+    from tsa_ctrl.doctor import can_interface, machine
     from tsa_ctrl.doctor.can_interface import Result
     from tsa_ctrl.system.realtime import RealtimeSettings
 
@@ -61,7 +61,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
         for bus in file.buses:
             found += can_interface.checks(bus, axes_of(bus, file.axes), file.controller.rate)
             if bus.interface == "socketcan":
-                found += interrupts.can_interrupts(bus.channel, file.realtime)
+                found += machine.can_interrupts(bus.channel, file.realtime)
     if as_json:
         click.echo(json.dumps({"schema": 1, "checks": json_types(found)}))
     else:

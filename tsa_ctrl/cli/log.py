@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from tsa_ctrl.log.foreign.write import Imported
+    from tsa_ctrl.log.foreign.mapping import Imported
 
 
 @click.group(

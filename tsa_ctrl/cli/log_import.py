@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.cli.init import SHIPPED
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
-from tsa_ctrl.log.foreign import write as writing
-from tsa_ctrl.log.foreign.mapping import Mapped
+from tsa_ctrl.log.foreign.mapping import Imported, Mapped
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign
-from tsa_ctrl.log.foreign.write import Imported
 from tsa_ctrl.signals import COLUMNS
 
 
@@ -96,7 +94,7 @@ def understand(
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
     if any(not proposal for _, proposal in asked):
         return None, asked
-    columns = writing.take(table, mapped)
+    columns = mapping.take(table, mapped)
     empty = {name for name, values in columns.items() if not np.isfinite(values).any() and name != "t"}
     mapped = [column for column in mapped if column.name not in empty]
     good = np.logical_and.reduce([np.isfinite(values) for name, values in columns.items() if name not in empty])
@@ -115,7 +113,7 @@ def stems(paths: Sequence[Path]) -> list[str]:
 
 def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
     """Write log, mapping, model and picture to `out`; raises UsageError."""
-    return writing.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem, kind)
+    return mapping.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem, kind)
 
 
 def show(done: Understood) -> None:

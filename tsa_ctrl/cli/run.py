@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
 import sys
 import tomllib
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.cli.options import Finite
-from tsa_ctrl.system.libraries import leave_out
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
@@ -129,3 +129,13 @@ def _checked(configuration: Configuration) -> str:
         for bus, load in zip(file.buses, configuration.loads, strict=True)
     )
     return f"{configuration.path}: good; {axes} at {file.controller.rate:g} Hz, bus load {loads}"
+
+
+def leave_out() -> None:
+    """Load neither scipy.linalg nor threads of OpenBLAS in this process; call it before numpy is imported.
+
+    numba imports scipy.linalg for matrix products in compiled functions, and the daemon's have none. The largest matrix
+    of the daemon has a dozen rows, for which a single thread suffices.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # Python's way to have an import fail

@@ -13,7 +13,7 @@ import click
 
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc import pid_file, protocol
+from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.client import MOST_RATE, Client, stop_daemon
 from tsa_ctrl.ipc.parameters import of_unit
 
@@ -189,12 +189,12 @@ def stop_command(path: str, wait: float) -> None:
 
     If the request fails for any reason, the daemon's process gets SIGTERM, which has the same effect.
     """
-    process = pid_file.running(path)
+    process = server_process.running(path)
     answer = stop_daemon(path)
     if "signalled" in answer:
         click.echo(f"{answer['reason']}\nstop: process {answer['signalled']} got SIGTERM instead", err=True)
     begun, signalled = time.monotonic(), "signalled" in answer
-    while wait > 0.0 and (protocol.is_socket(path) if process is None else pid_file.running(path) == process):
+    while wait > 0.0 and (protocol.is_socket(path) if process is None else server_process.running(path) == process):
         waited = time.monotonic() - begun
         if waited > wait:
             raise BusError(
@@ -203,7 +203,7 @@ def stop_command(path: str, wait: float) -> None:
         if not signalled and waited > PATIENCE * wait:
             signalled = True
             with contextlib.suppress(BusError):
-                pid_file.terminate(path)
+                server_process.terminate(path)
         time.sleep(POLL)
     stage = answer.get("waiting_for")
     starting = f"; it was {stage}" if stage else ""

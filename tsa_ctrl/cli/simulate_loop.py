@@ -89,7 +89,7 @@ def _repeated(
     changes: tuple[str, ...],
 ) -> Simulation:
     """Repeat the run of a field report or log, and print whether it gives the same records."""
-    from tsa_ctrl.virtual.replay import Replay, first_difference
+    from tsa_ctrl.virtual.script import Replay, first_difference
     from tsa_ctrl.virtual.simulation import simulate_loop
 
     with tempfile.TemporaryDirectory() as folder:

@@ -14,8 +14,7 @@ from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
-    from tsa_ctrl.drills.trials import Outcome
-    from tsa_ctrl.drills.verify import Verification
+    from tsa_ctrl.drills.trials import Outcome, Verification
 
 
 @click.command(
@@ -43,7 +42,7 @@ def command(controller: Path, torque: float | None, held: bool, record: Path | N
     file. Class "worn" requires both results.
     """
     from tsa_ctrl.config import load_configuration
-    from tsa_ctrl.drills.verify import check_folder, save, trial_torque, verify
+    from tsa_ctrl.drills.trials import check_folder, save, trial_torque, verify
     from tsa_ctrl.readiness import add_to_record
 
     configuration = load_configuration(controller)

@@ -207,7 +207,7 @@ def _played(times: Sequence[float], values: Sequence[float], offset: float, loop
 
 def read_file(path: Path) -> tuple[list[float], list[float]]:
     """Times (s, from 0) and joint torques (N*m) of a file; raises UsageError naming file, column and row."""
-    from tsa_ctrl.log.waypoints import from_zero, read_waypoints  # slow to import
+    from tsa_ctrl.log.table import from_zero, read_waypoints  # slow to import
 
     table = read_waypoints(path, ("tau_j_des",))
     values = table.columns["tau_j_des"]

@@ -14,9 +14,8 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.daemon.notices import Notices
+from tsa_ctrl.daemon.notices import Events, Notices
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.daemon.torque_error import TorqueErrorCounter
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox

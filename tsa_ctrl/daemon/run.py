@@ -13,11 +13,11 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import control_axes, describe, log_header, tuners_of
-from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.joint_files import admitted, nodes_simulated
 from tsa_ctrl.daemon.lifecycle import Lifecycle, Say
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitoring import SecondChannel, monitor_line, monitor_process
+from tsa_ctrl.daemon.notices import AxisSensors, Events
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
@@ -30,7 +30,7 @@ from tsa_ctrl.outputs import untaken
 from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.compiling import on_compile
-from tsa_ctrl.system.notify import Notifier
+from tsa_ctrl.system.process_supervisor import Notifier
 
 MEGA = 1e6  # bytes of a MB
 

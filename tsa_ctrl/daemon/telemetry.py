@@ -12,16 +12,15 @@ from tsa_ctrl.bus.settings import Role
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import STATE_CODE, LoopPhase
-from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.daemon.notices import ProcessNotices
+from tsa_ctrl.daemon.notices import AxisSensors, Events, ProcessNotices
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Parameters, Row
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.signals import Place, signals_of
-from tsa_ctrl.system.notify import Notifier
+from tsa_ctrl.system.process_supervisor import Notifier
 
 _record, _status, _measured = (
     attrgetter(*(signal.source for signal in signals_of(place))) for place in (Place.LOG, Place.STATUS, Place.CLIENT)

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from tsa_ctrl.bus.wire.link import can_interfaces, make_vcan, set_up
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.waypoints import from_zero, read_waypoints
+from tsa_ctrl.log.table import from_zero, read_waypoints
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 
 # Provide the desired joint torque and the joint motion of the demo, built in or from a file.

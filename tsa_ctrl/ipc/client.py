@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
-from tsa_ctrl.ipc import pid_file, protocol
+from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.connection import user_of
 from tsa_ctrl.ipc.protocol import AnyRequest, Event, default_path
 from tsa_ctrl.signals import Kind, Place, signals_of
@@ -105,7 +105,7 @@ class Client:
             self._connect(path, timeout)
         except OSError as error:
             self._socket.close()
-            process = pid_file.running(path)
+            process = server_process.running(path)
             if process is not None:
                 raise BusError(
                     f"{path}: no daemon answers there yet; process {process} is starting, or restarts its socket "
@@ -209,7 +209,7 @@ class Client:
 
         Returns the answer, or `signalled` (a process) and `reason`. Raises errors as `pid_file.stop` does.
         """
-        return pid_file.stop(self._path, lambda: self.ask(protocol.Stop()))
+        return server_process.stop(self._path, lambda: self.ask(protocol.Stop()))
 
     def stream(self, lines: bytes, patience: float) -> None:
         """Send lines that have no answer, and process received events; for `Lease`.
@@ -360,4 +360,4 @@ def stop_daemon(path: str, timeout: float = STOP_TIMEOUT) -> dict[str, Any]:
         with Client(path, timeout) as client:
             return client.ask(protocol.Stop())
 
-    return pid_file.stop(path, ask)
+    return server_process.stop(path, ask)

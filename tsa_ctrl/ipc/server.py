@@ -30,8 +30,7 @@ import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
-from tsa_ctrl.ipc.connection import Connection, Role, may
-from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
+from tsa_ctrl.ipc.connection import CLIENTS, Connection, Role, accepted, group_number, listening, may
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
 from tsa_ctrl.ipc.protocol import AnyRequest, Description, Opening

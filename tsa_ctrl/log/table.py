@@ -1,10 +1,13 @@
-"""Read a log file of any kind as a table of columns."""
+"""Read a log file of any kind as a table of columns, and check a table of waypoints for its players.
+
+Waypoints are a table over a rising time, for example of a set-point or a motion.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -220,3 +223,36 @@ def load_run(
         raise BusError(f"{log}: holds too little torque" + (f"; {cause}" if cause else "; look into the log"))
     part = {name: values[chosen] for name, values in columns.items()}
     return {**part, "t": part["t"] - enabled}
+
+
+LEAST_ROWS = 2
+
+
+def read_waypoints(path: str | Path, needed: Sequence[str], optional: Sequence[str] = ()) -> Table:
+    """Read the columns `t` (s), `needed` and, where there, `optional` of a CSV, CSV.gz or Parquet file.
+
+    Raises UsageError naming file, column and row: a column that is missing, a value that is not finite, fewer than two
+    rows, a time that does not rise.
+    """
+    wanted = ("t", *needed, *optional)
+    table = read_table(path, wanted)
+    for name in ("t", *needed):
+        if name not in table.columns:
+            there = ", ".join([*table.columns, *table.left_out]) or "none"
+            raise UsageError(f"{path}: column '{name}' is missing, found {there}; add it")
+    if len(table) < LEAST_ROWS:
+        raise UsageError(f"{path}: {len(table)} rows; give at least {LEAST_ROWS}")
+    for name, values in table.columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise UsageError(f"{path}: column '{name}', {table.place(int(bad[0]))}: not a finite number; correct it")
+    back = np.flatnonzero(np.diff(table.columns["t"]) <= 0.0)
+    if back.size:
+        raise UsageError(f"{path}: column 't', {table.place(int(back[0]) + 1)}: time does not rise; sort the file")
+    return table
+
+
+def from_zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same times, counted from the first."""
+    shifted: NDArray[np.float64] = t - t[0]
+    return shifted

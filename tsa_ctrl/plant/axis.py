@@ -16,8 +16,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.model.routing import Routing
 from tsa_ctrl.plant.chain import build_chain, settle
-from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
-from tsa_ctrl.plant.formula import memory_of, steps_of
+from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, memory_of, steps_of, wound
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.sensors import MotorCommand, Readings

@@ -26,7 +26,6 @@ _KERNELS = (
     "compiled.py",
     "state.py",
     "effects.py",
-    "formula.py",
     "full.py",
     "chain.py",
     "mechanics.py",

@@ -14,15 +14,13 @@ from enum import IntEnum
 
 import msgspec
 
+from tsa_ctrl.plant.cia301 import EmcyCode, NmtState
 from tsa_ctrl.plant.cia402 import Command, PowerState, PowerStateMachine, command_of
 from tsa_ctrl.plant.dictionary import AbortCode, Key, SdoAbort
-from tsa_ctrl.plant.drive_emulation import DRIVE_EMULATIONS
-from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, shifted, unit_code
-from tsa_ctrl.plant.emergency import EmcyCode
+from tsa_ctrl.plant.drive_emulation import AXIS_OFFSET, DRIVE_EMULATIONS, AxisValues, mode_numbers, shifted, unit_code
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
-from tsa_ctrl.plant.watch import NmtState
 
 
 @dataclass(slots=True)

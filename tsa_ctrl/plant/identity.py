@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from tsa_ctrl.plant import emergency, sync
+from tsa_ctrl.plant import cia301
+from tsa_ctrl.plant.cia301 import Consumers, Guarding
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type
-from tsa_ctrl.plant.watch import Consumers, Guarding
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Code = Annotated[int, Meta(ge=0, le=0xFFFF)]
@@ -131,8 +131,8 @@ class Identity:
 def communication_objects(identity: Identity, quirks: Quirks) -> Iterator[Entry]:
     """Yield the entries 0x1000 to 0x1029 of a node, according to its identity and quirks."""
     yield Entry(0x1000, 0, Type.U32, Access.CONST, identity.device_type)
-    yield from emergency.entries()
-    yield from sync.entries(quirks.sync_producer)
+    yield from cia301.emcy_entries()
+    yield from cia301.sync_entries(quirks.sync_producer)
     yield Entry(0x1008, 0, Type.TEXT, Access.CONST, identity.name)
     yield Entry(0x1009, 0, Type.TEXT, Access.CONST, "simulated")
     yield Entry(0x100A, 0, Type.TEXT, Access.CONST, "1")

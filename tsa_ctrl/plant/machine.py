@@ -17,14 +17,12 @@ from tsa_ctrl.bus.wire.bus import ERROR_FLAG, Bus, BusFault, Frame, next_frame
 from tsa_ctrl.bus.wire.link import set_up
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis, Record
+from tsa_ctrl.plant.cia301 import EmcyCode
 from tsa_ctrl.plant.cia402 import PowerState
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.drive import Drive
-from tsa_ctrl.plant.drive_emulation import DriveEmulation
-from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, objects, pdos, shifted
-from tsa_ctrl.plant.emergency import EmcyCode
-from tsa_ctrl.plant.fault_kind import Target, TransmitFaults
-from tsa_ctrl.plant.faults import FaultPlan, check_fault
+from tsa_ctrl.plant.drive_emulation import AXIS_OFFSET, DriveEmulation, objects, pdos, shifted
+from tsa_ctrl.plant.faults import FaultPlan, Target, TransmitFaults, check_fault
 from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send

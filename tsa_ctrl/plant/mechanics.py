@@ -24,6 +24,7 @@ from tsa_ctrl.plant.compiled import compiled
 from tsa_ctrl.plant.effects import (
     MICRO,
     arm,
+    formula,
     friction_coefficient,
     joint_losses,
     lengths_beside,
@@ -32,7 +33,6 @@ from tsa_ctrl.plant.effects import (
     track_backlash,
     wound,
 )
-from tsa_ctrl.plant.formula import formula
 from tsa_ctrl.plant.full import commit_full, full_tensions
 from tsa_ctrl.plant.state import DELAY_SAMPLES, Load
 

@@ -90,7 +90,7 @@ def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float,
 def _from_file(settings: MotionSettings) -> Motion:
     from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import
 
-    from tsa_ctrl.log.waypoints import read_waypoints  # also slow to import
+    from tsa_ctrl.log.table import read_waypoints  # also slow to import
 
     table = read_waypoints(str(settings.file), ("q_j",), ("omega_j",))
     t, columns = table.columns["t"], table.columns

@@ -10,13 +10,21 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from tsa_ctrl.bus.wire.bus import REMOTE_FLAG
+from tsa_ctrl.plant.cia301 import (
+    REGISTER_COMMUNICATION,
+    Consumers,
+    EmcyCode,
+    ErrorLog,
+    Guarding,
+    Heard,
+    NmtCommand,
+    NmtState,
+    SyncPort,
+)
 from tsa_ctrl.plant.dictionary import Entry, Key, ObjectDictionary
-from tsa_ctrl.plant.emergency import REGISTER_COMMUNICATION, EmcyCode, ErrorLog
 from tsa_ctrl.plant.identity import Identity, Quirks, Storage, communication_objects
 from tsa_ctrl.plant.pdo import PdoDefault, Rpdo, Tpdo
 from tsa_ctrl.plant.sdo import SdoServer
-from tsa_ctrl.plant.sync import Heard, SyncPort
-from tsa_ctrl.plant.watch import Consumers, Guarding, NmtCommand, NmtState
 
 REQUEST, ANSWER = 0x7E5, 0x7E4
 _SWITCH, _NODE_ID, _BIT_TIMING, _STORE = 0x04, 0x11, 0x13, 0x17

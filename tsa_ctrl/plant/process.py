@@ -19,7 +19,7 @@ from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis, Recorder
-from tsa_ctrl.plant.eds import eds, file_names
+from tsa_ctrl.plant.dictionary import eds, file_names
 from tsa_ctrl.plant.faults import CHANGES, FAULTS, check_fault, parse_fault
 from tsa_ctrl.plant.machine import Machine, build_axes
 from tsa_ctrl.plant.mechanism import build_mechanism

@@ -18,8 +18,7 @@ import time
 import msgspec
 import serial
 
-from tsa_ctrl.sensors.process import LineState, Reading, Slots
-from tsa_ctrl.sensors.settings import SerialSensorSettings
+from tsa_ctrl.sensors.process import LineState, Reading, SerialSensorSettings, Slots
 from tsa_ctrl.system.process_supervisor import ignore
 
 MOST_LINE = 256  # bytes; a longer line is noise and is discarded up to the next line end

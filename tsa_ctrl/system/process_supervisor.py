@@ -1,4 +1,4 @@
-"""Start child processes, supervise them and end them in every case.
+"""Start child processes, supervise them and end them in every case; report this process to the service manager.
 
 Ways to run a child process:
 
@@ -8,6 +8,10 @@ Ways to run a child process:
   two. This runs in a separate process, because a fork in the loop's process would cost the loop cycles.
 * `worker_context`: workers of multiprocessing with a module that is imported already.
 * `plant`, `daemon`: the processes that a user would start.
+
+`Notifier` implements sd_notify(3): ready, alive, stopping, as datagrams to the socket in NOTIFY_SOCKET. The loop itself
+sends the sign of life, so that a hanging loop is detected. It never waits for a datagram. When the manager kills a
+hanging process, the drive's own watchdog has already removed the torque.
 """
 
 from __future__ import annotations
@@ -18,12 +22,13 @@ import json
 import os
 import queue
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from subprocess import Popen
 from typing import TYPE_CHECKING, Any
@@ -32,6 +37,7 @@ from tsa_ctrl.errors import BusError
 
 if TYPE_CHECKING:
     from multiprocessing.context import BaseContext
+
 
 # A child process ends with its parent (Linux: prctl(2), PR_SET_PDEATHSIG), not by a signal of the terminal.
 _PARENT = "TSA_PARENT"  # environment variable with the parent's process id
@@ -377,3 +383,71 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
 def _last_line(text: str) -> str:
     lines = [line for line in text.splitlines() if line.strip()]
     return lines[-1] if lines else "no word from it"
+
+
+PER_INTERVAL = 4  # signs of life in the time after which the manager would act
+LONGEST = 60.0  # s that a new bring-up, or the end of a run, may take without a sign of life
+
+
+class Notifier:
+    """Says what changed; does nothing without a service manager."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self._interval = _interval(environment)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) if address else None
+        if self._socket is not None:
+            self._socket.setblocking(False)
+        self._due = 0.0
+        self._ready = self._stopping = False
+
+    def update(self, now: float, status: str, up: bool, ending: bool) -> None:
+        """Called some times per second by the loop; `now` in s, monotonic; `status`: a word for whoever looks."""
+        if self._socket is None:
+            return
+        if up and not self._ready:
+            self._ready = True
+            self._say(f"READY=1\nSTATUS={status}")
+        if ending and not self._stopping:
+            self._stopping = True
+            self._say("STOPPING=1\nSTATUS=stopping")
+            self._allow(LONGEST)
+        if self._interval is not None and now >= self._due:
+            self._due = now + self._interval / PER_INTERVAL
+            self._say("WATCHDOG=1")
+
+    @contextlib.contextmanager
+    def no_loop(self) -> Iterator[None]:
+        """Inside the block a bring-up runs instead of the loop.
+
+        It takes longer than the allowed time of a sign of life.
+        """
+        self._allow(LONGEST)
+        try:
+            yield
+        finally:
+            self._allow(0.0)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _allow(self, seconds: float) -> None:
+        """Let the manager wait this long for a sign of life, but never less than configured."""
+        if self._interval is not None:
+            self._say(f"WATCHDOG_USEC={round(1e6 * max(seconds, self._interval))}\nWATCHDOG=1")
+
+    def _say(self, text: str) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):  # no receiver, or too busy: the loop has other things to do
+                self._socket.sendto(text.encode(), self._address)
+
+
+def _interval(environment: Mapping[str, str]) -> float | None:
+    """WATCHDOG_USEC in s, when it is meant for this process."""
+    usec, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
+    if not usec.isdecimal() or int(usec) == 0 or pid not in ("", str(os.getpid())):
+        return None
+    return int(usec) * 1e-6

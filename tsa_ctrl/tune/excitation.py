@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.log.waypoints import from_zero, read_waypoints
+from tsa_ctrl.log.table import from_zero, read_waypoints
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
 

@@ -18,11 +18,11 @@ from tsa_ctrl.bus.drive.network import joined
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
 from tsa_ctrl.daemon.build import control_axes, log_header, tuners_of
-from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitor_process import REPEAT, Report
 from tsa_ctrl.daemon.monitoring import SecondChannel, watched_of
+from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
@@ -37,10 +37,18 @@ from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.signals import FIELD_NAMES
-from tsa_ctrl.virtual import replay
 from tsa_ctrl.virtual.lockstep import End, FurtherWire, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
-from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
+from tsa_ctrl.virtual.script import (
+    Change,
+    Fault,
+    beginnings,
+    commands,
+    described,
+    parse_fault_option,
+    parse_set_option,
+    put,
+)
 
 EVERY = 0.5  # s between two looks at the ring, which holds 2 s at the highest rate
 FILE = "tsa.mcap"
@@ -263,7 +271,7 @@ def simulate_loop(
     made = [parse_set_option(each) if isinstance(each, str) else each for each in changes]
     files = {}
     if not isinstance(controller, Configuration) and not isinstance(plant, PlantSettings):
-        files = replay.described(configuration.path, Path(plant), seconds, seed, begun, made)
+        files = described(configuration.path, Path(plant), seconds, seed, begun, made)
     run = Run(configuration, settings, seconds, out, record, files)
     try:
         return run.play(begun, made, tick)

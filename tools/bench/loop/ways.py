@@ -25,11 +25,11 @@ from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.daemon.build import control_axes, tuners_of
-from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.run import Children
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.sleep import sleep_until
+from tsa_ctrl.system.realtime import sleep_until
 
 FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")

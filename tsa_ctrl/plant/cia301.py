@@ -1,0 +1,332 @@
+"""Communication services of a simulated node (CiA 301): SYNC, heartbeat consumers, node guarding and EMCY.
+
+SYNC: COB-ID 0x1005, period 0x1006, window 0x1007, counter 0x1019. Supervision: 0x1016, 0x100C, 0x100D. EMCY: error
+register 0x1001, history 0x1003, COB-ID 0x1014, inhibit time 0x1015. The plant has its own definitions, so that it
+checks those of the controller."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type, is_restricted
+
+PRODUCES = 0x40000000  # bit 30 of 0x1005
+OWN_PERIOD = 10_000  # us, of a node that produces SYNC at power-on
+_LATE = 1.5  # periods without a SYNC that are an error
+
+
+class Heard(Enum):
+    """Define the effect of a SYNC frame on the node."""
+
+    GOOD = "good"
+    WRONG_LENGTH = "wrong length"
+
+
+def sync_entries(producer: bool) -> list[Entry]:
+    """The objects; of a `producer` with its own period."""
+    return [
+        Entry(0x1005, 0, Type.U32, default=0x80 | (PRODUCES if producer else 0)),
+        Entry(0x1006, 0, Type.U32, default=OWN_PERIOD if producer else 0),  # us
+        Entry(0x1007, 0, Type.U32),  # us
+        Entry(0x1019, 0, Type.U8, high=240),
+    ]
+
+
+class SyncPort:
+    """See the module; times in s."""
+
+    def __init__(self, dictionary: ObjectDictionary, changed: Callable[[], None]) -> None:
+        self._values = dictionary.values
+        self._changed = changed
+        self._last: float | None = None
+        self._due = 0.0
+        dictionary.on_write[0x1005, 0] = self._write_identifier
+        dictionary.on_write[0x1019, 0] = self._write_counter
+
+    @property
+    def identifier(self) -> int:
+        return self._values.get((0x1005, 0), 0x80) & 0x7FF
+
+    def restore(self, now: float) -> None:
+        self._last, self._due = None, now
+
+    def hear(self, data: bytes, now: float) -> Heard:
+        """One SYNC: with a counter it has a byte, without one it may have none."""
+        if (self._values.get((0x1019, 0), 0) != 0) != (len(data) == 1):
+            return Heard.WRONG_LENGTH
+        self._last = now
+        return Heard.GOOD
+
+    def closed(self, now: float) -> bool:
+        """Return True if synchronous PDOs come too late after the last SYNC."""
+        window = self._values.get((0x1007, 0), 0) * 1e-6
+        return window > 0.0 and self._last is not None and now - self._last > window
+
+    def overdue(self, now: float) -> bool:
+        """Return True if a SYNC is missed; reported once."""
+        period = self._values.get((0x1006, 0), 0) * 1e-6
+        if period <= 0.0 or self._last is None or now - self._last <= _LATE * period or self._produces:
+            return False
+        self._last = None
+        return True
+
+    def made(self, now: float) -> bool:
+        """Return True if this node must send a SYNC now."""
+        if now < self._due or not self._produces:
+            return False
+        period = self._values.get((0x1006, 0), 0) * 1e-6
+        if period <= 0.0:
+            return False
+        self._due = max(self._due + period, now)
+        return True
+
+    @property
+    def _produces(self) -> bool:
+        return self._values.get((0x1005, 0), 0) & PRODUCES != 0
+
+    def _write_identifier(self, value: int) -> None:
+        if value & ~(PRODUCES | 0x7FF) or is_restricted(value & 0x7FF):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        if value & self._values[0x1005, 0] & PRODUCES and value != self._values[0x1005, 0]:
+            raise SdoAbort(AbortCode.DEVICE_STATE)  # CiA 301, 7.5.2.5
+        self._values[0x1005, 0] = value
+        self._changed()
+
+    def _write_counter(self, value: int) -> None:
+        if value == 1:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        if self._values.get((0x1006, 0), 0):
+            raise SdoAbort(AbortCode.DEVICE_STATE)  # CiA 301, 7.5.2.22
+
+
+class NmtState(IntEnum):
+    """List the NMT states (CiA 301), with the values in the heartbeat.
+
+    The plant does not use the controller's definitions, so that it checks them.
+    """
+
+    BOOT_UP = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """List the command specifiers of NMT (CiA 301, 7.2.8.3.1)."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130
+
+
+_TOGGLE = 0x80
+
+
+@dataclass(slots=True)
+class _Consumer:
+    """One entry of 0x1016: supervision begins with the first heartbeat seen."""
+
+    node_id: int = 0
+    timeout: float = 0.0  # s
+    last: float | None = None
+
+
+class Consumers:
+    """Heartbeats of others; `overdue` reports once that one is missed."""
+
+    def __init__(self, dictionary: ObjectDictionary, count: int, changed: Callable[[], None]) -> None:
+        self._values = dictionary.values
+        self._changed = changed
+        self._entries = [_Consumer() for _ in range(count)]
+        for place in range(count):
+            dictionary.on_write[0x1016, place + 1] = self._hook(place)
+
+    @staticmethod
+    def objects(count: int) -> list[Entry]:
+        return [
+            Entry(0x1016, 0, Type.U8, Access.CONST, count),
+            *(Entry(0x1016, place, Type.U32) for place in range(1, count + 1)),
+        ]
+
+    def restore(self) -> None:
+        """Take the values of the dictionary."""
+        self._entries = [
+            _consumer(self._values.get((0x1016, place + 1), 0)) or _Consumer() for place in range(len(self._entries))
+        ]
+
+    def handlers(self) -> dict[int, Callable[[bytes, float], None]]:
+        """Return the callback of each identifier."""
+        return {0x700 + entry.node_id: self._handler(entry) for entry in self._entries if entry.node_id}
+
+    def overdue(self, now: float) -> bool:
+        found = False
+        for entry in self._entries:
+            if entry.last is not None and now - entry.last > entry.timeout:
+                entry.last = None
+                found = True
+        return found
+
+    def _handler(self, entry: _Consumer) -> Callable[[bytes, float], None]:
+        def handle(data: bytes, now: float) -> None:
+            entry.last = now
+
+        return handle
+
+    def _hook(self, place: int) -> Callable[[int], None]:
+        def write(value: int) -> None:
+            entry = _consumer(value)
+            if entry is None:
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+            others = (other for number, other in enumerate(self._entries) if number != place)
+            if entry.node_id and any(entry.node_id == other.node_id for other in others):
+                raise SdoAbort(AbortCode.INCOMPATIBLE)  # CiA 301, 7.5.2.19: one node, one entry
+            self._entries[place] = entry
+            self._changed()
+
+        return write
+
+
+def _consumer(value: int) -> _Consumer | None:
+    node_id, timeout = value >> 16 & 0xFF, (value & 0xFFFF) * 1e-3
+    if node_id > 127:
+        return None
+    return _Consumer(node_id, timeout) if node_id and timeout > 0.0 else _Consumer()
+
+
+class Guarding:
+    """Answers remote frames, and notices when they stop: guard time 0x100C (ms) times life time factor 0x100D."""
+
+    def __init__(self, dictionary: ObjectDictionary, toggles: bool = True) -> None:
+        self._values = dictionary.values
+        self.toggles = toggles
+        self._toggle = 0
+        self._asked: float | None = None
+
+    @staticmethod
+    def objects() -> list[Entry]:
+        return [Entry(0x100C, 0, Type.U16), Entry(0x100D, 0, Type.U8)]
+
+    def restore(self) -> None:
+        self._toggle, self._asked = 0, None
+
+    def answer(self, state: NmtState, now: float) -> bytes:
+        """The state with the toggle bit; life guarding begins with the first request."""
+        self._asked = now
+        data = bytes((state | self._toggle,))
+        self._toggle ^= _TOGGLE if self.toggles else 0
+        return data
+
+    def overdue(self, now: float) -> bool:
+        life = self._values.get((0x100C, 0), 0) * self._values.get((0x100D, 0), 0) * 1e-3
+        if self._asked is None or life <= 0.0 or now - self._asked <= life:
+            return False
+        self._asked = None
+        return True
+
+
+REGISTER_GENERIC = 0x01
+REGISTER_COMMUNICATION = 0x10
+_FRAME = struct.Struct("<HB5s")
+_HISTORY = 8  # entries of 0x1003
+_INVALID = 0x80000000
+
+
+class EmcyCode(IntEnum):
+    """Emergency error codes of CiA 301 and 402 that the simulated nodes raise by themselves."""
+
+    NO_ERROR = 0x0000
+    COMMUNICATION = 0x8100  # a SYNC that is overdue
+    HEARTBEAT = 0x8130  # life guard or heartbeat error
+    PDO_TOO_SHORT = 0x8210
+    PDO_TOO_LONG = 0x8220
+    SYNC_LENGTH = 0x8240
+    RPDO_TIMEOUT = 0x8250
+
+
+def emcy_entries() -> list[Entry]:
+    """The objects that errors are kept in."""
+    return [
+        Entry(0x1001, 0, Type.U8, Access.RO, mappable=True),
+        Entry(0x1003, 0, Type.U8),
+        *(Entry(0x1003, place, Type.U32, Access.RO) for place in range(1, _HISTORY + 1)),
+        Entry(0x1014, 0, Type.U32, default=0x80, plus_node=True),
+        Entry(0x1015, 0, Type.U16),
+    ]
+
+
+class ErrorLog:
+    """Hold the errors of one node; `report` sends one error, `clear_*` forget."""
+
+    def __init__(self, dictionary: ObjectDictionary, send: Callable[[int, bytes], bool]) -> None:
+        self._dictionary = dictionary
+        self._values = dictionary.values
+        self._send = send
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._next = 0.0  # s, before which none is sent
+        dictionary.on_write[0x1003, 0] = self._write_history
+        dictionary.on_write[0x1014, 0] = self._write_identifier
+
+    def report(self, code: int, register: int, vendor: bytes, heard: bool, now: float) -> None:
+        """Keep an error in 0x1001 and 0x1003, and send it if it can be heard.
+
+        Args:
+            code: error code; 0 reports that all errors are gone.
+            register: bits of the error register.
+            vendor: five bytes of the maker.
+            heard: whether the node may send emergencies in its present state.
+            now: time, s.
+        """
+        values = self._values
+        if code:
+            values[0x1001, 0] |= register | REGISTER_GENERIC
+            for place in range(_HISTORY, 1, -1):
+                values[0x1003, place] = values[0x1003, place - 1]
+            values[0x1003, 1] = code
+            values[0x1003, 0] = min(_HISTORY, values[0x1003, 0] + 1)
+        else:
+            values[0x1001, 0] = 0
+        identifier = values.get((0x1014, 0), 0x80 + self._dictionary.node_id)
+        if heard and not identifier & _INVALID:
+            self._waiting.append((identifier & 0x7FF, _FRAME.pack(code, values[0x1001, 0], vendor)))
+            self.release(now)
+
+    def release(self, now: float) -> None:
+        """Send what waits, one frame in each inhibit time 0x1015 (100 us)."""
+        while self._waiting and now >= self._next:
+            self._send(*self._waiting.popleft())
+            self._next = now + 1e-4 * self._values.get((0x1015, 0), 0)
+
+    def clear(self) -> None:
+        """Power-on: nothing is remembered."""
+        self._values[0x1001, 0] = 0
+        self._waiting.clear()
+        self._next = 0.0
+        self._clear_history()
+
+    def communication_restored(self) -> None:
+        """A new start ends communication errors; other errors stay in the error register."""
+        others = self._values[0x1001, 0] & ~(REGISTER_COMMUNICATION | REGISTER_GENERIC)
+        self._values[0x1001, 0] = others | REGISTER_GENERIC if others else 0
+
+    def _clear_history(self) -> None:
+        for place in range(_HISTORY + 1):
+            self._values[0x1003, place] = 0
+
+    def _write_history(self, value: int) -> None:
+        if value:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        self._clear_history()
+
+    def _write_identifier(self, value: int) -> None:
+        """Valid identifiers of 11 bits; a valid one cannot be exchanged for another one (CiA 301, 7.5.2.17)."""
+        before = self._values[0x1014, 0]
+        if value & 0x7FFFF800 or (not value & _INVALID and is_restricted(value)):
+            raise SdoAbort(AbortCode.INVALID_VALUE)
+        if not (before | value) & _INVALID and before != value:
+            raise SdoAbort(AbortCode.INVALID_VALUE)
