@@ -31,7 +31,7 @@ class Role(Enum):
 
     @property
     def key(self) -> str:
-        """Of its section in the file."""
+        """Return the key of its section in the file."""
         return self.name.lower()
 
 
@@ -80,8 +80,8 @@ class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     serial_number: Word | None = None  # 0x1018:4; checked when given
     heartbeat_period: Seconds = 0.05  # s, 0x1017
     heartbeat_timeout: Seconds = 0.2  # s without one is a fault
-    boot_timeout: Patience | None = None  # s, from a reset to the boot-up; default: 3, or what the drive's profile says
-    answer_timeout: Patience | None = None  # s, of one SDO answer; default: 0.5, or what the drive's profile says
+    boot_timeout: Patience | None = None  # s, from a reset to the boot-up; default: 3, or the value of the profile
+    answer_timeout: Patience | None = None  # s, of one SDO answer; default: 0.5, or the value of the profile
 
 
 class DriveSettings(NodeSettings, frozen=True, kw_only=True):

@@ -281,10 +281,10 @@ class Loop:
         return permitted
 
     def _begin_recovery(self, planned: int) -> None:
-        """Once asked for, and once no axis has torque any more: reset what can be reset, or have the bus brought up.
+        """After a request, and once no axis has torque: reset the faults that can be reset, or start a bring-up.
 
-        An axis that still ramps to 0 because of another's fault is waited for, and so is its drive's word that it is
-        off; one that does not say so is what a bring-up is for, which switches it off before it resets it.
+        The loop waits for an axis that still ramps to 0 because of another axis' fault, and until its drive reports
+        that it is off. A drive that does not report it needs a bring-up, which switches it off before the reset.
         """
         waited = planned * 1e-9 - self._recovery_asked
         if not waited >= 0.0 or (not all(axis.is_off for axis in self._axes) and waited < self._stop_time):

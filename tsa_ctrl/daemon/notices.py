@@ -228,8 +228,8 @@ class AxisNotices:
             self._add(
                 t,
                 f"friction and pretension together are about {100.0 * found:.0f} % of the model file's values, by "
-                "the estimate that is in use: no more is compensated; a tensioner that gave way, a straighter or "
-                "smoother sheath: mend that, or calibrate anew",
+                "the estimate in use, which limits the compensation; check the tensioner and the sheath, or calibrate "
+                "again",
             )
         elif found > AS_SAID:
             self._less = False

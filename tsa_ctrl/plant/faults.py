@@ -331,7 +331,7 @@ MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
     "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
     "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
     "position_gain": FaultKind(
-        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of what the motor turns", -10, 10
+        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of the motor angle", -10, 10
     ),
     "velocity_gain": FaultKind("0x606C is wrong by a factor", lambda t: _scaled(t, 0x606C), 2.0, "1", -10, 10),
     "motor_encoder_stuck": FaultKind("the motor's encoder rests: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
@@ -361,12 +361,12 @@ MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
         "the joint encoder is noisy", lambda t: swap(_encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10
     ),
     "encoder_slip": FaultKind(
-        "the joint encoder's coupling slips", _encoder_slip, 0.5, "of what the joint moves", -10, 10
+        "the joint encoder's coupling slips", _encoder_slip, 0.5, "of the joint motion", -10, 10
     ),
     "torque_sensor_gain": FaultKind(
         "the joint torque sensor is wrong by a factor",
         lambda t: swap(_sensor(t).faults, "gain", t.value),
-        -1.0, "of what is there", -10, 10,
+        -1.0, "of the torque", -10, 10,
     ),
     "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
     "sparse_rpdo": FaultKind(

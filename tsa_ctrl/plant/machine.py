@@ -126,7 +126,7 @@ class DriveNode(Node):
             index, sub = _place(name)
             key = shifted((index, sub or 0), offset)
             if key not in dictionary.entries:
-                raise UsageError(f"[axis.drive] objects: there is no {name} in this drive; correct index and sub-index")
+                raise UsageError(f"[axis.drive] objects: this drive has no {name}; correct index and sub-index")
             self._replace(key, default=value, plus_node=False)
         mapping = [f"0x{base + n:04X}" for base in (0x1600, 0x1A00) for n in range(4)] if settings.fixed_mapping else []
         for name in [*settings.read_only, *mapping]:
@@ -363,7 +363,7 @@ class Machine:
         kind = check_fault(fault, f"axis '{unit.axis.name}'")
         node = unit.by_kind.get(fault.node)
         if node is None:
-            raise UsageError(f"axis '{unit.axis.name}': fault {fault.name}: there is no {fault.node}")
+            raise UsageError(f"axis '{unit.axis.name}': fault {fault.name}: the axis has no {fault.node}")
         value = kind.value if fault.value is None else fault.value
 
         def begin(now: float) -> None:

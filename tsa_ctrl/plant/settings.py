@@ -337,7 +337,7 @@ def _check_unique(axes: list[AxisSettings], path: Path) -> None:
         place = (axis.drive.node_id, axis.drive.slot)
         if place in slots:
             raise UsageError(
-                f"{path}: axis '{axis.name}': slot {axis.drive.slot} of node {axis.drive.node_id} is already that of "
+                f"{path}: axis '{axis.name}': slot {axis.drive.slot} of node {axis.drive.node_id} is already used by "
                 f"axis '{slots[place]}'; give each axis of one device a different slot"
             )
         shared = any(node_id == axis.drive.node_id for node_id, _ in slots)

@@ -121,8 +121,8 @@ def check_twins(nodes: Sequence[Node], reports: Sequence[NodeReport]) -> None:
         elif one.settings.serial_number is None or other.settings.serial_number is None:
             raise UsageError(
                 f"{one.name} and {other.name} are equal drives: exchanged ids would exchange the joints; write "
-                f"serial_number = {serials[0]} into the [axis.drive] of the one and serial_number = {serials[1]} into "
-                "that of the other, or let tsa doctor CONTROLLER.toml --serial-numbers do it"
+                f"serial_number = {serials[0]} and serial_number = {serials[1]} into their [axis.drive] tables, or run "
+                "tsa doctor CONTROLLER.toml --serial-numbers"
             )
 
 

@@ -116,8 +116,8 @@ def _of_a_pdo(entry: Object, code: int | None) -> str:
     if code in _NOT_MAPPABLE:
         return "look for another firmware: it cannot map the objects that this controller needs into one PDO"
     return (
-        "map this PDO so with the maker's tool, store it there, and start again: what is as wanted is left alone, and "
-        "this drive does not let it be changed"
+        "map this PDO so with the maker's tool, store it there, and start again: a correct object is not written, and "
+        "this drive rejects changes"
     )
 
 
@@ -261,7 +261,7 @@ class Node:
         session.write(self.node_id, entry.of(self.axis.drive.slot), value)
 
     def state(self, session: Session) -> PowerState:
-        """Of the drive."""
+        """Return the state of the drive."""
         return cia402.decode(self.read(session, objects.STATUSWORD))
 
 
@@ -307,8 +307,8 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
             entry.name, "serial_number"
         )
         raise BusError(
-            f"{node.name}: {entry.name} is {shown}, wanted is {wanted}; "
-            f"this is another device than the configuration says: correct node_id, {key} or profile"
+            f"{node.name}: {entry.name} is {shown}, required is {wanted}; "
+            f"this is not the configured device: correct node_id, {key} or profile"
         )
 
 
@@ -384,8 +384,8 @@ def _instead(modes: int) -> str:
     others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]
     has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
     return (
-        f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission a position error is a torque that "
-        f"nobody has limited; use another drive or firmware, or, if the drive has the mode and does not report it, "
+        f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission a position error is an "
+        f"unlimited torque; use another drive or firmware, or, if the drive has the mode and does not report it, "
         f'absent = ["{objects.SUPPORTED_MODES.name}"] in its profile'
     )
 
@@ -467,8 +467,8 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
         return
     if watched and node.axis.drive.require_watchdog:
         raise BusError(
-            f"{node.name}: has a watchdog, but no reaction to a lost connection (0x6007), so nobody knows what it does "
-            "when this computer dies; use another drive, or try it (tsa verify-safety) with require_watchdog = false"
+            f"{node.name}: has a watchdog, but no reaction to a lost connection (0x6007), so its reaction is "
+            "unknown if this computer fails; use another drive, or try it (tsa verify-safety) with require_watchdog = false"
         )
     if watched:
         report.notes.append("has a watchdog, but its reaction (0x6007) is not known: try tsa verify-safety")

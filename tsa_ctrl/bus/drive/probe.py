@@ -94,7 +94,7 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
     if missing:
         lacks = ", ".join(str(entry) for entry in missing)
         raise BusError(
-            f"node {node_id}: device type is 0x{first:08X}, and there is no {lacks}: this is no CiA 402 drive with "
+            f"node {node_id}: device type is 0x{first:08X}, and there is no {lacks}: it is not a CiA 402 drive with "
             "torque; correct --node (or --slot, of a device with several axes)"
         )
     found.slots = [n for n in range(1, _SLOTS + 1) if session.ask(node_id, objects.STATUSWORD.of(n)) is not None]
@@ -173,7 +173,7 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
     texts = found.texts
     name = texts.get("device name") or "drive of an unknown kind"
     yield f"# Written by tsa drive probe: node {found.node_id} on {where}, read without moving anything."
-    yield f"# What {_ASK.strip()} stands at is for you: a drive does not say it, or in a way that nobody can trust."
+    yield f"# Complete each line with {_ASK.strip()}: a drive does not report this value, or not reliably."
     yield f"name = {json.dumps(name, ensure_ascii=False)}"
     version = ", ".join(f"{key} {texts[key]}" for key in ("hardware version", "software version") if texts.get(key))
     yield f"sources = [{json.dumps(f'values that the drive reported: {version or name}', ensure_ascii=False)}]"
@@ -319,7 +319,7 @@ def _units(found: Probe) -> Iterator[str]:
 def _velocity(found: Probe) -> Iterator[str]:
     code = found.get(objects.VELOCITY_UNIT)
     if code is None:
-        yield f"# {_ASK}there is no 0x60A9; the unit of 0x606C is in its manual, its name in drives/generic.toml"
+        yield f"# {_ASK}the drive lacks 0x60A9; see its manual for the unit of 0x606C, and drives/generic.toml for its name"
         yield 'velocity = "counts/s"'
         return
     known = {unit.si_code: unit for unit in VelocityUnit if unit.si_code is not None}
@@ -345,10 +345,10 @@ def _clamp(found: Probe) -> Iterator[str]:
         return
     yield ""
     if found.get(objects.VENDOR_ID) == MAXON and found.has(CURRENT_LIMIT) and found.has(CURRENT_NOMINAL):
-        yield "[torque_clamp]                   # there is no 0x6072: the output current limit, mA"
+        yield "[torque_clamp]                   # the drive lacks 0x6072: the output current limit, mA"
         yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "output current limit", "")
         return
-    yield f"# {_ASK}there is no 0x6072: name the object that limits the torque, and the one that holds its value at"
+    yield f"# {_ASK}the drive lacks 0x6072: name the object that limits the torque, and the one that holds its value at"
     yield "# rated torque (or that value itself: rated = ..., and zero = ... at none); without them this does not load."
     yield "# [torque_clamp]"
     yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "what it is", "# ")

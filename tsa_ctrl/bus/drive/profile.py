@@ -146,7 +146,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     units: Units = Units()
     reactions: Reactions = Reactions()
     absent: list[str] = []  # names (of the object table) of missing objects
-    torque_clamp: TorqueClamp | None = None  # where there is no 0x6072
+    torque_clamp: TorqueClamp | None = None  # if the drive lacks 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
     mode_shows: Literal["written", "operational", "enabled"] = "written"  # from when on 0x6061 is what 0x6060 is
     warnings: list[EmcyCode] = []  # error codes of emergencies that are reported and stop nothing

@@ -355,7 +355,7 @@ class Axis:
         self._motor_count, image.mode, image.error_code = values
 
     def _store_bare_position(self, values: tuple[Any, ...]) -> None:
-        """Of a drive without 0x603F: the code of its last emergency stands for it."""
+        """Store the position of a drive without 0x603F; its error code is that of its last emergency."""
         image = self.image
         self._motor_count, image.mode = values
         said = image.nodes[0].emcy
@@ -381,7 +381,7 @@ class Axis:
         self.image.tau_j = values[0] * self._sensor_scale - self._sensor_offset
 
     def settle(self, sampled: float, complete: bool) -> None:
-        """Close a cycle: judge what is fresh, and derive what follows from positions sampled at `sampled`."""
+        """Close a cycle: mark fresh values, and derive the velocity from positions sampled at `sampled`."""
         image = self.image
         image.now = sampled
         fresh = joint_fresh = True

@@ -214,7 +214,7 @@ def check(channel: str, bitrate: int) -> None:
     if found.errors is not None and any(found.errors):
         raise BusError(
             f"[bus] channel '{channel}': its error counters are {found.errors[0]} (tx) and {found.errors[1]} (rx), "
-            f"wanted are 0: something disturbs the bus; check cable, termination and bit rate, then: {restart}"
+            f"required are 0: something disturbs the bus; check cable, termination and bit rate, then: {restart}"
         )
 
 
