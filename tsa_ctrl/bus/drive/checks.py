@@ -468,7 +468,8 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
     if watched and node.axis.drive.require_watchdog:
         raise BusError(
             f"{node.name}: has a watchdog, but no reaction to a lost connection (0x6007), so its reaction is "
-            "unknown if this computer fails; use another drive, or try it (tsa verify-safety) with require_watchdog = false"
+            "unknown if this computer fails; use another drive, or try it (tsa verify-safety) with "
+            "require_watchdog = false"
         )
     if watched:
         report.notes.append("has a watchdog, but its reaction (0x6007) is not known: try tsa verify-safety")

@@ -319,7 +319,7 @@ def _units(found: Probe) -> Iterator[str]:
 def _velocity(found: Probe) -> Iterator[str]:
     code = found.get(objects.VELOCITY_UNIT)
     if code is None:
-        yield f"# {_ASK}the drive lacks 0x60A9; see its manual for the unit of 0x606C, and drives/generic.toml for its name"
+        yield f"# {_ASK}the drive lacks 0x60A9; its manual has the unit of 0x606C, drives/generic.toml the name"
         yield 'velocity = "counts/s"'
         return
     known = {unit.si_code: unit for unit in VelocityUnit if unit.si_code is not None}
