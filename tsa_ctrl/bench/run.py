@@ -273,7 +273,7 @@ def _tolerant(configuration: Configuration) -> Configuration:
 
 
 def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
-    """The rights of the configuration, without which the measurement goes on: that they are missing is a finding."""
+    """Return the real-time settings, with which the measurement runs even if the rights are missing."""
     asked = configuration.file.realtime
     return realtime.RealtimeSettings(
         priority=asked.priority, lock_memory=asked.lock_memory, cpu=asked.cpu, allow_without=True

@@ -141,7 +141,7 @@ class AxisNodes(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     torque_sensor: TorqueSensorSettings | None = None
 
     def nodes(self) -> Iterator[tuple[Role, NodeSettings]]:
-        """Those that there are, the drive first."""
+        """Yield the configured nodes with their roles, the drive first."""
         yield Role.DRIVE, self.drive
         if self.encoder is not None:
             yield Role.ENCODER, self.encoder

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.option("--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Free share of the period.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(controller: Path, seconds: float, margin: float, as_json: bool) -> int:
-    """The highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.
+    """Find the highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.
 
     The loop's own cycle runs at the configured rate: waking up, SYNC, answers, law, limiter, command, record. With
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process

@@ -133,7 +133,7 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
 
 
 def _loaded(model: Path) -> TendonSheath:
-    """The nominal model; a plain drive's parameters are the diagnosis' work."""
+    """Return the nominal model; raises UsageError for a plain drive, whose parameters the diagnosis estimates."""
     from tsa_ctrl.model.parameters import TendonSheath, load_model
 
     loaded = load_model(model)
@@ -200,7 +200,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
 
 
 def _unit(quantity: Quantity) -> str:
-    """As people read it: nothing for a plain number."""
+    """Return the unit for a table; empty for a plain number."""
     from tsa_ctrl.identify.quantity import spelled
 
     return "" if quantity.unit == "1" else spelled(quantity.unit)

@@ -151,7 +151,7 @@ def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:
 
 
 def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, asked: bool) -> Shown:
-    """What `show` returns on the bus; in virtual time if real time fails on a bus that the user did not request."""
+    """Run `show` on the bus, or in virtual time if real time fails on a bus that the user did not request."""
     from tsa_ctrl.demo.rig import VIRTUAL
 
     try:

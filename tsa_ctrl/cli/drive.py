@@ -84,7 +84,7 @@ def find_target(
     bitrate: int,
     profile: str,
 ) -> Target:
-    """The drive that the options name; raises UsageError when they name none or two."""
+    """Return the drive that the options select; raises UsageError if they select none or two."""
     from tsa_ctrl import settings
     from tsa_ctrl.bus.drive.profile import load_profile
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
@@ -225,7 +225,7 @@ def bus_options(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, BusSettings]]:
-    """A bus by its name; raises UsageError, BusError."""
+    """Open a bus by its name, and close it at the end; raises UsageError, BusError."""
     from tsa_ctrl import settings
     from tsa_ctrl.bus.settings import BusSettings
     from tsa_ctrl.bus.wire.link import open_bus

@@ -133,7 +133,7 @@ def leg() -> tuple[dict[Path, str], dict[Path, str]]:
 
 
 def _repeated(block: str, place: int, changes: Changes) -> str:
-    """The block of one joint; only the first one shows the keys that are comments."""
+    """Return the block of one joint; only the first one shows the keys that are comments."""
     text = with_values(block, changes)
     if place == 0:
         return text

@@ -29,7 +29,7 @@ class Understood:
 
     @property
     def left(self) -> list[str]:
-        """Foreign columns that are not taken."""
+        """Return the foreign columns that are not taken."""
         taken = {column.source for column in self.mapped}
         return [name for name in self.table.names if name not in taken]
 

@@ -214,7 +214,7 @@ def stop_command(path: str, wait: float) -> None:
 @SOCKET
 @click.option("--port", default=0, type=click.IntRange(0, 65535), show_default="a free one", help="Of 127.0.0.1.")
 def dashboard_command(path: str, port: int) -> None:
-    """A local page to watch and tune a running daemon: torques and lateness live, state, faults, live parameters.
+    """Open a local page to watch and tune a running daemon: torques, latency, state, faults, live parameters.
 
     Prints the address to open, with its token, and serves until Ctrl-C. Bound to the loopback address; it talks to the
     daemon over the local socket as `tsa status` and `tsa set` do. A change asks for a confirmation and can be undone.

@@ -98,7 +98,7 @@ def command(
 
 
 def _parts(errors: ThreeErrors, name: str) -> str:
-    """The three errors in one line, before the total."""
+    """Return the three errors in one line, which precedes the total."""
     told = {
         "while sliding": errors.sliding,
         "in reversals": errors.reversals,
@@ -109,7 +109,7 @@ def _parts(errors: ThreeErrors, name: str) -> str:
 
 
 def _shown(value: float) -> str:
-    """Four decimals, or three digits where that would hide a small value; never an exponent."""
+    """Return a value with four decimals, or three digits if it is small; never with an exponent."""
     import numpy as np
 
     return (

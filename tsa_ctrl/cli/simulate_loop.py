@@ -141,7 +141,7 @@ def _log_of(report: Path, folder: Path) -> Path:
 
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[float], None]]:
-    """The share of the time that has gone, on stderr where that is a terminal."""
+    """Show the share of the simulated time on stderr if it is a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

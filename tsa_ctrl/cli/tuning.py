@@ -19,7 +19,7 @@ PATIENCE = 0.05  # s for an answer: it is asked between two looks at the run
 
 @contextlib.contextmanager
 def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
-    """A progress line on a terminal's standard error.
+    """Show a progress line on stderr if it is a terminal.
 
     Yield a function for phase and share done, and one that prints a line and waits for Enter.
     `socket`: of the daemons that the runs are; None without any, as in virtual time.
@@ -55,7 +55,7 @@ class Live:
         self._client: Client | None = None
 
     def words(self) -> str:
-        """As "0.31 N*m, 0.12 rad; "; empty while there is no answer."""
+        """Return the measurement, for example "0.31 N*m, 0.12 rad; "; empty without an answer."""
         try:
             if self._client is None:
                 self._client = Client(self._path, timeout=PATIENCE)
@@ -72,7 +72,7 @@ class Live:
 
 
 def told(axis: AxisMeasured) -> str:
-    """Torque at the joint, at the motor where no sensor measures it, and the joint's angle."""
+    """Return the torque at the joint (without a sensor: at the motor) and the joint angle, in words."""
     torque, where = (axis.tau_m, "motor") if axis.tau_j is None else (axis.tau_j, "joint")
     shown = "no torque yet" if torque is None else f"{torque:+.2f} N*m at the {where}"
     return f"{shown}, {axis.q_j:+.2f} rad; "
@@ -80,7 +80,7 @@ def told(axis: AxisMeasured) -> str:
 
 @contextlib.contextmanager
 def interrupted_once() -> Iterator[None]:
-    """The first SIGINT or SIGTERM ends everything in order; those after it change nothing."""
+    """Raise KeyboardInterrupt at the first SIGINT or SIGTERM, and ignore later ones."""
 
     def handle(number: int, frame: FrameType | None) -> None:
         for each in (signal.SIGINT, signal.SIGTERM):

@@ -124,7 +124,7 @@ def _show(found: Verification) -> None:
 
 
 def _acted(outcome: Outcome) -> str:
-    """The watchdog that took the torque."""
+    """Return the watchdog that removed the torque, and its time."""
     found = outcome.watchdog
     if found.acted is None or found.after is None:
         return "not known"

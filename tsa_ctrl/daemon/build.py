@@ -257,7 +257,7 @@ def free_shares(model: TendonSheath) -> tuple[float, float]:
 
 
 def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
-    """One count of the motor's encoder and of the joint's, 0 without, rad at the motor; `geared`: r_J/r_M."""
+    """Return one count of the motor and the joint encoder (0 without it), rad at the motor; `geared`: r_J/r_M."""
     motor = 2.0 * math.pi / (settings.drive.counts_per_revolution * settings.drive.gear_ratio)
     encoder = settings.encoder
     return motor, 0.0 if encoder is None else 2.0 * math.pi * geared / encoder.counts_per_revolution

@@ -120,7 +120,7 @@ class JointFiles:
 
     @property
     def nodes(self) -> Mapping[str, Mapping[str, NodeIdentity]]:
-        """The nodes that were found, by axis and node."""
+        """Return the nodes that were found, by axis and node."""
         return self._found
 
     def found(self) -> Mapping[str, dict[str, dict[str, int]]]:

@@ -95,12 +95,12 @@ class Loop:
 
     @property
     def start(self) -> float:
-        """Monotonic time of the first cycle, s."""
+        """Return the monotonic time of the first cycle, s."""
         return self._start * 1e-9
 
     @property
     def planned(self) -> int:
-        """Periods run or skipped."""
+        """Return the number of periods run or skipped."""
         return self.cycles + self.skipped
 
     @property
@@ -325,7 +325,7 @@ class Loop:
                     self.events.add(self._t(planned), axis.name, source.words)
 
     def _fault(self, planned: int) -> None:
-        """One axis' fault ramps all others to 0: they move the same limb."""
+        """Ramp all axes to 0 after a fault of one axis, because they move the same limb."""
         self.faulty = True
         for axis in self._axes:
             axis.stop()

@@ -73,7 +73,7 @@ class Board:
 
     @property
     def heard(self) -> float:
-        """Time of the last sign of life, s, monotonic."""
+        """Return the time of the last sign of life, s, monotonic."""
         return self._words[0] * 1e-9
 
     def tell(self, report: Report) -> None:

@@ -72,11 +72,11 @@ class Summary:
 
     @property
     def missed_pdo(self) -> int:
-        """Cycles, summed over nodes, in which PDOs did not come in time."""
+        """Return the number of cycles, summed over nodes, whose PDOs were late."""
         return sum(node.missed for node in self.nodes)
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON-ready: null for unknown."""
+        """Return a JSON-ready object: null for unknown."""
         cycles = ("planned", "sent", "skipped", "overruns", "late", "missed_pdo", "dropped", "error_frames", "flooded")
         found: dict[str, Any] = json_types(
             {
@@ -166,7 +166,7 @@ def _histogram(summary: Summary) -> Table:
 
 
 def _bar(number: int, most: int) -> str:
-    """Length by the logarithm, so that single outliers show."""
+    """Return a bar whose length is logarithmic, so that single outliers are visible."""
     return "" if number == 0 else "█" * max(1, round(BAR * math.log1p(number) / math.log1p(most)))
 
 

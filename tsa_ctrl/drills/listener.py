@@ -125,13 +125,13 @@ def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool
 
 
 def _range(values: Sequence[float]) -> float:
-    """0 where nothing is known."""
+    """Return the range of the finite values; 0 without any."""
     known = [value for value in values if math.isfinite(value)]
     return max(known) - min(known) if known else 0.0
 
 
 def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float | None]:
-    """Correlation and slope; None for a quantity that is not there or does not move."""
+    """Return correlation and slope; None for a quantity that is absent or constant."""
     if not all(map(math.isfinite, (*x, *y))):
         return None, None
     mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
@@ -175,7 +175,7 @@ class Watch:
             inbox.armed = False
 
     def _close(self, now: float) -> None:
-        """Everything that answered the last SYNC is one sample."""
+        """Add the answers to the last SYNC as one sample if all of them have arrived."""
         image = self._axis.image
         if not any(inbox.armed for inbox in self._inboxes.values() if inbox.every == 1):
             self._axis.settle(now, True)
@@ -373,7 +373,7 @@ class Listener:
         self._bus.send(cia301.NMT, cia301.nmt(NmtCommand.STOP, drive.node))
 
     def armed(self) -> dict[str, dict[str, int]]:
-        """Time-outs that the drives hold, ms: `rpdo`, `heartbeat`, `guarding`; without values that are 0 or missing."""
+        """Return the time-outs stored in the drives, ms (`rpdo`, `heartbeat`, `guarding`), if present and not 0."""
         for drive in self._drives.values():
             drive.armed = {}
             timer = drive.layout.command.communication(5, objects.Type.U16, "")

@@ -101,7 +101,7 @@ class ListenerProcess:
 
 @contextlib.contextmanager
 def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
-    """A listener on the bus in a separate process."""
+    """Run a listener on the bus in a separate process, and end it after the block."""
     listener = ListenerProcess(configuration)
     try:
         yield listener
@@ -110,7 +110,7 @@ def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
 
 
 def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Trial, torque: float) -> list[Outcome]:
-    """One trial, all axes at once, with `torque` in N*m at each motor. Raises BusError when no torque comes."""
+    """Run one trial of all axes with `torque` N*m at each motor; raises BusError if no torque is measured."""
     limit = configuration.zero_torque_within
     loop = None
     on_guard = False
@@ -278,7 +278,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.outcomes) and all(outcome.safe for outcome in self.outcomes)
 
     def as_dict(self, samples: bool) -> dict[str, Any]:
-        """JSON-ready; `samples`: with every torque that the listener saw."""
+        """Return a JSON-ready object; `samples`: with every torque that the listener saw."""
         trials = []
         for outcome in self.outcomes:
             data = msgspec.to_builtins(outcome)
@@ -300,7 +300,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def trial_torque(configuration: Configuration, asked: float | None) -> float:
-    """N*m at the motor: the requested one, the configured one, or a tenth of the rated torque. Raises UsageError."""
+    """Return the motor torque, N*m: requested, configured, or a tenth of the rated torque. Raises UsageError."""
     axes = configuration.file.axes
     rated = [axis.drive.rated_torque * axis.drive.gear_ratio for axis in axes]
     given = configuration.file.safety.torque if asked is None else asked
@@ -362,7 +362,7 @@ def check_folder(folder: Path) -> None:
 
 
 def save(verification: Verification, folder: Path) -> Path:
-    """A dated file that is not overwritten; raises UsageError when it cannot be there."""
+    """Write a dated file that is not overwritten, and return its path; raises UsageError."""
     path = untaken(folder, "safety", ".json", datetime.datetime.fromisoformat(verification.date))
     write_text(path, json.dumps(verification.as_dict(samples=True), allow_nan=False) + "\n")
     return path

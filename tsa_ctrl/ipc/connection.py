@@ -171,7 +171,7 @@ BACKLOG = 256  # connections that wait until the server accepts them
 
 
 def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
-    """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
+    """Return a listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
 
     A file has one group: where there are two, every user may connect (0666), and `peers.role_of` decides who stays.
     """
@@ -213,7 +213,7 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
 
 @contextlib.contextmanager
 def listening(path: str, group: str | None, watch_group: str | None = None) -> Iterator[socket.socket]:
-    """As `listen`, while inside; the socket's name goes with it, unless another has taken it meanwhile."""
+    """Listen as `listen` inside the block, and remove the socket's file unless another process has replaced it."""
     listener = listen(path, group, watch_group)
     place = Path(path)
     ours = place.stat().st_ino

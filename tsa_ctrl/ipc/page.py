@@ -59,7 +59,7 @@ class Page:
         self._chosen = 0
 
     def take(self, status: dict[str, Any]) -> None:
-        """A new answer of the daemon."""
+        """Store a new answer of the daemon."""
         self._status = status
         for axis in status["axes"]:
             for signal in SHOWN:
@@ -67,7 +67,7 @@ class Page:
                 self._past[axis["name"], signal.name].append(math.nan if value is None else value)
 
     def parameters(self) -> list[tuple[str, str, dict[str, Any]]]:
-        """Axis, name and figures of every parameter that can be set."""
+        """Return the axis, name and figures of every parameter that can be set."""
         return [
             (axis["name"], name, figures)
             for axis in self._status["axes"]
@@ -197,7 +197,7 @@ def _times(status: dict[str, Any]) -> Table:
 
 
 def sparkline(values: deque[float]) -> str:
-    """Recent values as bars between their extremes."""
+    """Return the recent values as bars between their extremes."""
     finite = [value for value in values if math.isfinite(value)]
     if not finite:
         return ""

@@ -76,7 +76,7 @@ def recovery(mailbox: Mailbox, description: Description, now: float) -> Command:
 
 
 def axis_index(description: Description, name: str) -> int:
-    """The place of an axis; raises UsageError."""
+    """Return the index of an axis; raises UsageError."""
     try:
         return description.axes.index(name)
     except ValueError:

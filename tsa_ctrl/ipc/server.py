@@ -201,7 +201,7 @@ class Server:
             self.step(TICK)
 
     def close(self) -> None:
-        """The daemon has ended: the holder of the lease is informed."""
+        """Inform the holder of the lease that the daemon has ended, and close all connections."""
         if self._lease.listener is not None:
             self._lease.end("the daemon has ended")
         for client in list(self._clients.values()):
@@ -211,7 +211,7 @@ class Server:
         self._listener.close()
 
     def _patience(self, timeout: float) -> float:
-        """s for which nothing is due unless a client sends something."""
+        """Return the time until something is due unless a client sends a request, s."""
         clients, now = self._clients.values(), self._clock()
         if any(client.lines for client in clients):
             return max(0.0, self._rests - now) if self._lease.holder is not None else 0.0
@@ -244,12 +244,12 @@ class Server:
                 self._answer(client, client.lines.popleft(), now)
 
     def _answer_all(self, client: Connection | None, now: float) -> None:
-        """Everything that this client has asked."""
+        """Answer all requests of this client."""
         while client is not None and client.lines:
             self._answer(client, client.lines.popleft(), now)
 
     def _answer_next(self, now: float) -> None:
-        """One request of one client, in turn."""
+        """Answer one request of one client, in turn."""
         if self._lease.holder is not None and now < self._rests:
             return
         for place, client in enumerate(self._turn):
@@ -295,7 +295,7 @@ class Server:
     def _handle(
         self, client: Connection, request: AnyRequest, now: float
     ) -> dict[str, Any] | tuple[Command, dict[str, Any]]:
-        """The answer; with a command, the answer once the loop has taken it."""
+        """Return the answer, or a command with the answer to send once the loop has taken it."""
         mailbox, lease = self._mailbox, self._lease
         if not self._description.axes and not isinstance(request, _ALWAYS):
             raise UsageError(f"the daemon is starting ({mailbox.stage()[1]}); try again when it runs")

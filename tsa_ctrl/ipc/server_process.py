@@ -26,7 +26,7 @@ _AFTER_NAME = 2  # fields between the name and the start time
 
 
 def place(socket: str) -> Path:
-    """The file that belongs to a socket."""
+    """Return the file that belongs to a socket."""
     return Path(f"{socket}.pid")
 
 
@@ -49,7 +49,7 @@ def remove(socket: str, process: int) -> None:
 
 
 def running(socket: str) -> int | None:
-    """The process of the daemon behind a socket, None where none runs or the file cannot be trusted.
+    """Return the process of the daemon behind a socket; None if none runs or the file cannot be trusted.
 
     A file is trusted if it is plain, belongs to this user or root, and no other user may write it.
     """

@@ -66,7 +66,7 @@ class LogInfo:
     notes: list[Note] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """The JSON object of `tsa log info`; rate and columns of all axes together."""
+        """Return the JSON object of `tsa log info`; rate and columns of all axes together."""
         names = dict.fromkeys(column.name for axis in self.axes for column in axis.columns)
         names |= dict.fromkeys(name for axis in self.axes for name in axis.text_columns)
         return {

@@ -253,6 +253,6 @@ def read_waypoints(path: str | Path, needed: Sequence[str], optional: Sequence[s
 
 
 def from_zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same times, counted from the first."""
+    """Return the times relative to the first."""
     shifted: NDArray[np.float64] = t - t[0]
     return shifted

@@ -40,12 +40,12 @@ class TimeGrid:
 
     @property
     def rate(self) -> float:
-        """Hz, without the noise of the last digits."""
+        """Return the rate in Hz, without the noise of the last digits."""
         return float(f"{1.0 / self.period:.10g}")
 
     @property
     def skipped(self) -> int:
-        """Samples of the grid that no row fills."""
+        """Return the number of samples of the grid that no row fills."""
         return int(self.index[-1]) + 1 - len(self.index)
 
 
@@ -55,7 +55,7 @@ def longest_step(typical: float, longest_skip: float) -> float:
 
 
 def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
-    """The grid of increasing times, shape (n,), n >= 2; skips of up to `longest_skip` s count as whole samples."""
+    """Return the grid of increasing times (n,), n >= 2; skips of up to `longest_skip` s count as whole samples."""
     steps = np.diff(t)
     typical = float(np.median(steps))
     whole = np.maximum(np.rint(steps / typical), 1.0)
@@ -66,7 +66,7 @@ def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
 
 
 def fit_stamps(t: Array) -> TimeGrid:
-    """The grid of a table's increasing stamps without holes, (n,), n >= 2; counts lost samples where that fits better.
+    """Return the grid of increasing stamps without holes (n,), n >= 2, with lost samples counted if this fits better.
 
     Late rows and noisy stamps are the alternative: every row is one sample, and a long step is followed by a short.
     """
@@ -80,7 +80,7 @@ def fit_stamps(t: Array) -> TimeGrid:
 
 
 def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
-    """The grid of which each step spans `whole` samples (n - 1)."""
+    """Return the grid whose steps span `whole` samples (n - 1)."""
     steps = np.diff(t)
     index = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     centred = index - float(np.mean(index))

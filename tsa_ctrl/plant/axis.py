@@ -238,7 +238,7 @@ class Axis:
         self._rest(motion.angle[0] if prescribed else joint.initial_angle)
 
     def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Both tendons element by element; a single unused element if the full model is chosen."""
+        """Return the chains of both tendons element by element; a single unused element if the full model is chosen."""
         p, tendon = self.parameters[0], self.settings.tendon
         distributed = tendon.kind == "distributed"
         bristle = tendon.bristle_stiffness
@@ -377,7 +377,7 @@ def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:
 
 
 def _centre(curve: NDArray[np.float64], p: Any) -> float:
-    """Share of a tendon's compliance, series springs included, between the motor and the centre of the bending."""
+    """Return the share of a tendon's compliance, with series springs, between motor and centre of the bending."""
     place = 1.0 - float(np.trapezoid(curve[1], curve[0]))  # mean of the fraction of length over the bending
     before = 0.0 if p["series_at_joint"] else p["series_length"]
     return float((before + place * p["length"]) / (p["series_length"] + p["length"]))

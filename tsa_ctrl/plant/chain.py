@@ -65,7 +65,7 @@ def build_chain(
     bristle: float,
     series_at_joint: bool = False,
 ) -> NDArray[np.float64]:
-    """Chain of one tendon at rest, shape (rows, elements + 1).
+    """Return the chain of one tendon at rest, shape (rows, elements + 1).
 
     curve (2, n): fraction of length, fraction of bending; stiffness E A in N; length, series_length (E A / k_s) in m,
     before the first or behind the last contact; bristle: N/m of the whole tendon on its liner, 0 for rigid.
@@ -91,7 +91,7 @@ def build_chain(
 
 
 def _bending(curve: NDArray[np.float64], start: float, end: float, last: bool) -> tuple[float, float]:
-    """Bending up to the two ends of an element; a point bend on a border belongs to the element that it begins."""
+    """Return the bending up to both ends of an element; a point bend on a border belongs to the next element."""
 
     def before(place: float) -> float:
         i = int(np.searchsorted(curve[0], place, side="left"))
@@ -105,7 +105,7 @@ def _bending(curve: NDArray[np.float64], start: float, end: float, last: bool) -
 
 
 def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> float:
-    """Where along the length this much of the bending is reached."""
+    """Return the share of the length at which this share of the bending is reached."""
     i = int(np.searchsorted(curve[1], bending, side="left"))
     if i == 0:
         return max(otherwise, float(curve[0, 0]))
@@ -133,7 +133,7 @@ _UPPER, _RIGHT, _BY_MOTOR = int(Row.UPPER), int(Row.RIGHT), int(Row.BY_MOTOR)
 
 
 def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, pretension: float) -> None:
-    """Everything at one tension without friction; the ends where they are, m."""
+    """Set the whole tendon to one tension without friction; the displacements of both ends stay, m."""
     count = chain.shape[1] - 1
     share = np.cumsum(chain[Row.LENGTH_SHARE])[:count]
     chain[Row.PLACE_OLD, :count] = chain[Row.PLACE, :count] = motor_end + share * (joint_end - motor_end)
@@ -214,7 +214,7 @@ def _slacken(chain: Any, motor_end: float, joint_end: float) -> None:
 
 @compiled
 def _equilibrium(chain: Any, motor_end: float, joint_end: float, place: int, side: float, f: Any) -> bool:
-    """Tensions at the ends and their derivatives into f; whether the modes of all contacts were found."""
+    """Store the end tensions and their derivatives in f; return True if the modes of all contacts were found."""
     n = chain.shape[1] - 1
     settled, slopes = _find_modes(chain, motor_end, joint_end)
     chain[_MODE, n] = 0.0
@@ -338,7 +338,7 @@ def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
 
 @compiled
 def _taken(chain: Any) -> float:
-    """Energy in J that friction takes between the old state and the solution."""
+    """Return the energy in J that friction dissipates between the old state and the solution."""
     taken = 0.0
     for i in range(chain.shape[1] - 1):
         force, moved = chain[_FORCE, i], chain[_PLACE, i] - chain[_PLACE_OLD, i]

@@ -27,7 +27,7 @@ class Heard(Enum):
 
 
 def sync_entries(producer: bool) -> list[Entry]:
-    """The objects; of a `producer` with its own period."""
+    """Return the objects of SYNC; those of a `producer` have a period."""
     return [
         Entry(0x1005, 0, Type.U32, default=0x80 | (PRODUCES if producer else 0)),
         Entry(0x1006, 0, Type.U32, default=OWN_PERIOD if producer else 0),  # us
@@ -55,7 +55,7 @@ class SyncPort:
         self._last, self._due = None, now
 
     def hear(self, data: bytes, now: float) -> Heard:
-        """One SYNC: with a counter it has a byte, without one it may have none."""
+        """Receive a SYNC, which has one byte if a counter is configured and otherwise none."""
         if (self._values.get((0x1019, 0), 0) != 0) != (len(data) == 1):
             return Heard.WRONG_LENGTH
         self._last = now
@@ -216,7 +216,7 @@ class Guarding:
         self._toggle, self._asked = 0, None
 
     def answer(self, state: NmtState, now: float) -> bytes:
-        """The state with the toggle bit; life guarding begins with the first request."""
+        """Return the state with the toggle bit; life guarding begins with the first request."""
         self._asked = now
         data = bytes((state | self._toggle,))
         self._toggle ^= _TOGGLE if self.toggles else 0
@@ -250,7 +250,7 @@ class EmcyCode(IntEnum):
 
 
 def emcy_entries() -> list[Entry]:
-    """The objects that errors are kept in."""
+    """Return the objects of the error register, the history and EMCY."""
     return [
         Entry(0x1001, 0, Type.U8, Access.RO, mappable=True),
         Entry(0x1003, 0, Type.U8),
@@ -310,7 +310,7 @@ class ErrorLog:
         self._clear_history()
 
     def communication_restored(self) -> None:
-        """A new start ends communication errors; other errors stay in the error register."""
+        """Clear communication errors after a restart; other errors stay in the error register."""
         others = self._values[0x1001, 0] & ~(REGISTER_COMMUNICATION | REGISTER_GENERIC)
         self._values[0x1001, 0] = others | REGISTER_GENERIC if others else 0
 

@@ -57,7 +57,7 @@ TRANSITIONS: dict[tuple[PowerState, Command], tuple[int, PowerState]] = {
 
 @lru_cache(maxsize=256)  # a controlword comes again each cycle
 def command_of(controlword: int) -> Command | None:
-    """The command in a controlword; None when the bits make none (a fault reset, for example)."""
+    """Return the command in a controlword; None if the bits encode none (a fault reset, for example)."""
     for command in Command:
         mask, value = command.value
         if controlword & mask == value:

@@ -34,7 +34,7 @@ _KEPT = 14 * 86_400.0  # s; compiled code of other versions is thrown away when 
 
 
 def _cache_of(folder: Path) -> str:
-    """Folder below numba's cache for just these sources; "" if numba finds a place."""
+    """Return the folder below numba's cache for these sources; "" if numba selects one."""
     if not config.CACHE_DIR:
         return ""
     digest = hashlib.blake2b(b"".join((folder / name).read_bytes() for name in _KERNELS), digest_size=8).hexdigest()

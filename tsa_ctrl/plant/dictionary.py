@@ -234,12 +234,12 @@ _AXIS_OFFSET = 0x800
 
 
 def eds(dictionary: ObjectDictionary, file_name: str) -> str:
-    """The file's text for a node with this dictionary."""
+    """Return the text of the EDS for a node with this dictionary."""
     return "\r\n".join(_lines(dictionary, file_name)) + "\r\n"
 
 
 def file_names(path: Path, node_ids: Iterable[int]) -> dict[int, Path]:
-    """Where the EDS of each node goes: to `path`, or next to it with the node id if there are several."""
+    """Return the path of the EDS of each node: `path`, or with the node id if there are several."""
     ids = list(node_ids)
     if len(ids) == 1:
         return {ids[0]: path}

@@ -154,7 +154,7 @@ class Drive:
     # reactions
 
     def fault(self, code: int, vendor: bytes = bytes(5), stays: bool = False) -> None:
-        """An error of the drive: EMCY, 0x603F, fault reaction. `stays`: reset does not help until it is cleared."""
+        """Raise a drive error: EMCY, 0x603F, fault reaction. `stays`: a reset fails until the cause is cleared."""
         self.values[0x603F, 0] = code
         self.error_cause = stays
         self.node.emergency(code, _ERROR_REGISTER_PROFILE, vendor)
@@ -261,13 +261,13 @@ class Drive:
         return min(most, backward), min(most, forward)
 
     def _clamp(self) -> int:
-        """Largest torque in digits of 0x6071."""
+        """Return the largest torque in digits of 0x6071."""
         share = self.faults.most_torque
         most = self._written_clamp()
         return most if share is None else min(most, round(share * self.emulation.torque_digits))
 
     def _written_clamp(self) -> int:
-        """The same by the objects alone."""
+        """Return the limit that the objects alone determine."""
         values = self.values
         clamp = self.emulation.clamp
         if clamp is not None:
@@ -277,7 +277,7 @@ class Drive:
         return round(values.get((0x6072, 0), _NO_CLAMP) * self.emulation.torque_digits / 1000.0)
 
     def _velocity_digit(self) -> float:
-        """rad/s of the motor per digit of 0x606C."""
+        """Return the motor speed per digit of 0x606C, rad/s."""
         if self.emulation.velocity_digits is not None:
             return 2.0 * math.pi / self.settings.counts_per_revolution / self.emulation.velocity_digits
         exponent = self.values.get((0x60A9, 0), self._unit_code) >> 24
@@ -343,7 +343,7 @@ class Drive:
 
 
 def _turned(bit: int) -> int:
-    """The sign that this bit of 0x607E makes."""
+    """Return the sign that this bit of 0x607E selects."""
     return -1 if bit else 1
 
 
@@ -352,5 +352,5 @@ def _bounded(value: int, bound: int) -> int:
 
 
 def _wrapped(counts: int) -> int:
-    """A position counter of 32 bits wraps."""
+    """Return a position wrapped to 32 bits."""
     return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000

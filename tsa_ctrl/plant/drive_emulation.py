@@ -182,12 +182,12 @@ _POSITION: tuple[Key, ...] = ((0x6064, 0), (0x6061, 0), (0x603F, 0))
 
 
 def mode_numbers(settings: DriveSettings) -> frozenset[int]:
-    """Values that 0x6060 takes."""
+    """Return the values that 0x6060 accepts."""
     return frozenset(_MODES[name] for name in settings.modes) | {0}
 
 
 def shifted(key: Key, offset: int) -> Key:
-    """Where an object of the first axis lies for an axis `offset` further."""
+    """Return the key of an object of the first axis for an axis `offset` further."""
     return (key[0] + offset, key[1]) if key[0] in _PROFILE else key
 
 
@@ -220,7 +220,7 @@ def unit_code(settings: DriveSettings) -> int:
 
 
 def objects(settings: DriveSettings) -> list[Entry]:
-    """Those of CiA 402, as the first axis of a device has them."""
+    """Return the objects of CiA 402 for the first axis of a device."""
     ro, rw = Access.RO, Access.RW
     rated = round(settings.rated_torque / settings.rated_torque_unit)
     supported = sum(1 << mode - 1 for mode in mode_numbers(settings) if mode)

@@ -172,7 +172,7 @@ def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath)
 
 @compiled
 def pretension(p: Any, theta: float, time: float) -> float:
-    """T_p0 of a tendon that is bent by `theta`, stiffened and relaxed; time in s since the start."""
+    """Return T_p0 of a tendon that is bent by `theta`, stiffened and relaxed; time in s since the start."""
     base = p.pretension * p.pretension_factor
     tension = max(0.0, base + p.tendon_stiffness * p.bending_arm * (theta - p.theta))
     tension *= 1.0 + p.stiffening * tension / p.stiffness
@@ -187,7 +187,7 @@ def pretension(p: Any, theta: float, time: float) -> float:
 
 @compiled
 def friction_coefficient(s: Any, p: Any) -> float:
-    """mu with the effects that change it."""
+    """Return mu with the effects that change it."""
     mu = p.friction
     if p.static_excess != 0.0:
         mu *= 1.0 + p.static_excess * math.exp(-(abs(s.omega_j / p.stribeck_velocity) ** p.stribeck_shape))
@@ -198,7 +198,7 @@ def friction_coefficient(s: Any, p: Any) -> float:
 
 @compiled
 def tension_factor(p: Any, tension: float) -> float:
-    """Factor on the friction by the tension (tension_dependent_friction)."""
+    """Return the factor on the friction at this tension (tension_dependent_friction)."""
     if p.tension_exponent == 0.0:
         return 1.0
     ratio = max(tension, _MIN_TENSION * p.reference_tension) / p.reference_tension
@@ -287,7 +287,7 @@ def memory_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def formula(s: Any, steps: Any, memory: Any, tau: float, sigma: float, since: float, h: float) -> float:
-    """The formula's value now, N*m; 0 where it has none, and without one. Once for each sub-step of h s."""
+    """Return the value of the formula, N*m; 0 without one or if it is not finite. Once per sub-step of h s."""
     count = steps.shape[1]
     if count == 0:
         return 0.0
@@ -362,7 +362,7 @@ def _one(op: int, x: float) -> float:
 
 @compiled
 def _remembered(own: Any, op: int, first: float, second: float, x: float, h: float) -> float:
-    """The memory's value at x, h s after the last; nothing moves if x is not a number."""
+    """Return the memory's value at x, h s after the last; nan, without a change, if x is not finite."""
     if not math.isfinite(x):
         return math.nan
     if own[0] == 0.0:

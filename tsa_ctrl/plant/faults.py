@@ -199,7 +199,7 @@ def _repeated(target: Target, period: float, action: Callable[[float], None]) ->
 
 
 def _fraying(target: Target) -> Undo:
-    """The pretension goes down by `value` of it a second."""
+    """Reduce the pretension by the share `value` per second."""
     back = parameter(target, "pretension_factor", target.axis.parameters["pretension_factor"][0].item())
 
     def step(now: float) -> None:
@@ -225,7 +225,7 @@ def _torque_off(target: Target) -> Undo:
 
 
 def _watchdogs_lost(target: Target) -> Undo:
-    """As by a tool on another port of the drive: the bus carries nothing of it."""
+    """Clear the drive's watchdogs as a tool on another port would do, without any frame on the bus."""
     values = target.drive.values
     keys = [key for key in ((0x1400, 5), (0x1016, 1)) if key in values]
     before = {key: values[key] for key in keys}

@@ -25,7 +25,7 @@ _ELASTIC, _MOTOR = int(Presliding.ELASTIC), int(Presliding.MOTOR)
 
 @compiled
 def mean_exponential(rho: float, curve: Any) -> tuple[float, float]:
-    """A(rho) and its derivative for a profile of (fraction of length, fraction of bending) points."""
+    """Return A(rho) and its derivative for a profile of (fraction of length, fraction of bending) points."""
     value = slope = 0.0
     for i in range(curve.shape[1] - 1):
         width = curve[0, i + 1] - curve[0, i]
@@ -47,7 +47,7 @@ def mean_exponential(rho: float, curve: Any) -> tuple[float, float]:
 
 @compiled
 def _distance(p: Any, i: int) -> float:
-    """Displacement at which element i slips: m of tendon, or rad for the effect."""
+    """Return the displacement at which element i slips: m of tendon, or rad for the effect."""
     if p.hysteresis == _ELASTIC:
         return float(p.presliding * ((i + 1) / NATURAL_ELEMENTS) ** 2)
     return float(p.hysteresis_distance * (i + 1) / p.hysteresis_elements)
@@ -55,7 +55,7 @@ def _distance(p: Any, i: int) -> float:
 
 @compiled
 def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, float, float]:
-    """z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
+    """Return z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
     du, dv = u - p.r_m * s.q_m, v - wound(p, s.q_j)
     if p.hysteresis == _ELASTIC:
         by_u, by_v = 1.0 - p.centre, p.centre

@@ -180,7 +180,7 @@ class AxisNodes:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        """The drive's first; one of several axes is there for each of them."""
+        """Return the nodes, the drive first; a node of several axes belongs to each of them."""
         return tuple(self.by_kind[kind] for kind in ("drive", "encoder", "torque_sensor") if kind in self.by_kind)
 
 
@@ -213,7 +213,7 @@ def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], 
 def _build_axis(
     settings: AxisSettings, plant: PlantSettings, send: Send, clock: Callable[[], float], place: int
 ) -> AxisNodes:
-    """One axis with its sensors' nodes; its drive is not yet in a node."""
+    """Return one axis with the nodes of its sensors; its drive is not yet in a node."""
     axis = Axis(settings, plant.physics, on_limb=plant.mechanism.kind == "mujoco")
 
     def noise(number: int) -> random.Random:
@@ -297,7 +297,7 @@ class Machine:
 
     @property
     def due(self) -> float:
-        """When something happens here although no frame comes, s of the clock."""
+        """Return the time of the next event without a frame, s of the clock."""
         due = self._next_tick
         for each in self._transmit:
             if each.waiting and each.waiting[0][0] < due:
@@ -305,7 +305,7 @@ class Machine:
         return due
 
     def step(self, frame: Frame | None, now: float, place: int = 0) -> None:
-        """What is due at `now`, and a frame that has arrived on the bus at `place`."""
+        """Process everything due at `now`, and a frame that has arrived on the bus at `place`."""
         for each in self._transmit:
             if each.waiting:
                 each.release(now)
@@ -315,7 +315,7 @@ class Machine:
             self.tick(now)
 
     def handle(self, can_id: int, data: bytes, now: float, place: int = 0) -> None:
-        """One frame from the bus at `place`."""
+        """Process one frame from the bus at `place`."""
         self.counts.frames += 1
         if can_id & ERROR_FLAG:
             return

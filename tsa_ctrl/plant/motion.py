@@ -37,7 +37,7 @@ class Motion:
 
 
 def build_motion(settings: MotionSettings) -> Motion:
-    """The motion that settings describe; raises UsageError for a file that cannot be used."""
+    """Return the motion that settings describe; raises UsageError for a file that cannot be used."""
     if settings.kind == "still":
         return _motion(np.full(2, settings.offset), np.zeros(2), _GRID, False, 0.0)
     if settings.kind == "sine":
@@ -56,7 +56,7 @@ def build_motion(settings: MotionSettings) -> Motion:
 
 
 def _cycle(period: float) -> tuple[NDArray[np.float64], float]:
-    """Sample times over one period, end included."""
+    """Return the sample times over one period, end included."""
     count = max(8, math.ceil(period / _GRID))
     return np.linspace(0.0, period, count + 1), period / count
 
@@ -64,7 +64,7 @@ def _cycle(period: float) -> tuple[NDArray[np.float64], float]:
 def _smooth_cycle(
     x: NDArray[np.float64], y: NDArray[np.float64], t: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The periodic cubic spline through points whose last one is the first: value and slope at `t`.
+    """Return value and slope at `t` of the periodic cubic spline through points whose last equals the first.
 
     scipy's, without its cost: importing it takes as long as all else that a plant with this motion does to start.
     """

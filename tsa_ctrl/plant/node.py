@@ -73,7 +73,7 @@ class LssSlave:
             self._assigned(self.node_id)
 
     def _select(self, place: int, value: int) -> None:
-        """The four numbers in order, all of them ours."""
+        """Process one of the four selection numbers, which must arrive in order and match this node."""
         self._matched = place + 1 if self._matched == place and self._identity[place] == value else 0
         if self._matched == len(self._identity):
             self._matched = 0
@@ -166,10 +166,10 @@ class Node:
         """Process data were written by an RPDO."""
 
     def connection_lost(self, overdue: bool) -> None:
-        """The master is gone: its heartbeat is `overdue`, or this node was taken out of operation."""
+        """React to a lost master: its heartbeat is `overdue`, or this node was taken out of operation."""
 
     def communication_error(self, code: EmcyCode) -> None:
-        """An error on the bus that concerns this node; by default it is only reported."""
+        """React to a bus error that concerns this node; by default it is only reported."""
         self.emergency(code, REGISTER_COMMUNICATION)
 
     def power_on(self) -> None:

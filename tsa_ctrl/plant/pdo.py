@@ -110,7 +110,7 @@ class Pdo:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def _mapped(self, value: int) -> tuple[Key, Type]:
-        """The object that one mapping entry names; raises SdoAbort when it cannot be mapped so."""
+        """Return the object of one mapping entry; raises SdoAbort if it cannot be mapped."""
         index, sub, bits = value >> 16, value >> 8 & 0xFF, value & 0xFF
         if index in _DUMMIES and sub == 0 and self.direction is Direction.RPDO:
             kind = _DUMMIES[index]
@@ -211,7 +211,7 @@ class Rpdo(Pdo):
         self._line.clear()
 
     def take(self, data: bytes, now: float) -> bytes | None:
-        """One frame; returned when it acts at once."""
+        """Take one frame; return it if it acts at once, otherwise keep it and return None."""
         self.received_at = now
         if not self.synchronous and self._delay == 0:
             return data

@@ -316,7 +316,7 @@ def _check_tables(axis: AxisSettings, where: str, on_limb: bool) -> None:
 
 
 def check_curvature(points: list[tuple[float, float]], where: str) -> None:
-    """A profile is [fraction of the length, fraction of the bending] from [0, .] to [1, 1], both never falling."""
+    """Check a profile [fraction of length, fraction of bending] from [0, .] to [1, 1]; raises UsageError."""
     rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))
     if len(points) < 2 or not rising or points[0][0] != 0.0 or points[0][1] < 0.0 or points[-1] != (1.0, 1.0):
         raise UsageError(

@@ -130,7 +130,7 @@ class Slots:
         )
 
     def read(self, index: int) -> Reading:
-        """The newest reading; NOTHING before the first, or when it was written over while it was read, each time."""
+        """Return the newest reading; NOTHING before the first, or if each attempt to read it was overwritten."""
         number, content = self._newest[index].read()
         if not number:
             return NOTHING
@@ -138,7 +138,7 @@ class Slots:
         return Reading(value, time, count, rejected, LineState(state))
 
     def fresh(self, index: int, now: float, timeout: float) -> float:
-        """The newest value if it is at most `timeout` s old at monotonic `now`, else nan; for the loop."""
+        """Return the newest value for the loop; nan if it is older than `timeout` s at the monotonic time `now`."""
         number, content = self._newest[index].read()
         if not number:
             return math.nan
@@ -166,11 +166,11 @@ class SerialSensors:
         return Child("tsa_ctrl.sensors.reader", fd, count, index, text, reports=False, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
-        """SI value of a sensor at a monotonic time, nan if the newest is older than its time-out; about 1 us."""
+        """Return the SI value of a sensor at a monotonic time; nan if it is older than its time-out."""
         return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:
-        """The newest reading with its counts and state, for status pages."""
+        """Return the newest reading with its counts and state, for status pages."""
         return self._slots.read(index)
 
     def alive(self, index: int) -> bool:

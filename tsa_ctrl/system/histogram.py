@@ -27,7 +27,7 @@ class Distribution:
 
 
 def distribution(bins: Sequence[int] | memoryview) -> Distribution:
-    """Percentiles of a histogram."""
+    """Return the percentiles of a histogram."""
     counts = list(bins)
     return Distribution(
         sum(counts), percentile(counts, 0.5), percentile(counts, 0.99), percentile(counts, 0.999), counts[-1]
@@ -35,7 +35,7 @@ def distribution(bins: Sequence[int] | memoryview) -> Distribution:
 
 
 def percentile(counts: Sequence[int], share: float) -> float:
-    """Upper edge (s) of the bin in which `share` of the samples is reached; nan without samples."""
+    """Return the upper edge (s) of the bin in which `share` of the samples is reached; nan without samples."""
     wanted = share * sum(counts)
     seen = 0
     for index, number in enumerate(counts):

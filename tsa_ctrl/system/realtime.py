@@ -91,7 +91,7 @@ def freeze_garbage() -> None:
 
 
 def in_force(missing: tuple[str, ...] = ()) -> Rights:
-    """Scheduling policy and locked memory of this process as the kernel reports them."""
+    """Return the scheduling policy and locked memory of this process as the kernel reports them."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     locked = 0
     for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():

@@ -27,11 +27,11 @@ class Nodes(Protocol):
 
     @property
     def due(self) -> float:
-        """When something happens there although no frame comes, s."""
+        """Return the time of the next event without a frame, s."""
         ...
 
     def step(self, frame: Frame | None, now: float, place: int = 0) -> None:
-        """What is due at `now`, and a frame that has arrived on the wire at `place`."""
+        """Process everything due at `now`, and a frame that has arrived on the wire at `place`."""
         ...
 
 
@@ -245,7 +245,7 @@ class HostEnd(End):
             self._wire.pass_until(self._woke + self.cycle_time)
 
     def arrived(self, can_id: int, data: bytes) -> None:
-        """A frame is through."""
+        """Receive a transmitted frame if it is accepted."""
         if self.fault is None and (self._accepted is None or can_id in self._accepted or can_id > 0x7FF):
             self._received.append((can_id, data))
             if can_id == self._bell:

@@ -39,14 +39,14 @@ class AxisResult(Displayed):
 
     @cached_property
     def delivered(self) -> NDArray[np.float64]:
-        """Joint torque that the plant delivers at each cycle's SYNC, N*m, (n,)."""
+        """Return the joint torque that the plant delivers at each cycle's SYNC, N*m, (n,)."""
         clock = self.truth["clock"]
         rows = np.searchsorted(clock, self.start + self.log["t"] + self.log["lateness"])
         return self.truth["tau_j"][np.minimum(rows, clock.size - 1)]
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
-        """Cycles in which errors count, (n,): with torque, from the end of each fade-in to the begin of the stop."""
+        """Return the mask (n,) of cycles whose errors count: with torque, from the end of a fade-in to the stop."""
         t, reason = self.log["t"], self.log["limit_reason"]
         on = (reason != Reason.DISABLED.value) & (t < self.until)
         begins = np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))
@@ -80,7 +80,7 @@ class AxisResult(Displayed):
         return lines(panels, self.log["t"], f"Torque error: RMS / 99 % / peak {errors}")
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready: null where no cycle counts."""
+        """Return a JSON-ready object: null where no cycle counts."""
         error, speed = np.abs(self.error), np.abs(self.truth["omega_j"])
         reasons = Counter(Reason(int(code)).name for code in self.log["limit_reason"].tolist())
         states = self.log["state"][self.log["t"] <= self.until]  # before the drive was disabled at the end of the run
@@ -132,7 +132,7 @@ class Simulation(Displayed):
         return self.axes[0].plot()
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object of `tsa simulate-loop --json`."""
+        """Return the public JSON object of `tsa simulate-loop --json`."""
         return {
             "schema": SCHEMA,
             "seconds": self.seconds,

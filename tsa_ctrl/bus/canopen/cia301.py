@@ -51,12 +51,12 @@ class Profile(Enum):
 
 
 def nmt(command: NmtCommand, node_id: int = ALL_NODES) -> bytes:
-    """Data of an NMT frame (identifier 0)."""
+    """Return the data of an NMT frame (identifier 0)."""
     return bytes((command, node_id))
 
 
 def heartbeat(state: NmtState) -> bytes:
-    """Data of a heartbeat (identifier 0x700 + node)."""
+    """Return the data of a heartbeat (identifier 0x700 + node)."""
     return bytes((state,))
 
 
@@ -64,7 +64,7 @@ TOGGLE = 0x80  # bit of an answer to node guarding, which alternates from answer
 
 
 def heartbeat_state(data: bytes) -> int | None:
-    """The NMT state that a heartbeat reports (`NmtState` where the standard names it); None when malformed."""
+    """Return the NMT state that a heartbeat reports (`NmtState` if the standard defines it); None if malformed."""
     return data[0] & 0x7F if len(data) == 1 else None
 
 
@@ -183,7 +183,7 @@ class Emcy:
 
     @property
     def is_reset(self) -> bool:
-        """The node reports the end of its errors."""
+        """Return True if the node reports the end of its errors."""
         return self.code == 0
 
     def __str__(self) -> str:
@@ -192,7 +192,7 @@ class Emcy:
 
 
 def decode(data: bytes) -> Emcy | None:
-    """The emergency in 8 bytes; None when the length is wrong."""
+    """Return the emergency in 8 bytes; None if the length is wrong."""
     return Emcy(*_EMCY.unpack(data)) if len(data) == _EMCY.size else None
 
 

@@ -141,12 +141,12 @@ WALK: dict[PowerState, dict[PowerState, Controlword]] = {  # target -> state -> 
 
 
 def decode(statusword: int) -> PowerState:
-    """The state that a statusword (0x6041) encodes."""
+    """Return the state that a statusword (0x6041) encodes."""
     return _STATES[statusword & STATE_BITS]
 
 
 def next_controlword(state: PowerState, target: PowerState) -> Controlword:
-    """The command that leads from `state` one step towards `target` (a key of `WALK`).
+    """Return the command that leads from `state` one step towards `target` (a key of `WALK`).
 
     A state from which no step leads there (fault, fault reaction, not ready, unknown) gives DISABLE_VOLTAGE.
     """

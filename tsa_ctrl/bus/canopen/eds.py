@@ -133,7 +133,7 @@ def _values(section: str, values: dict[str, str], notes: list[str]) -> dict[str,
 
 
 def _number(text: str) -> str | None:
-    """A number as canopen reads it; None for none. Leading zeros, comments of C and identifiers are forgiven."""
+    """Return a number as canopen reads it, or None. Leading zeros, comments of C and identifiers are accepted."""
     plain = text.split("//", 1)[0].strip().replace(" ", "")
     if "$NODEID" in plain.upper():
         return plain.upper()
@@ -261,7 +261,7 @@ def _try(parser: configparser.RawConfigParser, sections: list[str]) -> tuple[Obj
 
 
 def _first_broken(parser: configparser.RawConfigParser) -> str:
-    """The section with which the file becomes unreadable, by bisection."""
+    """Return the first section that makes the file unreadable, found by bisection."""
     sections = parser.sections()
     good, bad = 0, len(sections)
     while bad - good > 1:

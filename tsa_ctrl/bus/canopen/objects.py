@@ -88,18 +88,18 @@ class Object:
         return self.index, self.subindex
 
     def of(self, slot: int) -> Object:
-        """The same object of another axis of the device: those of the device profile lie 0x800 apart (CiA 301)."""
+        """Return the same object of another axis; objects of the device profile are 0x800 apart (CiA 301)."""
         if slot == 1 or self.index not in _PROFILE:
             return self
         return replace(self, index=self.index + AXIS_OFFSET * (slot - 1))
 
     @property
     def mapping(self) -> int:
-        """The entry of a PDO mapping (0x1600.., 0x1A00..): index, subindex and length in bits."""
+        """Return the entry of a PDO mapping (0x1600.., 0x1A00..): index, subindex and length in bits."""
         return self.index << 16 | self.subindex << 8 | self.type.size * 8
 
     def encode(self, value: int) -> bytes:
-        """SDO data; raises UsageError when the value does not fit the type."""
+        """Return the SDO data; raises UsageError if the value does not fit the type."""
         if not self.type.low <= value <= self.type.high:
             raise UsageError(
                 f"{self}: value {value} does not fit {self.type.name.lower()} "
@@ -108,7 +108,7 @@ class Object:
         return value.to_bytes(self.type.size, "little", signed=self.type.signed)
 
     def decode(self, data: bytes) -> int:
-        """The value in SDO data; shorter answers are extended, longer ones truncated, as devices pad differently."""
+        """Return the value in SDO data; short data is extended and long data truncated, as devices pad differently."""
         return int.from_bytes(data[: self.type.size], "little", signed=self.type.signed)
 
     def shown(self, raw: int) -> str:

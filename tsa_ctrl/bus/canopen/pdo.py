@@ -52,16 +52,16 @@ class Pdo:
         return bases[(self.place or self.number) - 1] + node_id
 
     def of(self, slot: int, place: int = 0) -> Pdo:
-        """The same PDO of another axis of the device: 64 further (CiA 402-3), with the identifier of `place`."""
+        """Return the same PDO of another axis: 64 further (CiA 402-3), with the identifier of `place`."""
         entries = tuple(entry.of(slot) for entry in self.objects)
         return replace(self, number=self.number + PDO_OFFSET * (slot - 1), objects=entries, place=place or self.place)
 
     def communication(self, subindex: int, type_: Type, name: str) -> Object:
-        """An entry of the communication parameters 0x1400.. or 0x1800.."""
+        """Return an entry of the communication parameters 0x1400.. or 0x1800.."""
         return Object((0x1400 if self.received else 0x1800) + self.number - 1, subindex, type_, f"{self.name} {name}")
 
     def mapping(self, subindex: int) -> Object:
-        """An entry of the mapping parameters 0x1600.. or 0x1A00..; subindex 0 is the number of entries."""
+        """Return an entry of the mapping parameters 0x1600.. or 0x1A00..; subindex 0 is the number of entries."""
         index = (0x1600 if self.received else 0x1A00) + self.number - 1
         if subindex == 0:
             return Object(index, 0, Type.U8, f"{self.name} number of mapped objects")
@@ -100,13 +100,13 @@ class DriveLayout:
         return self.motion.cob_id(self.node_id), self.position.cob_id(self.node_id)
 
     def without(self, entry: Object) -> DriveLayout:
-        """The same PDOs without an object that the drive does not have."""
+        """Return the same PDOs without an object that the drive lacks."""
         left = tuple(kept for kept in self.position.objects if kept.name != entry.name)
         return replace(self, position=replace(self.position, objects=left))
 
 
 def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None, lean: bool = False) -> DriveLayout:
-    """PDOs of the axis in this slot of a device.
+    """Return the PDOs of the axis in this slot of a device.
 
     A node has identifiers for two axes: the second takes its second RPDO and its third and fourth TPDO. Any axis may
     take the identifiers of an unused node id, `identifiers_of`.

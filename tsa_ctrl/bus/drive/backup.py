@@ -49,7 +49,7 @@ class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     @property
     def raw(self) -> int:
-        """Raw value; raises ValueError for one that the type cannot hold."""
+        """Return the raw value; raises ValueError if the type cannot hold it."""
         return self.entry.type.raw(self.value)
 
 
@@ -65,7 +65,7 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     object: Annotated[list[StoredObject], Meta(min_length=1)]
 
     def text(self) -> str:
-        """The file's text; values in hexadecimal where they are not negative."""
+        """Return the text of the file; values that are not negative are hexadecimal."""
         document = tomlkit.document()
         head = "Objects of a drive, as read by `tsa drive dump`; `tsa drive restore` writes them back."
         document.add(tomlkit.comment(head))
@@ -200,7 +200,7 @@ def _cure(entry: Object, code: int | None) -> str:
 
 
 def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
-    """The writes of a backup in an order that a drive accepts: PDOs by the mapping procedure, the rest directly."""
+    """Return the writes of a backup in an order that a drive accepts; PDOs use the mapping procedure."""
     values = {(item.index, item.subindex): item for item in stored}
     plan = []
     done: set[tuple[int, int]] = set()
@@ -244,7 +244,7 @@ def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]
 
 
 def _communication_of(index: int) -> int | None:
-    """The communication parameters of the PDO that an index belongs to."""
+    """Return the index of the communication parameters of a PDO record; None for another index."""
     for first in _COMMUNICATION:
         if first <= index < first + _PDOS:
             return index

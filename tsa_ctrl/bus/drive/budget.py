@@ -51,7 +51,7 @@ class Load:
 
 
 def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
-    """The load of these axes at `rate` (Hz): SYNC, the PDOs as often as they come, all heartbeats."""
+    """Return the load of these axes at `rate` (Hz): SYNC, PDOs at their own rates, and all heartbeats."""
     frames = [(0, 1)]  # bytes, and SYNCs from one to the next
     background = frame_bits(1)[1] / settings.host_heartbeat_period
     counted: set[int] = set()  # nodes that two axes share talk once
@@ -143,7 +143,7 @@ def _every_second(axis: AxisNodes) -> AxisNodes:
 
 
 def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> Load:
-    """The load; raises UsageError with the figures when the bit rate cannot carry the rate.
+    """Return the load; raises UsageError with the figures if the bit rate cannot carry the rate.
 
     `others`: buses to which an axis may be moved.
     """

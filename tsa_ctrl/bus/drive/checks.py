@@ -65,7 +65,7 @@ _SPECIAL = {  # objects for which `absent` alone is not enough
 
 
 def profile_of(drive: DriveSettings) -> str:
-    """The file that a line for the drive's profile goes to."""
+    """Return the name of the drive's profile file for a remedy."""
     if drive.profile == "generic":
         return "a separate profile (tsa drive probe writes one; profile in [axis.drive] names it)"
     return drive.profile if drive.profile.endswith(".toml") else f"drives/{drive.profile}.toml"
@@ -162,11 +162,11 @@ class NodeReport:
 
     @property
     def serial_number(self) -> int | None:
-        """0x1018:4; None where the node has no such object."""
+        """Return 0x1018:4; None if the node lacks it."""
         return self.identity.get(SERIAL_NUMBER.name)
 
     def lines(self) -> list[str]:
-        """The report as text: identity, notes, and each object that was changed."""
+        """Return the report as text: identity, notes, and each object that was changed."""
         identity = ", ".join(f"{name} {value:#x}" for name, value in self.identity.items())
         changed = [str(row) for row in self.rows if row.changed]
         absent = [row.entry.name for row in self.rows if row.after is None]
@@ -249,11 +249,11 @@ class Node:
         return cure(entry, self.settings, self.profile, code)
 
     def read(self, session: Session, entry: Object) -> int:
-        """An object of this axis; raises BusError."""
+        """Return the value of an object of this axis; raises BusError."""
         return session.read(self.node_id, entry.of(self.axis.drive.slot))
 
     def look(self, session: Session, entry: Object) -> int | None:
-        """An object of this axis, None where the node does not have it."""
+        """Return the value of an object of this axis; None if the node lacks it."""
         return session.read_if_there(self.node_id, entry.of(self.axis.drive.slot))
 
     def write(self, session: Session, entry: Object, value: int) -> None:
@@ -330,7 +330,7 @@ def is_on(session: Session, node: Node) -> bool:
 
 
 def switch_off(session: Session, node: Node) -> None:
-    """A drive must not be enabled while its PDOs are remapped."""
+    """Switch off an enabled drive, whose PDOs must not be remapped; raises BusError if it stays on."""
     if not is_on(session, node):
         return
     node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
@@ -380,7 +380,7 @@ def find_inputs(session: Session, node: Node, report: NodeReport) -> None:
 
 
 def _instead(modes: int) -> str:
-    """Why a drive without cyclic synchronous torque is refused."""
+    """Return the reason why a drive without cyclic synchronous torque is rejected."""
     others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]
     has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
     return (
@@ -414,7 +414,7 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
 
 
 def rated_torque_hint(found: float, wanted: float) -> str:
-    """The classic mistakes, when the ratio shows one."""
+    """Return the typical mistake that the ratio shows, or an empty text."""
     if found <= 0.0:
         return ""
     ratio = found / wanted
@@ -459,7 +459,7 @@ def confirm_mode(session: Session, node: Node, now: str) -> None:
 
 
 def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> None:
-    """The drive stops if this computer fails; raises BusError unless that is waived."""
+    """Check that the drive stops if this computer fails; raises BusError unless the check is waived."""
     there = {row.entry.key for row in report.rows if row.after is not None}
     watched = any(write.watchdog and write.entry.key in there for write in plan)
     reacts = objects.CONNECTION_LOSS.of(node.axis.drive.slot).key in there

@@ -86,7 +86,7 @@ def _send(bus: Bus, *data: int) -> None:
 
 
 def _ask(bus: Bus, request: bytes) -> bytes:
-    """The one answer to a request; raises BusError for none, and for a second one."""
+    """Return the answer to a request; raises BusError without an answer and for a second one."""
     bus.flush()
     _send(bus, *request)
     first = _receive(bus, request[0], _ANSWER_TIMEOUT)

@@ -34,7 +34,7 @@ def layout_of(drive: DriveSettings, profile: DriveProfile | None = None) -> Driv
 
 
 def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
-    """The TPDO of a torque sensor."""
+    """Return the TPDO of a torque sensor."""
     return replace(pdo.TORQUE_SENSOR, every=sensor.every or 1)
 
 

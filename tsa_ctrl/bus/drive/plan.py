@@ -39,7 +39,7 @@ _ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which mean
 def drive_plan(
     nodes: AxisNodes, profile: DriveProfile, scale: DriveScale, settings: BusSettings, period: float
 ) -> list[Write]:
-    """Writes of a drive at a SYNC period in s; raises UsageError when the settings contradict each other."""
+    """Return the writes of a drive at a SYNC period in s; raises UsageError when the settings contradict each other."""
     drive = nodes.drive
     where = f"axis '{nodes.name}'"
     _check_timeouts(drive, settings, period, where)
@@ -93,7 +93,7 @@ def drive_plan(
 
 
 def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings) -> list[Write]:
-    """How the drive and this computer know of each other that they are there."""
+    """Return the writes by which the drive and this computer supervise each other."""
     if profile.supervision == "guarding":
         guard_time = milliseconds(settings.host_heartbeat_period)
         factor = max(1, round(milliseconds(drive.host_timeout) / guard_time))
@@ -157,12 +157,12 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
 
 
 def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:
-    """Writes of a joint encoder at a SYNC period in s."""
+    """Return the writes of a joint encoder at a SYNC period in s."""
     return _sensor_plan(encoder, pdo.ENCODER, period)
 
 
 def torque_sensor_plan(sensor: TorqueSensorSettings, period: float) -> list[Write]:
-    """Writes of a torque sensor at a SYNC period in s."""
+    """Return the writes of a torque sensor at a SYNC period in s."""
     return _sensor_plan(sensor, torque_sensor_pdo(sensor), period)
 
 
@@ -177,7 +177,7 @@ def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
 
 
 def pdo_writes(layout: Pdo, node_id: int, transmission: int, *timers: Write) -> list[Write]:
-    """The mapping procedure of CiA 301: disable, count 0, map, count, transmission and timers, enable."""
+    """Return the mapping procedure of CiA 301: disable, count 0, map, count, transmission and timers, enable."""
     cob_id = layout.communication(1, Type.U32, "COB-ID")
     kept = 0 if layout.received else _NO_REMOTE
     writes = [
@@ -218,7 +218,7 @@ def is_rate(rate: float) -> bool:
 
 
 def interpolation_period(period: float) -> tuple[int, int]:
-    """`period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number.
+    """Return `period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number.
 
     In milliseconds wherever they are whole: some drives take no other exponent.
     """
@@ -233,7 +233,7 @@ def interpolation_period(period: float) -> tuple[int, int]:
 
 
 def milliseconds(seconds: float) -> int:
-    """Whole milliseconds, at least 1."""
+    """Return whole milliseconds, at least 1."""
     return max(1, round(1e3 * seconds))
 
 

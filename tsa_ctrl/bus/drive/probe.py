@@ -163,8 +163,9 @@ _OPTIONAL = (
 
 
 def profile_text(found: Probe, where: str) -> str:
-    """The file's text; `where` names interface and channel. It loads without change, or lists the values to complete
-    first.
+    """Return the text of the file, which loads unchanged or lists the values to complete first.
+
+    `where` names interface and channel.
     """
     return "\n".join(_lines(found, where)) + "\n"
 
@@ -216,7 +217,7 @@ def _state(found: Probe) -> Iterator[str]:
 
 
 def _absent(found: Probe) -> Iterator[str]:
-    """Objects that must be declared, and, as a comment, those that are merely not there."""
+    """Yield the objects that must be declared, and, as a comment, others that are absent."""
     needed = [
         objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.VELOCITY_UNIT, objects.RATED_TORQUE, objects.ERROR_CODE,
     ]  # fmt: skip
@@ -364,7 +365,7 @@ def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
-    """Return the keys for [axis.drive]: as comments, as it is about this drive and its motor."""
+    """Yield the keys for [axis.drive] as comments, because they belong to this drive and its motor."""
     yield "# For [axis.drive] of the controller's file:"
     yield f"#   node_id = {found.node_id}"
     if found.slot > 1:

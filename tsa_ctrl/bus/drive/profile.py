@@ -36,11 +36,11 @@ class VelocityUnit(Enum):
 
     @property
     def si_code(self) -> int | None:
-        """Value of 0x60A9 (prefix, revolutions, per minute); None where that object cannot express the unit."""
+        """Return the value of 0x60A9 (prefix, revolutions, per minute); None if it cannot express the unit."""
         return _SI_CODES.get(self)
 
     def radians_per_second(self, counts_per_revolution: int) -> float:
-        """One digit in rad/s of the motor."""
+        """Return one digit in rad/s of the motor."""
         if self in _RPM:
             return _RPM[self] * 2.0 * math.pi / 60.0
         return _COUNTS[self] * 2.0 * math.pi / counts_per_revolution
@@ -131,7 +131,7 @@ class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_onl
 
     @property
     def raw(self) -> int:
-        """Raw value; raises ValueError."""
+        """Return the raw value; raises ValueError."""
         return objects.Type[self.type.upper()].raw(self.value)
 
 
@@ -165,7 +165,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 def load_profile(name: str, folder: str | Path) -> DriveProfile:
-    """The profile `name`: a path to a .toml, or `drives/NAME.toml` in `folder`. Raises UsageError."""
+    """Load the profile `name`: a path to a .toml, or `drives/NAME.toml` in `folder`. Raises UsageError."""
     path = Path(folder) / (name if name.endswith(".toml") else f"drives/{name}.toml")
     if name == "generic" and not path.exists():
         return DriveProfile()
@@ -264,5 +264,5 @@ def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> Driv
 
 
 def encoder_scale(encoder: EncoderSettings) -> float:
-    """Radians of the joint per count, with sign."""
+    """Return the joint angle per count, rad, with sign."""
     return encoder.sign * 2.0 * math.pi / encoder.counts_per_revolution

@@ -124,7 +124,7 @@ class Session:
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
 
     def listen(self, rpdos: Iterable[int] = ()) -> frozenset[int]:
-        """Identifiers that only a master sends, `rpdos` among them, heard within a tenth of a second."""
+        """Return the identifiers heard within a tenth of a second that only a master sends, including `rpdos`."""
         for can_id in rpdos:
             self._network.subscribe(can_id, self._on_master)
         self._masters.clear()
@@ -150,7 +150,7 @@ class Session:
         self._client(node_id).patience = seconds
 
     def clock(self) -> float:
-        """The bus' time, s, monotonic."""
+        """Return the monotonic time of the bus, s."""
         return self._bus.clock()
 
     def wait(self, seconds: float, reached: Callable[[], bool] = lambda: False) -> bool:
@@ -220,14 +220,14 @@ class Session:
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
     def upload_if_there(self, node_id: int, entry: Object) -> bytes | None:
-        """The bytes that a node answers with; None when it does not have the object, or does not give it."""
+        """Return the bytes of an object; None if the node lacks the object or rejects the request."""
         try:
             return self._transfer(node_id, entry, lambda client: client.upload(*entry.key))
         except SdoRefusedError:
             return None
 
     def read_text(self, node_id: int, entry: Object) -> str:
-        """A text; empty when the node does not have it."""
+        """Return a text; empty if the node lacks it."""
         data = self.upload_if_there(node_id, entry) or b""
         return "".join(c for c in data.decode("latin-1") if c.isprintable()).strip()
 
@@ -256,7 +256,7 @@ class Session:
             raise
 
     def emcys(self, node_id: int) -> tuple[Emcy, ...]:
-        """Emergencies of a node since the session began, without those that report the end of an error."""
+        """Return the emergencies of a node since the session began, without those that report the end of an error."""
         return tuple(self._emcys.get(node_id, ()))
 
     def _transfer(

@@ -66,7 +66,7 @@ def write_all(
 
 
 def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[tuple[int, int], Row]) -> set[int]:
-    """Indices whose objects are all as the plan leaves them, with a row for each; PDOs by both of their records."""
+    """Return the indices whose objects all have the planned values, and add a row for each; PDOs by both records."""
     last: dict[tuple[int, int], Write] = {write.entry.key: write for write in plan}
     settled: set[int] = set()
     for index in sorted({key[0] for key in last}):
@@ -83,7 +83,7 @@ def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[t
 
 
 def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[Row] | None:
-    """Rows, when each object holds its value or one that does as well, or is one that the node may lack."""
+    """Return rows if each object has its value or an equivalent one, or may be absent; otherwise None."""
     rows = []
     for write in writes:
         try:
@@ -99,7 +99,7 @@ def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[
 
 
 def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: int) -> list[Write]:
-    """The plan with the entry of 0x1016 that suits: one with our id already, else an unused one."""
+    """Return the plan with a suitable entry of 0x1016: one that already has our id, otherwise an unused one."""
     if not any(write.entry.key == objects.HEARTBEAT_CONSUMER.key for write in plan):
         return list(plan)
     count = session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 1

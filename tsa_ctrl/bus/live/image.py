@@ -136,5 +136,5 @@ class Image:
 
     @property
     def emcy(self) -> Emcy | None:
-        """The last emergency of any node, the drive's first."""
+        """Return the last emergency of a node; the drive has priority."""
         return next((node.emcy for node in self.nodes if node.emcy is not None), None)

@@ -102,7 +102,7 @@ class Rig:
         self._later = 0  # ... and how often in a row another came after it
 
     def _hear(self, can_id: int, handler: Handler) -> None:
-        """A node of two axes is heard by both."""
+        """Add a handler of an identifier; a node of two axes has two handlers."""
         first = self._messages.get(can_id)
         if first is None:
             self._messages[can_id] = handler
@@ -125,7 +125,7 @@ class Rig:
 
     @property
     def longest_turn(self) -> int:
-        """SYNCs in which every node has sent each of its PDOs at least once."""
+        """Return the number of SYNCs in which every node has sent each of its PDOs at least once."""
         return max((inbox.every + 1 for inbox in self._rare), default=0)
 
     def look_after(self, report: Report, stop: StopBit | None = None) -> None:
@@ -168,7 +168,7 @@ class Rig:
             axis.stands_off = True
 
     def start(self) -> None:
-        """All nodes are identified and configured: listen to them only, forget old answers, command from now on.
+        """Begin commanding once all nodes are configured: receive only their frames, and discard old answers.
 
         Emergencies that came since the bring-up are kept.
         """
@@ -316,7 +316,7 @@ class Rig:
         return self.bus.send(cia301.NMT, cia301.nmt(command, node_id))
 
     def _take_stale(self, frame: Frame) -> None:
-        """A frame that came outside the window of a cycle: late answers are counted, messages taken."""
+        """Take a frame from outside the window of a cycle: count a late answer, process a message."""
         can_id, data = frame
         inbox = self._answers.get(can_id)
         if inbox is None:
@@ -336,7 +336,7 @@ class Rig:
                 self.bus.fault = BusFault.BUS_OFF
 
     def _compare(self, node_id: int, data: bytes) -> None:
-        """An answer by SDO."""
+        """Compare an SDO answer with the configured value, and report an altered object."""
         reader = self._read_back
         if reader is None or not reader.answer(node_id, data):
             return
@@ -346,7 +346,7 @@ class Rig:
                     axis.image.altered = f"{health}: {reader.altered[node_id]}"
 
     def _meet_request(self, can_id: int, data: bytes) -> None:
-        """An SDO of another master: a write may remove a watchdog or a clamp; a read does no harm."""
+        """Report an SDO write of another master, which may remove a watchdog or a clamp; a read is harmless."""
         if data and data[0] >> 5 in _WRITES:
             self._meet_intruder(can_id, data)
 

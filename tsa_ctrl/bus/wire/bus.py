@@ -48,7 +48,7 @@ class Bus(Protocol):
     fault: BusFault | None
 
     def clock(self) -> float:
-        """The time that this bus lives in, s, monotonic: CLOCK_MONOTONIC unless the bus is simulated with its nodes."""
+        """Return the monotonic time of this bus, s: CLOCK_MONOTONIC unless the bus is simulated with its nodes."""
         ...
 
     def send(self, can_id: int, data: bytes) -> bool:
@@ -56,7 +56,7 @@ class Bus(Protocol):
         ...
 
     def recv(self, timeout: float) -> Frame | None:
-        """The next frame, waiting at most `timeout` s; None without one or if the bus has failed (see `fault`)."""
+        """Return the next frame within `timeout` s; None without one or if the bus has failed (see `fault`)."""
         ...
 
     def gather(self, until: float, most: int) -> Sequence[Frame]:
@@ -94,7 +94,7 @@ class Bus(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Descriptor that becomes readable with a frame, or -1."""
+        """Return the descriptor that becomes readable with a frame, or -1."""
         ...
 
     def close(self) -> None:

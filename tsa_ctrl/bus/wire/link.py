@@ -67,7 +67,7 @@ def answer(data: bytes, bodies: list[bytes]) -> bool:
 
 
 def attribute(kind: int, value: bytes) -> bytes:
-    """One attribute of a message."""
+    """Return one attribute of a message."""
     length = _ATTRIBUTE.size + len(value)
     return _ATTRIBUTE.pack(length, kind) + value + bytes(-length % 4)
 
@@ -141,7 +141,7 @@ def is_simulated(interface: str, channel: str) -> bool:
 
 
 def can_interfaces() -> dict[str, Interface]:
-    """The CAN links of this machine by name, up or down; none where the kernel denies netlink."""
+    """Return the CAN links of this machine by name, up or down; none if the kernel denies netlink."""
     try:
         found = [parse(body) for body in request(RTM_GETLINK, DUMP, LINK.pack(0, 0, 0, 0, 0))]
     except OSError:
@@ -155,7 +155,7 @@ def set_up(channel: str, up: bool) -> None:
 
 
 def make_vcan(name: str) -> None:
-    """A vcan that is up, as `ip link add dev NAME type vcan; ip link set NAME up`; raises OSError, and leaves none."""
+    """Make a vcan and set it up, as `ip link add dev NAME type vcan`; after an OSError there is none."""
     info = attribute(_IFLA_LINKINFO, attribute(_INFO_KIND, b"vcan"))
     body = LINK.pack(0, 0, 0, 0, 0) + attribute(_IFLA_IFNAME, name.encode() + b"\0") + info
     request(RTM_NEWLINK, CREATE | EXCLUSIVE, body)
@@ -168,7 +168,7 @@ def make_vcan(name: str) -> None:
 
 
 def delete(name: str) -> None:
-    """As `ip link del NAME`; raises OSError with the kernel's reason."""
+    """Delete a link, as `ip link del NAME`; raises OSError with the kernel's reason."""
     request(RTM_DELLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(name), 0, 0))
 
 

@@ -111,7 +111,7 @@ class Mapped:
     offset: float
 
     def values(self, table: ForeignTable) -> NDArray[np.float64]:
-        """The column in SI; raises UsageError with the line of a value that is not a number."""
+        """Return the column in SI; raises UsageError with the line of a value that is not a number."""
         if self.unit == DATE:
             return table.times(self.source)
         return table.numbers(self.source) * self.scale + self.offset
@@ -207,7 +207,7 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
 
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
-    """The unit that a foreign name carries in brackets or after its last slash or underscore; ours where it is ours."""
+    """Return the unit in brackets or after the last slash or underscore of a name; a canonical name has its own."""
     if source in COLUMNS:
         return COLUMNS[source].unit
     found = re.search(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$", source)
@@ -223,7 +223,7 @@ def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
 
 
 def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
-    """The mapping as a file that does the same again."""
+    """Return the mapping as the text of a file that repeats it."""
     import tomlkit
 
     document = tomlkit.document()
@@ -321,7 +321,7 @@ class Imported:
 
 
 def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.float64]]:
-    """The columns in SI, time from 0 at the first row.
+    """Return the columns in SI, with time from 0 at the first row.
 
     Raises UsageError with the line of a value that is not a number.
     """

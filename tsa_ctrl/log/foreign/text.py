@@ -161,7 +161,7 @@ def parquet(path: Path) -> Columns:
 
 
 def ros(path: Path) -> Columns:
-    """A bag of ROS 1 (.bag) or ROS 2 (a folder, or its .db3): the numbers of each topic at the time of the record."""
+    """Read a bag of ROS 1 (.bag) or ROS 2 (a folder, or its .db3): the numbers of each topic at their record time."""
     rosbags, stores = library("rosbags.highlevel", path), library("rosbags.typesys", path)
     bag = path if path.is_dir() or path.suffix == ".bag" else path.parent
     with rosbags.AnyReader([bag], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
@@ -209,7 +209,7 @@ def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Columns:
 
 
 def sheet(path: Path) -> str:
-    """The first sheet of a workbook as text, for the reader of text tables."""
+    """Return the first sheet of a workbook as text, for the reader of text tables."""
     rows = library("python_calamine", path).CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
     return "\n".join("\t".join(str(cell).replace("\t", " ").replace("\n", " ") for cell in row) for row in rows)
 
@@ -279,7 +279,7 @@ class ForeignTable:
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # columns of a binary file
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """One column as doubles, empty cells as nan.
+        """Return one column as doubles, empty cells as nan.
 
         Raises UsageError with the line of a value that is not a number.
         """
@@ -302,7 +302,7 @@ class ForeignTable:
         return out
 
     def times(self, name: str) -> NDArray[np.float64]:
-        """A column of dates and times as seconds from the first.
+        """Return a column of dates and times as seconds from the first.
 
         Raises UsageError with the line of a value that is not one.
         """
