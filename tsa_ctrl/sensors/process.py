@@ -166,7 +166,7 @@ class SerialSensors:
         return Child("tsa_ctrl.sensors.reader", fd, count, index, text, reports=False, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
-        """Return the SI value of a sensor at a monotonic time; nan if it is older than its time-out."""
+        """Return a function of the monotonic time that gives the SI value of a sensor; nan if it is too old."""
         return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:
