@@ -74,6 +74,41 @@ def test_a_good_log_needs_no_notes() -> None:
     assert found.seconds == pytest.approx(0.399)
 
 
+def test_a_burst_without_numbers_is_a_hole() -> None:
+    """The log goes on in two pieces, and the note names the first row."""
+    table = columns()
+    values = table["tau_j"].copy()
+    values[150:190] = np.nan
+    found = Dataset.from_arrays({**table, "tau_j": values})
+    assert np.isfinite(found["tau_j"]).all()
+    assert found["t"][0] >= T[190]
+    assert any("40 rows in 1 bursts lack a number, the first from row 151 on" in note for note in found.notes)
+
+
+def test_spikes_of_single_samples_are_replaced() -> None:
+    table = columns()
+    spiked = table["tau_m"].copy()
+    spiked[[100, 300]] += 20.0 * np.std(spiked)
+    found = Dataset.from_arrays({**table, "tau_m": spiked})
+    np.testing.assert_allclose(found["tau_m"], table["tau_m"], atol=0.05 * np.ptp(table["tau_m"]))
+    assert any("2 single samples of column tau_m are spikes, the first at row 101" in note for note in found.notes)
+
+
+def test_a_step_and_a_square_wave_are_no_spikes() -> None:
+    square = np.where(np.sin(2.0 * np.pi * 25.0 * T) > 0.0, 0.3, -0.3)
+    found = Dataset.from_arrays(columns(tau_m_cmd=square, tau_m=square))
+    np.testing.assert_array_equal(found["tau_m"], square)
+
+
+def test_an_angle_that_is_wrapped_to_one_turn_is_unwrapped() -> None:
+    angle = 3.0 + 2.0 * np.sin(2.0 * np.pi * 3.0 * T)
+    speed = 12.0 * np.pi * np.cos(2.0 * np.pi * 3.0 * T)
+    wrapped = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    found = Dataset.from_arrays(columns(q_j=wrapped, omega_j=speed, q_m=None, omega_m=None))
+    np.testing.assert_allclose(np.diff(found["q_j"]), np.diff(angle), atol=1e-9)
+    assert any("column q_j is wrapped" in note for note in found.notes)
+
+
 def test_unknown_columns_are_accepted_and_named(tmp_path: Path) -> None:
     path = as_csv(tmp_path / "a.csv", columns(current=np.ones(N)))
     assert load_log(path).left_out == ("current",)

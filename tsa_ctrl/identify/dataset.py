@@ -45,6 +45,12 @@ UNUSED_TORQUE = (
 )
 FEWEST = 10  # rows, below which a table is not a log but its heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
+BURST = 3  # rows in a row without a number, from which on they are a hole; fewer are an error with their row
+MOST_SPIKES = 0.01  # of the rows; a column with more has its errors elsewhere
+SPIKE = 0.5  # of the range of 99 % of the samples: a single sample that is this far from both neighbours
+TOGETHER = 0.25  # of that distance: how far the neighbours of a spike may be apart
+TURN = 2.0 * np.pi  # rad, the range of a wrapped angle
+WRAPS = 0.1  # of a turn: by how much a jump of a wrapped angle may differ from one turn
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 
 
@@ -270,7 +276,7 @@ def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDAr
 
 def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:
     """One dataset for each piece of the table."""
-    pieces = repair_timestamps(table, strict)
+    pieces = repair_timestamps(table if strict or table.recorded else _without_bursts(table), strict)
     names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
     return [_dataset(piece, own, sha256, strict, cutoff) for piece, own in zip(pieces, names, strict=True)]
 
@@ -309,6 +315,8 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
     if table.recorded:
         columns, start = _recorded(columns, notes)
     _check_numbers(table, columns, start)
+    if not strict:
+        columns = _without_spikes(table, _unwrapped(columns, notes), notes)
     columns, period, jitter = _uniform(table, columns, start, notes, strict)
     notes += check_columns(table.label, columns, period)
     check_sizes(table.label, columns, start)
@@ -326,6 +334,68 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
         jitter=jitter,
         label=table.label,
     )
+
+
+def _without_bursts(table: Table) -> Table:
+    """Return the table without the rows of each burst of missing numbers, which then are holes."""
+    inputs = [values for name, values in table.columns.items() if is_input(name) and np.isfinite(values).any()]
+    bad = ~np.logical_and.reduce([np.isfinite(values) for values in inputs]) if inputs else np.zeros(0, dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], bad, [0]])))
+    bursts = [(first, end) for first, end in zip(edges[::2], edges[1::2], strict=True) if end - first >= BURST]
+    if not bursts or bad.mean() > LEAST_PRESENT or not np.isfinite(table.columns.get("t", np.array([np.nan]))).all():
+        return table
+    kept = np.ones(len(table), dtype=bool)
+    for first, end in bursts:
+        kept[first:end] = False
+    rows = np.flatnonzero(kept) if table.rows is None else table.rows[kept]
+    note = (
+        f"{np.count_nonzero(~kept)} rows in {len(bursts)} bursts lack a number, the first from "
+        f"{table.place(int(bursts[0][0]))} on: they count as holes"
+    )
+    columns = {name: values[kept] for name, values in table.columns.items()}
+    return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))
+
+
+def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+    """Return the columns with angles that do not jump by one turn."""
+    out = dict(columns)
+    for name in ("q_j", "q_m"):
+        if name not in columns:
+            continue
+        steps = np.diff(columns[name])
+        jumps = np.abs(steps) > TURN / 2.0
+        if not jumps.any() or float(np.ptp(columns[name])) > TURN * (1.0 + WRAPS):
+            continue
+        if np.all(np.abs(np.abs(steps[jumps]) - TURN) < WRAPS * TURN):
+            out[name] = np.unwrap(columns[name])
+            notes.append(f"column {name} is wrapped to one turn: {np.count_nonzero(jumps)} jumps of 2 pi are removed")
+    return out
+
+
+def _without_spikes(table: Table, columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
+    """Return the columns with straight lines in place of single samples that are far from both neighbours.
+
+    The neighbours of a spike agree, so neither a step nor noise nor a fast motion is one.
+    """
+    out = dict(columns)
+    for name in sorted(NEEDED & set(columns)):
+        values = columns[name]
+        before, after = values[1:-1] - values[:-2], values[1:-1] - values[2:]
+        low, high = np.quantile(values, (0.005, 0.995))
+        size = np.minimum(np.abs(before), np.abs(after))
+        apart = np.abs(values[2:] - values[:-2])
+        far = (before * after > 0.0) & (size > SPIKE * (high - low)) & (apart < TOGETHER * size)
+        found = np.flatnonzero(far) + 1
+        if not 0 < found.size <= MOST_SPIKES * len(values) or high <= low:
+            continue
+        mended = values.copy()
+        mended[found] = 0.5 * (values[found - 1] + values[found + 1])
+        out[name] = mended
+        notes.append(
+            f"{found.size} single samples of column {name} are spikes, the first at {table.place(int(found[0]))}: "
+            "replaced by the mean of their neighbours"
+        )
+    return out
 
 
 def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
