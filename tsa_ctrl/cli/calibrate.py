@@ -168,6 +168,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
         ("slope", None, result.slope),
         ("friction angle", nominal.friction_angle, result.friction_angle),
         ("pretension", nominal.pretension, result.pretension),
+        *((name.replace("_", " "), None, quantity) for name, quantity in result.routing.items()),
     )
     for name, given, quantity in rows:
         value = "" if given is None else f"{given:.4g}"

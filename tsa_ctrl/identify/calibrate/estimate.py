@@ -26,6 +26,7 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, of
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
+from tsa_ctrl.identify.calibrate.routing import bent_by, fit_routing
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
@@ -263,6 +264,9 @@ def calibrate(
 ) -> Calibration:
     """Estimate x and T_p0 of `model` from logs with the columns t, tau_m, tau_j and omega_j (or q_j).
 
+    Logs with the columns q_j.NAME of joints that move also show how these joints bend the sheaths. The gains are then
+    estimated with the rest and are in the [routing] of the result's model.
+
     `certified_gain`: the torque channels' gain is certified, so the slope counts. `tensioner`: known change of the
     pretension in N by log name (patterns allowed). `hold_out`: pattern of the logs on which the errors are measured
     (default: every third by name; with one log, blocks). `split="fit"` chooses x and T_p by least simulation error
@@ -304,8 +308,13 @@ def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
 
 
 def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:
-    lag = instrument_lag(logs)
     notes: list[str] = []
+    routed = fit_routing(logs, model, certified_gain)
+    if routed is not None:
+        notes.append(routed.sentence)
+        model = routed.model
+        logs = [bent_by(log, model) for log in logs]
+    lag = instrument_lag(logs)
     several = varied(logs, model)
     joint = joint_fit(logs, model, lag, certified_gain) if several or certified_gain else None
     if several and joint is not None:
@@ -316,9 +325,11 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     found, condition = None, math.inf
     if measured is not None:
         found, condition = measured
+    elif routed is not None:
+        found, condition = (routed.friction_angle, routed.pretension), math.inf if joint is None else joint.condition
     elif joint is not None:
         found, condition = _with_stiffness(quantities(joint), logs, model, lag, certified_gain), joint.condition
-    is_split = found is not None and narrower(found, model)
+    is_split = found is not None and (routed is not None or narrower(found, model))
     ratio = model.joint_pulley_radius / model.motor_pulley_radius
     impossible = slope.high < (1.0 - GAIN) * ratio and not model.effects
     if impossible:
@@ -353,6 +364,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         experiment="" if is_split else _experiment(model),
         notes=tuple(notes),
         model=model.recalibrated(x.value, tension.value),
+        routing={} if routed is None else routed.quantities,
     )
 
 
@@ -398,5 +410,5 @@ def _rms(logs: list[PreparedLog], model: TendonSheath) -> float:
     errors = []
     for log in logs:
         variant = model.recalibrated(pretension=model.pretension + log.tensioner)
-        errors.append((predict(variant, log.signals) - log.tau_j)[log.chosen])
+        errors.append((predict(variant, bent_by(log, model).signals) - log.tau_j)[log.chosen])
     return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))

@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 BLOCKS = 18
 MAX_LAG_LOSS = 0.10  # the instrument may lose so much of the correlation with its signal
 ALONE = 1e-6  # 1 - leverage, below which a block alone determines a combination: rounding of a sum of thousands
+MOST_FREEDOM = 1e6  # Student's t is then the normal distribution
 NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has died out
 
 
@@ -33,7 +34,8 @@ class Estimate:
 
     With k-vectors of scores, `influence` (B, k, k) takes the residuals' score of a block to its share of the error of
     `value`, `leverage` (B, k, k) is the part of a block's score that the fit took up, `weight` (B, k, k) what white
-    errors of variance 1 would make the covariance of each block's true score.
+    errors of variance 1 would make the covariance of each block's true score. `of_prior` (k, k) is the part of the
+    covariance that a prior contributes; its variance is known.
     """
 
     value: FloatArray
@@ -41,6 +43,7 @@ class Estimate:
     influence: FloatArray
     leverage: FloatArray
     weight: FloatArray
+    of_prior: FloatArray | None = None
 
     def interval(self, index: int, level: float = LEVEL) -> tuple[float, float]:
         """Two-sided interval of one coefficient."""
@@ -62,7 +65,14 @@ class Estimate:
         own = np.einsum("bij,bj->bi", self.weight, b)
         cross = own @ taken.T
         joint = np.diag(np.sum(b * own, axis=1)) - cross - cross.T + taken @ self.weight.sum(axis=0) @ taken.T
-        return max(1.0, float(np.trace(joint) ** 2 / np.sum(np.square(joint))))
+        squares = float(np.sum(np.square(joint)))
+        if not squares > 0.0:  # the data contribute nothing
+            return MOST_FREEDOM
+        freedom = max(1.0, float(np.trace(joint) ** 2) / squares)
+        if self.of_prior is not None:
+            whole, known = (float(gradient @ each @ gradient) for each in (self.covariance, self.of_prior))
+            freedom *= (whole / max(whole - known, 1e-9 * whole)) ** 2
+        return min(freedom, MOST_FREEDOM)
 
 
 def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.int64]]:
@@ -128,24 +138,49 @@ def _loss(signal: FloatArray, lag: int) -> float:
     return 1.0 - float(a @ b) / scale if scale > 0.0 else 1.0
 
 
-def solve(regressors: FloatArray, instruments: FloatArray, target: FloatArray, labels: NDArray[np.int64]) -> Estimate:
+@dataclass(frozen=True)
+class Prior:
+    """Knowledge of the coefficients before the data: `value` (k) and `precision` (k), 1/variance, 0 without any."""
+
+    value: FloatArray
+    precision: FloatArray
+
+
+def solve(
+    regressors: FloatArray,
+    instruments: FloatArray,
+    target: FloatArray,
+    labels: NDArray[np.int64],
+    prior: Prior | None = None,
+) -> Estimate:
     """Just-identified instrumental variables with a covariance from blocks of time.
 
-    `regressors`, `instruments` (n, k), `target` (n), `labels` (n) block numbers. Raises numpy.linalg.LinAlgError
-    when the data do not determine the coefficients.
+    `regressors`, `instruments` (n, k), `target` (n), `labels` (n) block numbers. A prior counts as one more observation
+    of each coefficient; its weight against the samples follows from the scatter of whole blocks. Raises
+    numpy.linalg.LinAlgError when the data do not determine the coefficients.
     """
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
     x, z, y = regressors[order], instruments[order], target[order]
     zx = np.add.reduceat(z[:, :, None] * x[:, None, :], starts, axis=0)
     zy = np.add.reduceat(z * y[:, None], starts, axis=0)
-    inverse = np.linalg.inv(zx.sum(axis=0))
-    value = inverse @ zy.sum(axis=0)
+    whole, right, of_prior = zx.sum(axis=0), zy.sum(axis=0), np.zeros_like(zx[0])
+    if prior is not None:
+        white = np.linalg.lstsq(whole, right, rcond=None)[0]
+        scores = zy - zx @ white
+        size = np.sum(np.square(z), axis=0)
+        variance = float(np.median(np.sum(np.square(scores), axis=0)[size > 0.0] / size[size > 0.0]))
+        weight_of_prior = variance * prior.precision
+        whole, right = whole + np.diag(weight_of_prior), right + weight_of_prior * prior.value
+        of_prior = np.diag(variance * weight_of_prior)
+    inverse = np.linalg.inv(whole)
+    value = inverse @ right
     leverage = zx @ inverse
     influence = inverse @ _inverse_root(np.eye(value.size) - leverage)
     errors = np.einsum("bij,bj->bi", influence, zy - zx @ value)
     weight = np.add.reduceat(z[:, :, None] * z[:, None, :], starts, axis=0)
-    return Estimate(value, errors.T @ errors, influence, leverage, weight)
+    of_prior = inverse @ of_prior @ inverse.T
+    return Estimate(value, errors.T @ errors + of_prior, influence, leverage, weight, of_prior)
 
 
 def _inverse_root(matrices: FloatArray) -> FloatArray:

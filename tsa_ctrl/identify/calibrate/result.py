@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +32,9 @@ class Calibration(Displayed):
     `split`: the data part the product into x and T_p; otherwise `friction_angle` and `pretension` keep the nominal
     file's proportion and their intervals are what [uncertainty] and the half loop leave open.
 
+    `routing`: gains of other joints by "gain.JOINT" (rad/rad; "gain_a.JOINT", "gain_b.JOINT" where the tendons differ)
+    and "pretension_per_wrap_angle" (N/rad); empty where no other joint bends the sheath.
+
     RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
     `rms_given` and `rms_written` (`model`, which is written to the file) on all data, which `model` has learned from.
     `errors`: of `model` on all samples, with reversals and standstill, equal to the output of `simulate`.
@@ -52,6 +56,7 @@ class Calibration(Displayed):
     notes: tuple[str, ...]
     model: TendonSheath
     errors: ThreeErrors = field(default_factory=ThreeErrors)
+    routing: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
     def worse(self) -> str:
@@ -67,7 +72,7 @@ class Calibration(Displayed):
     def quantities(self) -> dict[str, Quantity]:
         """Return the estimated quantities by their public names."""
         names = ("friction_angle", "pretension", "half_loop_torque", "slope")
-        return {name: getattr(self, name) for name in names}
+        return {**{name: getattr(self, name) for name in names}, **self.routing}
 
     def facts(self) -> dict[str, str]:
         """Return the estimates with their intervals, and the error on held-out data before and after."""
@@ -100,6 +105,7 @@ class Calibration(Displayed):
                 "schema": 1,
                 "parameters": {name: getattr(self, name) for name in ("friction_angle", "pretension")},
                 "combinations": {name: getattr(self, name) for name in ("slope", "half_loop_torque")},
+                **({"routing": dict(self.routing)} if self.routing else {}),
                 **{name: getattr(self, name) for name in ("split", "condition_number", "admitted_seconds", "refused")},
                 "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
                 "rms_in_sample": {"before": self.rms_given, "after": self.rms_written, "unit": "N*m"},

@@ -1,0 +1,79 @@
+"""Calibrate logs of several joints: the rig of `tests.blind` bends its sheath by the angles of a hip and an ankle."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.blind.routed import Gains, routed_case
+from tsa_ctrl.identify.calibrate import Calibration, calibrate
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from, save_model
+
+
+def logs_of(name: str, seed: int) -> tuple[list[Dataset], TendonSheath, Gains]:
+    case, gains = routed_case(name, seed, short=True)
+    model = model_from(tomllib.loads(case.model), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    return [Dataset.from_arrays(log.columns, log.name) for log in case.logs], model, gains
+
+
+def gains_of(result: Calibration) -> dict[str, float]:
+    assert result.model.routing is not None
+    assert result.model.routing.alike
+    return dict(result.model.routing.a.gains)
+
+
+@pytest.mark.parametrize("name", ["absent", "wrong", "two"])
+def test_the_gains_of_all_joints_are_found_with_the_rest(name: str, tmp_path: Path) -> None:
+    logs, model, gains = logs_of(name, 2)
+    result = calibrate(logs, model)
+    for joint, true in gains.true.items():
+        found = result.routing[f"gain.{joint}"]
+        assert found.low < true < found.high
+        assert found.high - found.low < abs(true)
+    assert result.rms_after < 0.5 * result.rms_before
+    save_model(result.model, tmp_path / "new.toml")
+    assert load_tendon_sheath(tmp_path / "new.toml").routing == result.model.routing
+
+
+def test_right_gains_and_joints_without_effect_stay_as_they_are() -> None:
+    """The second joint of this rig moves, and bends nothing."""
+    logs, model, gains = logs_of("right", 2)
+    assert gains_of(calibrate(logs, model)) == gains.file
+
+
+def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
+    """Friction of the two tendons by the capstan equation, with gains of 0.9 and -0.3 rad/rad and clean sensors."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 60.0, 0.004)
+    q, hip = 0.6 * np.sin(2.1 * t), 0.5 * np.sin(0.7 * t)
+    speed = 0.6 * 2.1 * np.cos(2.1 * t)
+    sigma = np.sign(speed)
+    tau_m = 0.5 * np.sin(3.7 * t) + 0.2 * np.sin(0.31 * t)
+    mu, theta, pretension, slope, r_m, r_j = 0.1, 3.0, 50.0, 30.0, 0.02, 0.025
+    bent_a, bent_b = theta + 0.9 * hip, theta - 0.3 * hip
+    tension = pretension + slope * (0.5 * (bent_a + bent_b) - theta)
+    t1, t3 = tension - tau_m / (2.0 * r_m), tension + tau_m / (2.0 * r_m)
+    tau_j = r_j * (t3 * np.exp(-sigma * mu * bent_b) - t1 * np.exp(sigma * mu * bent_a))
+    noise = [0.004 * rng.standard_normal(t.size) for _ in range(2)]
+    log = {"t": t, "tau_m": tau_m + noise[0], "tau_j": tau_j + noise[1], "omega_j": speed, "q_j": q, "q_j.hip": hip}
+    model = TendonSheath(
+        motor_pulley_radius=r_m,
+        joint_pulley_radius=r_j,
+        axial_stiffness=slope / 0.0006,
+        unstrained_length=1.0,
+        diameter=0.0006,
+        contact_offset=0.0003,
+        friction_coefficient=0.11,
+        bending_angle=theta,
+        pretension=46.0,
+    )
+    result = calibrate([Dataset.from_arrays(log, "run")], model)
+    for tendon, true in (("a", 0.9), ("b", -0.3)):
+        found = result.routing[f"gain_{tendon}.hip"]
+        assert found.low < true < found.high
+        assert found.value == pytest.approx(true, abs=0.05)

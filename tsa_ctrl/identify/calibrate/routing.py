@@ -1,0 +1,285 @@
+"""Find how other joints bend the sheaths, from logs with the columns q_j.NAME.
+
+    x_i = mu (Theta_0 + sum over joints of g_ij q_j)          (1; i: tendon a or b)
+    T_p = T_p0 + k (mean of Theta_a and Theta_b - Theta_0)    (N; k = dT_p/dTheta by (3.52) and (3.56))
+
+Friction torque and slope of the transmission follow x and T_p, so one least-squares fit of the joint torque finds x,
+T_p0, all gains g_ij and k at once (Gauss-Newton on the instrumented normal equations of `regression`). The fit makes no
+assumption on the motion: joints may move alone or together. What the motion does not show has a wide interval.
+
+mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which stays. The
+file knows k by the tendon's stiffness and lever. This knowledge enters as an observation with the file's uncertainty.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, offsets, stack
+from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, lagged, solve
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.routing import MOST_GAIN, Route, Routing
+from tsa_ctrl.model.signals import Signals
+
+FloatArray = NDArray[np.float64]
+
+MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not sought
+ITERATIONS = 10
+LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad
+SMALLEST_STEP, SETTLED = 1e-5, 0.02  # of the largest step: the end, and instruments that stay
+DERIVATIVE = 1e-4  # step of numerical derivatives
+NEGLIGIBLE = 0.01  # of Theta_0, swing of the wrap angle by a joint below which it does not bend the sheath
+X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4  # places of the parameters
+
+
+@dataclass(frozen=True)
+class RoutingFit:
+    """Hold the result of `fit_routing`.
+
+    Attributes:
+        model: with the gains in its [routing], and with the x, T_p0 and dT_p/dTheta that go with them.
+        gains: rad/rad of wrap angle, by "gain.JOINT", or by "gain_a.JOINT" and "gain_b.JOINT" where the tendons differ.
+            They count from 0, not from the file's gains.
+        slope: dT_p/dTheta, N/rad.
+        friction_angle, pretension: x (1) and T_p0 (N) at Theta_0.
+        joints: that bend a sheath.
+        straight: logged joints that moved and bend no sheath.
+    """
+
+    model: TendonSheath
+    gains: dict[str, Quantity]
+    slope: Quantity
+    friction_angle: Quantity
+    pretension: Quantity
+    joints: tuple[str, ...]
+    straight: tuple[str, ...]
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Return the gains and dT_p/dTheta by their public names."""
+        return {**self.gains, "pretension_per_wrap_angle": self.slope}
+
+    @property
+    def sentence(self) -> str:
+        """Return what the logs show about the joints."""
+        words = []
+        for name, gain in self.gains.items():
+            kind, _, joint = name.partition(".")
+            words.append(f"{joint}{f' (tendon {kind[-1]})' if kind != 'gain' else ''} {gain}")
+        others = f"; no effect of {', '.join(self.straight)}" if self.straight else ""
+        return f"wrap angle by other joints: {', '.join(words)}{others}. Gains refer to [sheath] bending_angle"
+
+
+def bent_by(log: PreparedLog, model: TendonSheath) -> PreparedLog:
+    """Return the log with the wrap angles of the model's [routing]; unchanged without one or without the angles."""
+    routing, joints = model.routing, log.signals.joints
+    if routing is None or not set(routing.joints) <= joints.keys():
+        return log
+    a, b = routing.wrap_angles(joints)
+    apart = None if routing.alike else 0.5 * (a - b)
+    signals = dataclasses.replace(log.signals, theta=model.bending_angle + 0.5 * (a + b), theta_difference=apart)
+    return dataclasses.replace(log, signals=signals)
+
+
+def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
+    """Return the joints of the columns q_j.NAME that move, but the own one: rad of standard deviation over all logs."""
+    names = [name for name in logs[0].signals.joints if all(name in log.signals.joints for log in logs)]
+    found = {}
+    for name in names:
+        angles = stack([log.signals.joints[name] for log in logs], list(logs))
+        own = [log.signals.q_j for log in logs]
+        if all(q is not None for q in own):
+            joint = stack([q for q in own if q is not None], list(logs))
+            if float(np.max(np.abs(angles - joint))) < MOVED:
+                continue
+        if float(np.std(angles)) > MOVED:
+            found[name] = float(np.std(angles))
+    return found
+
+
+class _Problem:
+    """The parameters ln x, ln T_p0, ln gain of tau_M, ln k, then mean and half difference of both gains by joint."""
+
+    def __init__(self, logs: list[PreparedLog], model: TendonSheath, joints: tuple[str, ...]) -> None:
+        self.logs, self.model, self.joints = logs, model, joints
+        self.lag = instrument_lag(logs)
+        self.zero = offsets(logs)
+        self.labels = np.concatenate([log.labels[log.mask] for log in logs])
+        self.size = JOINTS + 2 * len(joints)
+        self.start = np.zeros(self.size + len(logs))
+        self.start[X], self.start[T] = math.log(model.friction_angle), math.log(model.pretension)
+        self.start[SLOPE] = math.log(max(model.pretension_slope, 1e-9))
+        deviations = (
+            math.log1p(model.friction_angle_uncertainty) / 1.96,
+            math.log1p(model.pretension_uncertainty) / 1.96,
+            math.inf,
+            max(math.log1p(model.axial_stiffness_uncertainty) / 1.96, 1e-3),
+        )
+        self.precision = np.zeros(self.start.size)
+        self.precision[:JOINTS] = [1.0 / deviation**2 for deviation in deviations]
+
+    def model_at(self, p: FloatArray) -> TendonSheath:
+        """Return the model of the parameters."""
+        model = self.model.recalibrated(math.exp(p[X]), math.exp(p[T]))
+        lever = math.exp(p[SLOPE]) / model.tendon_stiffness
+        return dataclasses.replace(model, contact_offset=max(0.0, lever - 0.5 * model.diameter))
+
+    def gains_at(self, p: FloatArray) -> tuple[dict[str, float], dict[str, float]]:
+        """Return rad/rad by joint of tendons a and b, beyond the file's."""
+        mean, half = p[JOINTS : self.size : 2], p[JOINTS + 1 : self.size : 2]
+        a, b = mean + half, mean - half
+        return dict(zip(self.joints, a.tolist(), strict=True)), dict(zip(self.joints, b.tolist(), strict=True))
+
+    def response(
+        self, log: PreparedLog, p: FloatArray, tau_m: FloatArray, more: float = 0.0, apart: float = 0.0
+    ) -> FloatArray:
+        """Return the joint torque by the parameters, (n,); `more`, `apart`: rad added to mean and half difference."""
+        signals, variant = log.signals, self.model_at(p)
+        if log.tensioner:
+            variant = variant.recalibrated(pretension=variant.pretension + log.tensioner)
+        a, b = (_added(signals, gains) for gains in self.gains_at(p))
+        theta = self.model.bending_angle if signals.theta is None else signals.theta
+        half = 0.0 if signals.theta_difference is None else signals.theta_difference
+        speed = np.maximum(np.abs(signals.omega_j), 1e-9)
+        bent = dataclasses.replace(
+            signals,
+            tau_m=tau_m * math.exp(p[GAIN]),
+            omega_j=np.where(log.mask, log.admission.direction * speed, signals.omega_j),
+            theta=theta + 0.5 * (a + b) + more,
+            theta_difference=half + 0.5 * (a - b) + apart,
+        )
+        return predict(variant, bent)
+
+    def derivatives(self, log: PreparedLog, p: FloatArray, tau_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the joint torque (n,) and its derivatives (n, `size`) with respect to the parameters."""
+        level = self.response(log, p, tau_m)
+        columns = []
+        for place in range(JOINTS):
+            up = p.copy()
+            up[place] += DERIVATIVE
+            columns.append((self.response(log, up, tau_m) - level) / DERIVATIVE)
+        by_mean = (self.response(log, p, tau_m, more=DERIVATIVE) - level) / DERIVATIVE
+        by_half = (self.response(log, p, tau_m, apart=DERIVATIVE) - level) / DERIVATIVE
+        for name in self.joints:
+            angle = log.signals.joints[name]
+            columns += [by_mean * angle, by_half * angle]
+        return level, np.column_stack(columns)
+
+    def solve(self, fixed: set[int], start: FloatArray | None = None) -> tuple[FloatArray, Estimate, list[int]] | None:
+        """Return all parameters, the estimate of the free ones, and their places; `fixed`: places that stay."""
+        p = (self.start if start is None else start).copy()
+        p[sorted(fixed)] = self.start[sorted(fixed)]
+        free = [place for place in range(p.size) if place not in fixed]
+        logs = self.logs
+        instruments, size = np.zeros(0), math.inf
+        for _ in range(ITERATIONS):
+            x, y = [], []
+            for log, own, offset in zip(logs, self.zero, p[self.size :], strict=True):
+                level, rows = self.derivatives(log, p, log.signals.tau_m)
+                x.append(np.column_stack([rows, own])[log.mask][:, free])
+                y.append((log.tau_j - level - offset)[log.mask])
+            if size > SETTLED:  # instruments need not be exact
+                lag = [self.derivatives(log, p, lagged(log.signals.tau_m, self.lag))[1] for log in logs]
+                pairs = zip(logs, lag, self.zero, strict=True)
+                instruments = np.concatenate([np.column_stack([z, own])[log.mask][:, free] for log, z, own in pairs])
+            prior = Prior((self.start - p)[free], self.precision[free])
+            try:
+                found = solve(np.concatenate(x), instruments, np.concatenate(y), self.labels, prior)
+            except np.linalg.LinAlgError:
+                return None
+            step = np.clip(found.value, -LARGEST_STEP, LARGEST_STEP)
+            p[free] += step
+            p[JOINTS : self.size] = np.clip(p[JOINTS : self.size], -MOST_GAIN, MOST_GAIN)
+            if not np.all(np.isfinite(p)):
+                return None
+            size = float(np.max(np.abs(step)))
+            if size < SMALLEST_STEP:
+                break
+        return p, dataclasses.replace(found, value=p[free]), free
+
+
+def fit_routing(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool) -> RoutingFit | None:
+    """Return the gains of all joints that move in the logs, and what goes with them.
+
+    The result is None if no joint bends a sheath, and for logs with a measured wrap angle (column theta).
+    """
+    moved = moving_joints(logs)
+    measured = model.routing is None and any(log.signals.theta is not None for log in logs)
+    if not moved or measured or model.bending_angle <= 0.0:
+        return None
+    problem = _Problem(logs, model, tuple(moved))
+    fixed = {GAIN} if certified_gain else set[int]()
+    found = None
+    halves = set(range(JOINTS + 1, problem.size, 2))
+    while True:  # remove what the logs do not show, the least first
+        found = problem.solve(fixed, None if found is None else found[0])
+        if found is None:
+            return None
+        p, estimate, free = found
+        shares = {}
+        for place in free:
+            if JOINTS <= place < problem.size:
+                low, high = estimate.interval(free.index(place))
+                reach = moved[problem.joints[(place - JOINTS) // 2]] / model.bending_angle
+                half = 0.5 * (high - low)
+                shares[place] = min(abs(p[place]) / max(half, 1e-12), abs(p[place]) * reach / NEGLIGIBLE)
+        # A joint whose tendons differ bends the sheath: its mean gain stays.
+        removable = {place: share for place, share in shares.items() if place in halves or place + 1 in fixed}
+        least = min(removable, key=lambda place: removable[place], default=None)
+        if least is None or removable[least] > 1.0:
+            break
+        fixed.add(least)
+    bending = tuple(name for k, name in enumerate(problem.joints) if JOINTS + 2 * k not in fixed)
+    if not bending:
+        return None
+    return _result(problem, p, estimate, free, bending)
+
+
+def _result(
+    problem: _Problem, p: FloatArray, estimate: Estimate, free: list[int], bending: tuple[str, ...]
+) -> RoutingFit:
+    model = problem.model
+    before = model.routing or Routing(Route({}, {}), Route({}, {}))
+    a, b = ({name: float(f"{gains[name]:.4g}") for name in bending} for gains in problem.gains_at(p))
+    routing = Routing(before.a.plus(a), before.b.plus(b))
+    gains = {}
+    for name in bending:
+        mean = JOINTS + 2 * problem.joints.index(name)
+        alike = mean + 1 not in free
+        tendons = (("", routing.a, 0.0),) if alike else (("_a", routing.a, 1.0), ("_b", routing.b, -1.0))
+        for suffix, route, sign in tendons:
+            gradient = np.zeros(len(free))
+            gradient[free.index(mean)] = 1.0
+            if not alike:
+                gradient[free.index(mean + 1)] = sign
+            low, high = estimate.interval_of(gradient)
+            half, value = 0.5 * (high - low), route.gains.get(name, (a if sign >= 0.0 else b)[name])
+            gains[f"gain{suffix}.{name}"] = Quantity(value, value - half, value + half, "rad/rad")
+    logarithms = {}
+    for place, unit in ((X, "1"), (T, "N"), (SLOPE, "N/rad")):
+        low, high = estimate.interval(free.index(place))
+        logarithms[place] = Quantity(math.exp(p[place]), math.exp(low), math.exp(high), unit)
+    return RoutingFit(
+        model=dataclasses.replace(problem.model_at(p), routing=routing),
+        gains=gains,
+        slope=logarithms[SLOPE],
+        friction_angle=logarithms[X],
+        pretension=logarithms[T],
+        joints=bending,
+        straight=tuple(name for name in problem.joints if name not in bending),
+    )
+
+
+def _added(signals: Signals, gains: dict[str, float]) -> FloatArray:
+    bent = np.zeros(signals.t.size)
+    for name, gain in gains.items():
+        bent += gain * signals.joints[name]
+    return bent
