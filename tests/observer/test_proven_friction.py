@@ -42,6 +42,9 @@ class Joint:
         self.zero, self.radius, self.sensor = zero, radius, sensor
         self.random = np.random.default_rng(seed)
         self.q = 0.0
+        self.bends = False  # another joint bends the sheath meanwhile: friction changes by half within a stroke
+        self.share = 1.0  # true friction over the modelled one
+        self.t = 0.0
 
     def move(self, way: float, speed: float = 1.0, turning: bool = False) -> list[tuple[float, float]]:
         """Go `way` rad further; return the bounds of each cycle."""
@@ -49,6 +52,10 @@ class Joint:
         bounds = []
         for _ in range(round(abs(way) / speed / PERIOD)):
             self.q += sigma * speed * PERIOD
+            self.t += PERIOD
+            if self.bends:
+                self.modelled = FRICTION * (1.0 + 0.5 * math.sin(9.0 * self.t))
+                self.friction = self.share * self.modelled
             load = 0.3 * math.sin(3.0 * self.q) + 0.1  # N*m at the joint
             tau_m = load * 0.8 + sigma * self.friction
             elongation = (tau_m / 0.020 + load / 0.025) / (4.0 * 60e3 / 1.2) + self.zero
@@ -93,6 +100,21 @@ def test_friction_that_is_lost_between_the_first_two_strokes_is_never_proven(lef
         for low, high in joint.move(way):
             assert low < left * FRICTION < high
     assert high - low < 0.15 * FRICTION
+
+
+@pytest.mark.parametrize("share", [0.6, 1.0, 1.3])
+def test_a_sheath_that_another_joint_bends_proves_the_ratio_of_true_to_modelled_friction(share: float) -> None:
+    """The friction torque changes by half either way within each stroke, and the bounds follow it."""
+    joint = Joint(zero=3e-4)
+    joint.bends, joint.share = True, share
+    for way in (0.6, -0.6, 0.6, -0.6, 0.6):
+        joint.move(way)
+    for way in (-0.6, 0.6):
+        low, high = np.transpose(joint.move(way)[-300:])
+        true = share * FRICTION * (1.0 + 0.5 * np.sin(9.0 * (joint.t - PERIOD * np.arange(299, -1, -1))))
+        assert np.all(low < true)
+        assert np.all(true < high)
+        assert np.all(high - low < 0.7 * true)
 
 
 def test_strokes_in_one_direction_do_not_confirm_each_other() -> None:

@@ -319,3 +319,18 @@ def test_a_model_without_friction_or_pretension_is_refused() -> None:
     for model in models:
         with pytest.raises(UsageError, match="both must be above 0"):
             StretchObserver(model, 1e-3, COUNTS)
+
+
+def test_a_sheath_that_is_bent_further_keeps_the_ratio_to_the_model() -> None:
+    """x and T_p0 of the model grow by 1.2 and 1.4: what was found follows, also after a reset."""
+    seen = StretchObserver(NOMINAL, 1e-3, COUNTS)
+    x, pretension = NOMINAL.friction_angle, NOMINAL.pretension
+    seen.bend(1.2 * x, 1.4 * pretension)
+    assert seen.friction_angle == pytest.approx(1.2 * x)
+    assert seen.pretension == pytest.approx(1.4 * pretension)
+    seen.reset()
+    assert seen.friction_angle == pytest.approx(1.2 * x)
+    seen.bend(x, pretension)
+    assert seen.friction_angle == pytest.approx(x)
+    seen.bend(math.nan, pretension)
+    assert seen.friction_angle == pytest.approx(x)

@@ -466,6 +466,6 @@ class ControlAxis:
             if isinstance(self.estimator, Fixed):  # a client's word proves no friction beyond the file's
                 half_loop = abs(self._sliding(1.0, *parameters).motor_half_loop)
                 self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
-            self.joint_torque.set_parameters(*parameters, imbalance)
+            self.joint_torque.set_parameters(*parameters, imbalance, bent=self._measures_wrap_angle)
             if self._measures_wrap_angle:
                 self.compensation_limit.proven.slopes = self.joint_torque.model.slopes

@@ -253,12 +253,13 @@ class JointTorque:
         self._faulty = True
         self._combine()
 
-    def _explained(self, friction_angle: float) -> bool:
+    def _explained(self, stretch: StretchObserver) -> bool:
         """Return True if a stiffness explains the elongation with a friction that the file allows.
 
         A motor that gives more torque than it reports makes friction look less, never more. More friction than the
         file's uncertainty allows shows another curvature profile.
         """
+        friction_angle = stretch.friction_angle * self._friction_angle / stretch.modelled
         return LEAST_FRICTION * self._friction_angle < friction_angle < self._most_friction_angle
 
     @property
@@ -281,13 +282,21 @@ class JointTorque:
         self._outside = self.difference = 0.0
         self._combine()
 
-    def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
+    def set_parameters(
+        self, friction_angle: float, pretension: float, imbalance: float = 0.0, bent: bool = False
+    ) -> None:
         """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons.
 
-        The stretch takes the pretension, and finds its own friction angle.
+        Args:
+            bent: True if the wrap angle changed both. The observer of the elongation then keeps its ratio to the
+                model. Otherwise it takes the pretension, and finds its own friction angle.
         """
         self.model.set_parameters(friction_angle, pretension, imbalance)
-        if self.stretch is not None:
+        if self.stretch is None:
+            return
+        if bent:
+            self.stretch.bend(friction_angle, pretension)
+        else:
             self.stretch.set_pretension(pretension)
 
     def pass_over(self, periods: int) -> None:
@@ -325,7 +334,7 @@ class JointTorque:
             return
         q_m = image.q_m - routed
         stretch.update(tau_m, omega_m, q_m, image.q_j, fresh)
-        soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch.friction_angle)
+        soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch)
         if soft and self.model.low <= tau_j <= self.model.high:  # the sensor confirms the reported torque
             soft = False
         self._soft = self._soft + self._period if enabled and soft and self._shape_known else 0.0

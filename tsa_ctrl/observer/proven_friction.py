@@ -11,8 +11,10 @@ motor torque that does not reach the joint:
 
 `tsa_ctrl.model.stretch` defines P and Q. The zero s_0, the error of the radii kappa, the error of the compliance
 gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
-sigma g. One direction alone leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite.
-The numbers of a fit change between two strokes only, so that friction that is lost within a stroke is seen within it.
+sigma m g. m is the model's friction torque at the present wrap angle over that at the nominal one: a fit proves the
+ratio of the true friction to the modelled one, whatever other joints do to the sheath meanwhile. One direction alone
+leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite. The numbers of a fit change
+between two strokes only, so that friction that is lost within a stroke is seen within it.
 One stroke in each direction gives the sum of two frictions: a friction g in both, or h in the first and 2 g - h in the
 second. Until a third stroke agrees, h may be the most that the model file permits, and 2 g - h is the lower bound.
 A third stroke that disagrees replaces the first one.
@@ -217,12 +219,14 @@ class ProvenFriction:
         y = elongation - self._origin - self._compliance * tau
         q = q_j - self._angle
         weight = way / SAMPLE
-        wq, wt, wy = weight * q, weight * tau, weight * y
-        n, sq, st, sqq, sqt, stt, sy, syq, syt, syy = self._sums
+        bent = self.modelled / self._expected
+        wq, wt, wy, wm = weight * q, weight * tau, weight * y, weight * bent
+        n, sq, st, sqq, sqt, stt, sy, syq, syt, syy, sm, smm, smq, smt, smy = self._sums
         n += weight
         self._sums = (
             n, sq + wq, st + wt, sqq + wq * q, sqt + wq * tau, stt + wt * tau,
             sy + wy, syq + wy * q, syt + wy * tau, syy + wy * y,
+            sm + wm, smm + wm * bent, smq + wm * q, smt + wm * tau, smy + wm * y,
         )  # fmt: skip
         if not self._settled and n >= 1.0:
             self._until -= 1
@@ -275,7 +279,7 @@ class ProvenFriction:
         self.high = high * modelled if high > 0.0 else 0.0
 
     def _begin_stroke(self) -> None:
-        self._sums = (0.0,) * 10
+        self._sums = (0.0,) * 15
         self._until = FIT_EVERY
 
     def _end_stroke(self) -> None:
@@ -308,15 +312,15 @@ class ProvenFriction:
             self.reset()
 
     def _stroke(self) -> _Sums:
-        n, q, t, qq, qt, tt, y, yq, yt, yy = self._sums
-        sigma = -float(self._direction)  # the regressor of the friction
+        n, q, t, qq, qt, tt, y, yq, yt, yy, m, mm, mq, mt, my = self._sums
+        sigma = -float(self._direction)  # times m, the regressor of the friction
         normal = [
-            [n, q, t, sigma * n],
-            [q, qq, qt, sigma * q],
-            [t, qt, tt, sigma * t],
-            [sigma * n, sigma * q, sigma * t, n],
+            [n, q, t, sigma * m],
+            [q, qq, qt, sigma * mq],
+            [t, qt, tt, sigma * mt],
+            [sigma * m, sigma * mq, sigma * mt, mm],
         ]
-        return _Sums(np.array(normal), np.array([y, yq, yt, sigma * y]), yy)
+        return _Sums(np.array(normal), np.array([y, yq, yt, sigma * my]), yy)
 
     def _misfit(self, sums: _Sums) -> float:
         """Return the sum of squares that a fit leaves, the prior's included, over the variance of a sample."""

@@ -180,6 +180,8 @@ class StretchObserver:
         self._keep_misfit = math.exp(-period / MISLED_FOR)
         self.confirmation = Confirmation(model, self._settings[tendons.NOISE] / ALIKE, period)
         self.pretension = model.pretension  # N, at which x is reported
+        self.modelled = model.friction_angle  # 1, x of the model at the present wrap angle
+        self._modelled_pretension = model.pretension  # N, of the model there
         self.most_friction_angle = model.most_friction * model.friction_angle  # 1, at the file's pretension
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
@@ -191,7 +193,7 @@ class StretchObserver:
         self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
-        memory[tendons.ANGLE] = self._model.friction_angle * self._model.pretension / self.pretension
+        memory[tendons.ANGLE] = self.modelled * self._modelled_pretension / self.pretension
         memory[tendons.STIFF] = self.stiffness = 1.0
         self.innovation = 0.0
         for state in range(tendons.STATES):
@@ -265,6 +267,28 @@ class StretchObserver:
         self._settings[tendons.LOW] *= self.pretension / value
         self._settings[tendons.HIGH] *= self.pretension / value
         self.pretension = value
+        self._grip()
+
+    def bend(self, friction_angle: float, pretension: float) -> None:
+        """Continue at another wrap angle.
+
+        The ratio of the estimated friction coefficient to the modelled one stays, so the estimated x follows the
+        modelled one.
+
+        Args:
+            friction_angle: x of the model at the new wrap angle, 1.
+            pretension: T_p0 of the model at the new wrap angle, N.
+        """
+        if not (pretension > SLACK * self._model.pretension and friction_angle > 0.0):
+            return
+        share = friction_angle / self.modelled
+        self._memory[tendons.ANGLE] *= share
+        self._settings[tendons.LOW] *= share
+        self._settings[tendons.HIGH] *= share
+        for pairs in (self._pairs, self._first):
+            pairs[:, :, tendons.TENSION] += pretension - self.pretension
+        self.modelled = friction_angle
+        self.pretension = self._modelled_pretension = pretension
         self._grip()
 
     def _grip(self) -> None:

@@ -32,12 +32,14 @@ from tsa_ctrl.model.signals import Signals
 FloatArray = NDArray[np.float64]
 
 MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not sought
-ITERATIONS = 10
-LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad
-SMALLEST_STEP, SETTLED = 1e-5, 0.02  # of the largest step: the end, and instruments that stay
-DERIVATIVE = 1e-4  # step of numerical derivatives
+ITERATIONS = 10  # Gauss-Newton steps at most; on simulated rigs 4 to 8
+LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad: the first step of a wrong file is too long
+SMALLEST_STEP = 1e-5  # at which the steps end: digits that no file is written with
+SETTLED = 0.02  # of a step, below which the instruments stay: they need not be exact
+DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # of Theta_0, swing of the wrap angle by a joint below which it does not bend the sheath
-X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4  # places of the parameters
+# Places of the parameters.
+X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4  # of the vector: logarithms, then two for each joint
 
 
 @dataclass(frozen=True)
