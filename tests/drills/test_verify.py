@@ -167,37 +167,6 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
     assert len(record["trials"][0]["samples"]) > 10
 
 
-@pytest.mark.vcan
-@pytest.mark.hil
-@pytest.mark.slow
-@pytest.mark.soak  # said by the same lines as below: tests/drills/test_pull.py; and by the loop, in virtual time
-def test_a_motor_that_pulls_the_wrong_way_is_found_by_its_first_torque(
-    folder: Path, vcan: str, plants: list[Rig]
-) -> None:
-    plants.append(Rig(folder, vcan))
-    edit(folder, "controller.toml", ("# torque_sign = 1 ", "torque_sign = -1 "))
-    found, code, error = plants[0].verify()
-    assert (code, found) == (1, {})
-    assert "the motor's torque the wrong way round" in error
-
-
-@pytest.mark.vcan
-@pytest.mark.hil
-@pytest.mark.slow
-@pytest.mark.soak  # seen in virtual time: tests/drills/test_pull.py; such a word ends a trial: above
-def test_a_motor_that_gives_twice_what_it_says_is_found_by_its_first_torque(
-    folder: Path, vcan: str, plants: list[Rig]
-) -> None:
-    """By the joint torque sensor, with as much torque as friction does not keep."""
-    with (folder / "plant.toml").open("a", encoding="utf-8") as file:
-        file.write('\n[[axis.fault]]\nname = "torque_gain"\nat = 0.0\nvalue = 2.0\n')
-    edit(folder, "controller.toml", ("# torque = 0.1  ", "torque = 0.8  "))
-    plants.append(Rig(folder, vcan))
-    found, code, error = plants[0].verify()
-    assert (code, found) == (1, {})
-    assert "the joint torque sensor follows the motor's torque by" in error
-
-
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:
     """Files of two axes with a drive alone, of equal drives but for what is told of each simulated one."""
     times = {"rpdo_timeout": 0.3, "host_timeout": 0.6, "heartbeat_timeout": 0.9}
@@ -243,29 +212,6 @@ def test_watchdogs_that_do_not_act_are_found_and_the_torque_ends_all_the_same(tm
     assert "0x1400:5) is armed with 300 ms and did not act" in ends.watchdog.warning
     assert left == []
     assert max(abs(torque) for torque in torques) < 0.02
-
-
-@pytest.mark.vcan
-@pytest.mark.hil
-@pytest.mark.slow
-@pytest.mark.soak  # that nothing is sent is seen below, on a bus in this process
-def test_beside_a_running_daemon_nothing_is_tried_and_the_daemon_goes_on(
-    folder: Path, vcan: str, plants: list[Rig]
-) -> None:
-    plants.append(Rig(folder, vcan))
-    daemon = subprocess.Popen(
-        ["tsa", "run", "controller.toml", "--seconds", "8", "--json"], cwd=folder, stdout=subprocess.PIPE, text=True
-    )
-    try:
-        _wait_for_torque(vcan)
-        found, code, error = plants[0].verify()
-        assert (found, code) == ({}, 1)
-        assert "another master is active" in error
-        assert "nothing was sent" in error
-        output = daemon.communicate(timeout=60)[0]
-    finally:
-        daemon.kill()
-    assert json.loads(output)["cause"] == "8 s are over"
 
 
 def _wait_for_torque(vcan: str) -> None:

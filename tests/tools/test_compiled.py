@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-import os
 import subprocess
 import sys
-from pathlib import Path
 from types import ModuleType
 
 import msgspec
@@ -69,25 +67,6 @@ def test_a_compiled_module_has_nothing_that_mypyc_compiles_wrongly(path: str) ->
     assert forbidden(ast.parse((ROOT / path).read_text(encoding="utf-8"))) == set()
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "class Settings(msgspec.Struct): x: int",
-        "class Settings(Base, frozen=True): x: int",
-        "class Header(ctypes.Structure): pass",
-        "class Type(Enum):\n    def __init__(self, width): pass",
-        "class Read(Protocol):\n    x: float = ...",
-        "F = TypeVar('F', float, str)",
-        "import ctypes",
-        "from numba import njit",
-        "from tsa_ctrl.plant.compiled import compiled",
-        "def update(value: float = ...) -> float: ...",
-    ],
-)
-def test_each_forbidden_kind_is_found(source: str) -> None:
-    assert forbidden(ast.parse(source))
-
-
 def test_compiled_and_interpreted_classes_do_not_inherit_from_each_other() -> None:
     """An interpreted class cannot inherit from a compiled one: it raises TypeError when it is used."""
     home = {}
@@ -133,19 +112,6 @@ def test_an_editable_compiled_build_is_rejected(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setenv("TSA_COMPILE", "1")
     with pytest.raises(ValueError, match="without --editable"):
         backend().get_requires_for_build_editable()
-
-
-def test_the_build_of_another_source_is_not_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = tmp_path / ".cache" / "compiled" / "old"
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(other), "kept")))
-    monkeypatch.setenv("PYTHONSAFEPATH", "1")
-    monkeypatch.setattr(sys, "path", [str(other), *sys.path])
-    monkeypatch.setattr(compiled, "BUILDS", tmp_path)
-    monkeypatch.setattr(compiled, "build_folder", lambda: tmp_path / "absent")
-    compiled.use()
-    assert os.environ["PYTHONPATH"] == "kept"
-    assert str(other) not in sys.path
-    assert "PYTHONSAFEPATH" not in os.environ
 
 
 @pytest.mark.slow

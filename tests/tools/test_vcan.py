@@ -7,15 +7,10 @@ import random
 import signal
 import subprocess
 import sys
-from pathlib import Path
-from typing import NoReturn
 
 import pytest
 
 from tests.conftest import ROOT
-from tools.guest import vcan as vcan_tool
-from tools.guest.guest import Limits
-from tools.guest.kernel import Kernel, UnavailableError
 
 VCAN = str(ROOT / "tools" / "vcan")
 NO_VCAN = 77
@@ -55,26 +50,6 @@ def test_local_sockets_are_chosen_by_name_and_are_no_vcan_for_the_tests() -> Non
     assert done.stdout.startswith(b"datagram:bench no vcan: TSA_VCAN=datagram:bench: local sockets")
 
 
-def test_local_sockets_take_the_place_of_a_vcan_only_if_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The third choice, on a machine that has neither a vcan nor a kernel for the guest."""
-
-    def lacking() -> Kernel:
-        raise UnavailableError("no mirror")
-
-    def instead(command: list[str], interface: str, limits: Limits) -> NoReturn:
-        raise SystemExit(interface)
-
-    monkeypatch.setattr(vcan_tool, "kernel", lacking)
-    monkeypatch.setattr(vcan_tool, "run_here", instead)
-    monkeypatch.delenv("TSA_REQUIRE_VCAN", raising=False)
-    monkeypatch.delenv("TSA_VCAN_ELSE", raising=False)
-    with pytest.raises(SystemExit, match=str(NO_VCAN)):
-        vcan_tool.run_in_guest(["true"], "vcan7", Limits(1 << 30, None))
-    monkeypatch.setenv("TSA_VCAN_ELSE", "datagram")
-    with pytest.raises(SystemExit, match="datagram:vcan7"):
-        vcan_tool.run_in_guest(["true"], "vcan7", Limits(1 << 30, None))
-
-
 def test_the_guests_first_process_needs_the_standard_library_alone() -> None:
     call = [sys.executable, "-ES", "-c", f"import sys; sys.path[0] = {str(ROOT)!r}; import tools.guest.init"]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
@@ -89,13 +64,6 @@ def test_streams_and_exit_status_pass_through() -> None:
     assert done.returncode == 7
     assert done.stdout == data
     assert done.stderr.endswith(b"to\nerrors\r\n")
-
-
-@pytest.mark.slow
-def test_environment_folder_and_arguments_pass_through() -> None:
-    script = 'pwd; printf "%s|" "$@"; printf "%s" "$TSA_MARK"'
-    done = run(["sh", "-c", script, "sh", "two words", "", "$x"], {"TSA_MARK": "a\nb'c", "TSA_VCAN": ""})
-    assert done.stdout.decode() == f"{Path.cwd()}\ntwo words||$x|a\nb'c"
 
 
 @pytest.mark.slow

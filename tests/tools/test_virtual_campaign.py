@@ -33,11 +33,10 @@ def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", PHASES)
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.soak)])
-def test_a_sample_is_safe(phase: str, count: int) -> None:
-    """Trials of each phase, drawn, of what is not known to be open; the whole takes an hour."""
+def test_a_sample_is_safe(phase: str) -> None:
+    """A drawn trial of each phase, of what is not known to be open; the whole takes an hour."""
     trials = [trial for trial in chosen(7, "full", 4, (f"| {phase} |",), (1, 1)) if not BY_NAME[trial.names[0]].open]
-    for trial in trials[:count]:
+    for trial in trials[:1]:
         assert (trial.key, trial.draw, judge(trial).wrong) == (trial.key, trial.draw, ())
 
 
