@@ -117,7 +117,7 @@ def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
 def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: can.Message, words: str
 ) -> None:
-    """Nodes without ours, or somebody who leads the bus: one line, and at most a question who is there."""
+    """Foreign nodes or another master give one line, and at most a question for the present nodes is sent."""
     path, channel = tmp_path / "controller.toml", words[:12]
     shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
     text = path.read_text(encoding="utf-8")

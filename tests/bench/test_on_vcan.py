@@ -1,4 +1,4 @@
-"""tsa bench on a vcan: with nodes that stand in, and beside a plant."""
+"""Test `tsa bench` on a vcan: with substitute nodes, and with a plant."""
 
 from __future__ import annotations
 

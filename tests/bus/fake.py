@@ -1,4 +1,4 @@
-"""A bus in memory: what was sent is kept, what shall be received is queued. Its clock moves only when told."""
+"""A bus in memory, which keeps sent frames and queues frames to receive. The test moves its clock."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class FakeClock:
 class FakeBus:
     """Implements `tsa_ctrl.bus.wire.bus.Bus`.
 
-    `answer`: called with each frame sent; what it returns is received next. Waiting for nothing moves the clock.
+    `answer` is called with each sent frame and returns the next received frames. A wait without frames moves the clock.
     """
 
     def __init__(

@@ -103,7 +103,7 @@ def torque_sensor(node_id: int = 64) -> Dictionary:
 
 
 class Bench:
-    """Nodes on a bus of their own, and the master's end of that bus. `sent`: every NMT command heard."""
+    """Nodes on a separate bus, and the master's end of that bus. `sent`: every received NMT command."""
 
     def __init__(self, dictionaries: dict[int, Dictionary]) -> None:
         channel = f"bench-{next(_channels)}"

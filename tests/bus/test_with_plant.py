@@ -24,7 +24,7 @@ PERIOD = 0.004  # s
 
 
 class Plant:
-    """The plant on the other end of the wire; nobody is there while its nodes are without power."""
+    """The plant on the other end of the wire, which is silent while its nodes have no power."""
 
     def __init__(self, folder: Path) -> None:
         self.wire = Wire(bitrate=1e6)

@@ -122,7 +122,7 @@ def test_every_set_has_logs_a_licence_and_a_model_that_is_read(name: str, tmp_pa
 
 
 def test_counts_of_the_cable_tool_become_radians_and_newton_metres() -> None:
-    """The first row of a trial, and what its README says of counts."""
+    """The first row of a trial, and the counts that its README states."""
     raw = b"%header\n0.000,1364,412,0.0500,189,-220,0.1000,-0.0315,-5888,1365.33\n"
     assert cable_tool(raw, "x").splitlines()[1] == "0.000,-1.046175,0.016402,0.296881,0.008758"
 

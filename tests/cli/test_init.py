@@ -1,4 +1,4 @@
-"""`tsa init` writes files that are good as they are, and nothing over what is there."""
+"""`tsa init` writes valid files, and never overwrites a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is shown while `tsa tune` moves a rig; the daemon that answers is a run in virtual time."""
+"""Test the display while `tsa tune` moves a rig; the daemon is a run in virtual time."""
 
 from __future__ import annotations
 

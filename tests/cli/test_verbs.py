@@ -1,4 +1,4 @@
-"""What every verb shares: help with an example, one line for what is wrong, completion in the user's shell."""
+"""Test what all commands share: help with an example, one-line errors, completion in the user's shell."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ entry()
 
 
 def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
-    """What stands before `entry` in the script `tsa`: until then the interpreter answers with a traceback."""
+    """The code before `entry` in the script `tsa`, in which an interrupt prints a traceback."""
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tsa_ctrl.__main__; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-SE", "-c", code], capture_output=True, text=True, check=True)
     assert {"typing", "tempfile", "shutil", "click", "tsa_ctrl.cli"}.isdisjoint(loaded.stdout.split())

@@ -90,7 +90,7 @@ class Serving:
         return int(child)
 
     def end(self) -> str:
-        """Close its stdin, as the daemon's death would; what it said on stderr."""
+        """Close its stdin, as the end of the daemon would, and return its stderr."""
         if self.process.returncode is None:
             self._said = self.process.communicate(timeout=PATIENCE)[1].decode()
             self.mailbox.close()

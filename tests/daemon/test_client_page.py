@@ -1,4 +1,4 @@
-"""What the client's page shows beside its controller in Python: the conversation, the configuration, the one in C."""
+"""Test the other examples of the client page: the protocol, the configuration, and the controller in C."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_the_controller_in_c_is_a_spring_until_the_daemon_ends(serving: Serving, spring: str) -> None:
-    """It follows what the loop measures, stamps its values with the measurement's time, and says why it ends."""
+    """It follows the measurements, stamps its values with their time, and reports why it ends."""
     process = subprocess.Popen([spring, serving.path, "knee", str(STIFFNESS)], stderr=subprocess.PIPE, text=True)
     try:
         for q_j in (0.2, -0.1):

@@ -111,7 +111,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
     ],
 )
 def test_wrong_is_one_line_and_exit_code_2(folder: Path, pattern: str, text: str, words: str) -> None:
-    """Each mistake is refused by `tsa run --check` and names file, key, what was found and what is allowed."""
+    """`tsa run --check` rejects each mistake with file, key, value and allowed values."""
     path = edit(folder, pattern, text)
     with pytest.raises(UsageError, match=words) as caught:
         load_configuration(path)

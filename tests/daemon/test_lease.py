@@ -29,7 +29,7 @@ GROUP = grp.getgrgid(os.getgid()).gr_name
 
 
 class Talk:
-    """One client: what it says is handled before it goes on."""
+    """One client, whose requests are handled before the test continues."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
@@ -81,7 +81,7 @@ class Desk:
         return self._select(timeout)
 
     def client(self, *groups: int, process: int = 4711) -> Talk:
-        """Of the user who started the daemon; or of a stranger in these groups."""
+        """Connect a client of the user who started the daemon, or of another user in these groups."""
         self.peer = Peer(process, 12345 if groups else os.getuid(), frozenset(groups))
         self._talks.append(Talk(self))
         return self._talks[-1]
@@ -103,7 +103,7 @@ class Desk:
         return self.mailbox.wanted(0)
 
     def said(self) -> str | None:
-        """What the loop would make an event of."""
+        """Return the text that the loop would report as an event."""
         found = self.mailbox.told()
         return None if found is None else found[1]
 
@@ -137,7 +137,7 @@ VERBS: dict[str, tuple[dict[str, Any], Role]] = {
 @pytest.mark.parametrize("verb", VERBS)
 @pytest.mark.parametrize("role", Role)
 def test_who_may_do_what(desk: Desk, verb: str, role: Role) -> None:
-    """What one may not do has no effect, and the refusal names the user."""
+    """A request without permission has no effect, and the error names the user."""
     more, least = VERBS[verb]
     groups = {Role.WATCH: (WATCH,), Role.COMMAND: (COMMAND, WATCH), Role.OWNER: ()}[role]
     desk.fault()
@@ -212,7 +212,7 @@ def test_the_set_point_has_one_owner_whom_a_refusal_names(desk: Desk) -> None:
 
 
 def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
-    """Its holder and people are told why; what it wanted is withdrawn; the next may have it."""
+    """Holder and log get the reason, the set-point is withdrawn, and another client may get the lease."""
     owner, other = desk.client(process=4711), desk.client(process=815)
     owner.ask("lease", seconds=0.2)
     assert "process 4711 " in str(desk.said())  # with a name, if such a process happens to run
@@ -234,7 +234,7 @@ def test_a_time_out_of_bounds_is_refused(desk: Desk, seconds: float) -> None:
 
 
 def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
-    """Of a stream whose values have no answers: the newest that has arrived."""
+    """The newest value of a stream without answers is confirmed."""
     owner = desk.client()
     owner.ask("lease", seconds=0.2)
     for _ in range(120):
@@ -332,7 +332,7 @@ def test_its_holder_is_told_what_happens_from_then_on(desk: Desk) -> None:
 
 
 def test_a_measurement_is_of_the_newest_cycle(desk: Desk) -> None:
-    """Its age by our clock; null for what is not measured."""
+    """It has an age by the test's clock, and null for a value that is not measured."""
     measured(desk, desk.now - 1e-3, q_j=0.5, tau_j=math.nan, permitted=1.0)
     answer = desk.client(WATCH).ask("measure")
     assert (answer["time"], answer["cycle"], answer["phase"]) == (desk.now - 1e-3, 7, "running")
@@ -370,7 +370,7 @@ def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monke
 def test_others_get_a_third_of_the_time_while_somebody_gives_set_points(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each of their requests takes 1 ms here; without an owner they get all of it."""
+    """Each of their requests takes 1 ms here; without an owner they get all of the time."""
     asked: list[float] = []
 
     def slowly(*_: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ GROUPS: dict[str, tuple[int, ...]] = {"owner": (), "member": (COMMAND,), "watche
 
 
 class Model(RuleBasedStateMachine):
-    """What may be, and what must be."""
+    """The permitted and the required states."""
 
     @initialize()
     def begin(self) -> None:

@@ -102,7 +102,7 @@ def test_drive_fault_takes_the_torque_in_the_same_cycle(build: Build) -> None:
 
 
 def test_fault_ends_the_run_where_so_configured(build: Build) -> None:
-    """after_fault = "exit": the run ends by itself and names the fault."""
+    """With after_fault = "exit" the run ends and reports the fault."""
     machine = build(CONSTANT, ('# after_fault = "wait" ', 'after_fault = "exit" '))
     machine.drive.at_sync[400] = machine.drive.fail
     machine.run()
@@ -124,7 +124,7 @@ def test_lost_heartbeat_stops(build: Build) -> None:
 
 
 def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
-    """A boot-up while running latches; a recovery then leaves the loop, so that the nodes are configured anew."""
+    """A boot-up while running latches; a recovery then leaves the loop, so that the nodes are configured again."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x701, b"\x00"))
     machine.drive.at_sync[800] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
@@ -224,7 +224,7 @@ def test_one_missed_answer_does_not_stop(build: Build) -> None:
 
 
 def test_records_tell_the_cycle(build: Build) -> None:
-    """Every cycle has a record on an exact grid, with what was measured, wanted and sent."""
+    """Every cycle has a record on an exact grid, with measured, desired and sent values."""
     machine = build(CONSTANT, BARE)
     machine.run(seconds=0.5)
     records = machine.records()
@@ -255,7 +255,7 @@ def test_what_the_socket_tells_of_its_lease_becomes_events_once_a_second(build: 
 
 
 def test_every_cycle_is_told_to_clients(build: Build) -> None:
-    """What it measured, with its time, number and phase."""
+    """Clients get the measurement with its time, number and phase."""
     machine = build(CONSTANT)
     seen: list[tuple[float, int, int, float]] = []
 
@@ -299,7 +299,7 @@ class Disobedient(Drive):
 
 
 def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
-    """It stays enabled while told to leave: 50 ms later, and again, the NMT command that makes it react by itself."""
+    """It stays enabled although commanded off: 50 ms later, and again, an NMT command makes it react."""
     machine = Machine(tmp_path, CONSTANT, drive=Disobedient())
     found = Finding(Cause.NOT_FINITE, "a limit")
     machine.drive.at_sync[310] = lambda: machine.axis.supervisor.trip(found, machine.bus.clock.now)
@@ -337,7 +337,7 @@ def test_our_heartbeat_is_on_the_bus_all_the_time(build: Build) -> None:
 
 
 def test_stop_after_a_fault_ends_at_once(build: Build) -> None:
-    """There is no torque to ramp down."""
+    """No torque remains to be ramped down."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = machine.drive.fail
     machine.drive.at_sync[600] = lambda: machine.loop.stop("SIGTERM")
@@ -346,7 +346,7 @@ def test_stop_after_a_fault_ends_at_once(build: Build) -> None:
 
 
 def test_what_is_not_finite_trips(build: Build) -> None:
-    """A measurement that is no number latches, as over-speed does."""
+    """A measurement that is not finite latches, as over-speed does."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: setattr(machine.axis.law, "compensation", math.nan)
     machine.run(seconds=1.0)
@@ -357,7 +357,7 @@ def test_what_is_not_finite_trips(build: Build) -> None:
 
 
 def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What counts cycles must count those that had none: velocities were too high by them."""
+    """Counters of cycles include skipped periods, without which velocities were too high."""
     machine = build(CONSTANT)
     told: list[int] = []
     monkeypatch.setattr(machine.axis, "pass_over", told.append)

@@ -30,7 +30,7 @@ def mailbox() -> Iterator[Mailbox]:
 
 
 def test_commands_come_in_order_one_at_a_time(mailbox: Mailbox) -> None:
-    """What was put first is taken first, and each once."""
+    """Commands are taken in order, each once."""
     commands = [Command(n % 2, n, n * 0.5) for n in range(5)]
     tickets = [mailbox.put(command) for command in commands]
     assert tickets == [0, 1, 2, 3, 4]
@@ -75,7 +75,7 @@ def other_end(mailbox: Mailbox) -> Mailbox:
 
 
 def test_other_end_reads_the_snapshot(mailbox: Mailbox) -> None:
-    """What the loop publishes is what another mapping of the memory reads."""
+    """Another mapping of the memory reads the published values."""
     other = other_end(mailbox)
     mailbox.publish(GENERAL, AXES)
     mailbox.publish_text(b'["hello"]')

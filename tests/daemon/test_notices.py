@@ -1,4 +1,4 @@
-"""What a drive says beside its state becomes an event, once, and stops nothing."""
+"""A drive's warnings become events, once each, and stop nothing."""
 
 from __future__ import annotations
 

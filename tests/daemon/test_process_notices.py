@@ -1,4 +1,4 @@
-"""A process beside the loop that hangs is said in time, once, and so is the one that took over."""
+"""A hanging process is reported in time and once, and so is its replacement."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ STATUS = 0.02  # s between two looks, as of the loop
 
 
 class Process:
-    """What it leaves in shared memory; the loop's log begins at 100 s."""
+    """The values in shared memory; the log of the loop begins at 100 s."""
 
     def __init__(self) -> None:
         self.heard = 0.0

@@ -14,7 +14,7 @@ from tsa_ctrl.daemon.lifecycle import ramp_down
 
 
 class BrokenError(RuntimeError):
-    """What a mistake in the loop raises."""
+    """The exception of a programming error in the loop."""
 
 
 class TimedDrive(Drive):
@@ -57,7 +57,7 @@ def fail() -> None:
 
 
 def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
-    """After an exception in a cycle the torque falls from what was last sent to 0, without the law being asked."""
+    """After an exception in a cycle the torque ramps from the last sent value to 0 without the law."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -73,7 +73,7 @@ def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
 
 
 def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
-    """What the supervisor forbids is not sent on the way down either."""
+    """The ramp never sends a torque that the supervisor forbids."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -127,7 +127,7 @@ def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
 
 
 def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> None:
-    """What is not permitted is not said to have been sent."""
+    """A torque that is not permitted is not reported as sent."""
     broken(machine, drive)
     drive.fail()
     ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
@@ -140,7 +140,7 @@ def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> 
 
 
 def test_joint_that_runs_away_meanwhile_gets_no_torque(machine: Machine, drive: TimedDrive) -> None:
-    """The limiter's over-speed counts on the way down, too, and stays."""
+    """Over-speed of the limiter also latches during the ramp."""
     broken(machine, drive)
     before = len(drive.commands)
 

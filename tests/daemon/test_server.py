@@ -120,7 +120,7 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
     ],
 )
 def test_what_is_out_of_bounds_never_reaches_the_loop(serving: Serving, request_: Any, words: str) -> None:
-    """Refused with what is allowed; the mailbox stays empty."""
+    """The error states the allowed values; the mailbox stays empty."""
     with Client(serving.path) as client, pytest.raises(UsageError, match=words):
         client.ask(request_)
     assert serving.mailbox.take() is None
@@ -148,7 +148,7 @@ def test_what_is_out_of_bounds_never_reaches_the_loop(serving: Serving, request_
     ],
 )
 def test_nonsense_is_refused_and_survived(serving: Serving, line: bytes) -> None:
-    """What is not a request gets an error, moves nothing, and leaves the server serving."""
+    """An invalid request gets an error, has no effect, and the server continues."""
     answers = raw(serving, line)
     assert answers
     assert not answers[0]["ok"]
@@ -158,7 +158,7 @@ def test_nonsense_is_refused_and_survived(serving: Serving, line: bytes) -> None
 
 
 def test_set_point_recover_and_stop(serving: Serving) -> None:
-    """The other verbs become their commands; stop is a flag of its own."""
+    """The other requests become commands; stop is a separate flag."""
     with loop_taking(serving) as taken, Client(serving.path) as client:
         now = time.monotonic()
         client.ask(SetPointValue("knee", -0.5, now))
@@ -195,7 +195,7 @@ def test_a_stream_beyond_its_range_is_clamped_and_flagged_once(serving: Serving)
 
 
 def test_loop_that_hangs_is_told(serving: Serving) -> None:
-    """A command that nobody takes is answered with an error, not with silence."""
+    """A command that is never taken is answered with an error."""
     with Client(serving.path) as client, pytest.raises(UsageError, match="did not take the command"):
         client.ask(Set("knee.compensation", 0.5))
 
@@ -228,7 +228,7 @@ def test_hanging_clients_are_bounded(serving: Serving) -> None:
 
 
 def test_socket_belongs_to_its_owner(serving: Serving) -> None:
-    """Mode 0600: nobody else on the machine can move the leg."""
+    """With mode 0600 no other user of the machine can move the leg."""
     assert stat.S_IMODE(Path(serving.path).stat().st_mode) == 0o600
 
 
@@ -269,7 +269,7 @@ def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: P
 
 @pytest.mark.slow
 def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> None:
-    """By SIGSTOP: who asks meanwhile is answered by the one in its place, and no event is told twice."""
+    """After SIGSTOP the replacement answers requests, and no event is sent twice."""
     event = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
     serving.mailbox.publish_text(f"[{event}]".encode())
     serving.mailbox.want(0, 0.5, time.monotonic())
@@ -310,7 +310,7 @@ def test_events_are_told_once(serving: Serving) -> None:
 
 
 def test_no_daemon_is_one_line(tmp_path: Path) -> None:
-    """Without a daemon the client says so and what to do."""
+    """Without a daemon the client reports this and the remedy."""
     with pytest.raises(BusError, match="no daemon answers there"):
         Client(str(tmp_path / "none.sock"))
 
@@ -380,7 +380,7 @@ def test_nesting_of_any_depth_is_refused_and_the_server_goes_on(serving: Serving
 
 
 def test_a_terminal_that_is_stopped_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-S: what is written hangs, what is served goes on."""
+    """With Ctrl-S the output blocks, and the server continues."""
     resumed = threading.Event()
     monkeypatch.setattr("tsa_ctrl.ipc.report.os.write", lambda descriptor, data: resumed.wait() and len(data))
     mailbox = Mailbox(1, 1)

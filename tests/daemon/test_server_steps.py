@@ -23,7 +23,7 @@ SET = {"verb": "set", "name": "knee.compensation", "value": 0.5}
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """Whose times are whole powers of two, so that what is equal is so to the last bit."""
+    """A server whose times are powers of two, so that equal values are equal to the last bit."""
     for name, value in (("LOOK", 2.0**-5), ("AHEAD", 2.0**-3), ("IDLE", 32.0)):
         monkeypatch.setattr(server, name, value)
     made = Desk(tmp_path, monkeypatch)
@@ -92,7 +92,7 @@ def test_stop_comes_before_the_requests_of_others(desk: Desk) -> None:
 
 
 def test_a_value_that_is_set_while_the_axis_starts_is_accepted_and_waits(desk: Desk) -> None:
-    """The answer names what is waited for, comes at once, and the loop finds the command with its first cycle."""
+    """The answer comes at once and names the current stage; the loop gets the command in its first cycle."""
     client = desk.client()
     desk.mailbox.publish_stage(desk.now, "node 1")
     client.say(**SET)

@@ -1,4 +1,4 @@
-"""The daemon as a service on a vcan: the manager is told, a hang shows, and a full disk stops nothing."""
+"""Test the daemon as a service on a vcan: notifications, a hang, and a full disk."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_manager_is_told_and_a_hang_shows(rig: Rig, monkeypatch: pytest.MonkeyPa
 
 
 def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> None:
-    """Its supervisor hangs, too, so no other takes its place: the daemon ends both, and prints its summary."""
+    """Its supervisor also hangs, so it is not replaced: the daemon ends both, and prints its summary."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -70,7 +70,7 @@ def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> N
 
 
 def test_full_disk_stops_nothing(rig: Rig) -> None:
-    """The loop goes on and says it; what was not lost is written once there is room; the log can be read."""
+    """The loop continues and reports it; kept records are written once there is room; the log can be read."""
     disk = rig.folder / "logs"
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(disk)], check=True)

@@ -1,4 +1,4 @@
-"""The socket is there before the daemon has imported anything slow, and reports what the start waits for."""
+"""The socket exists before the daemon imports slow modules, and reports the stage of the startup."""
 
 from __future__ import annotations
 

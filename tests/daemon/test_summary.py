@@ -125,7 +125,7 @@ def test_first_fault_is_never_dropped() -> None:
 
 
 def test_events_fit_the_mailbox() -> None:
-    """Long events are cut to what the mailbox holds, the newest kept."""
+    """Long events are cut to the size of the mailbox, and the newest are kept."""
     events = Events()
     for n in range(MOST):
         events.add(float(n), "knee", "x" * 1000)
@@ -135,7 +135,7 @@ def test_events_fit_the_mailbox() -> None:
 
 
 def test_the_cause_is_among_the_events_that_fit_the_mailbox() -> None:
-    """Who looks at the status must see why it stopped, however much was said since."""
+    """The status shows why it stopped, however many events followed."""
     events = Events()
     events.add(0.0, "", "log: written again")
     events.add(1.0, "k" * 10_000, "\0" * 10_000, cause=Cause.SKIPPED)

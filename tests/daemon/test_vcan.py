@@ -121,7 +121,7 @@ class Rig:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[dict[str, Any], str, int]:
-    """Summary, stderr and exit code of a daemon that ends by itself."""
+    """Return summary, stderr and exit code of a daemon that ends without a signal."""
     out, err = process.communicate(timeout=PATIENCE)
     return (json.loads(out) if out else {}), err, process.returncode
 
@@ -159,7 +159,7 @@ def test_signal_ramps_down_and_disables(rig: Rig) -> None:
 def test_status_set_and_stop(rig: Rig) -> None:
     """The three verbs talk to the running daemon; after stop it is gone.
 
-    The verbs run in this process: a start of Python takes seconds here. What they refuse: tests/daemon/test_cli.py.
+    The commands run in this process, because a start of Python takes seconds. For errors see tests/daemon/test_cli.py.
     """
     rig.plant()
     daemon = rig.run()
@@ -178,9 +178,9 @@ def test_status_set_and_stop(rig: Rig) -> None:
 
 
 def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
-    """Without its log, told and counted, what was written can be read; without its socket a signal still ends it.
+    """Without its log writer, which is reported, the log can be read; without its socket a signal ends it.
 
-    That signal is the one of a terminal that was closed.
+    The signal is that of a closed terminal.
     """
     rig.plant()
     daemon = rig.run()

@@ -18,7 +18,7 @@ PATIENCE = 60.0  # s
 
 
 class Page:
-    """One page; `errors` are exceptions of its scripts and what it was refused."""
+    """One page; `errors` are exceptions of its scripts and rejected requests."""
 
     def __init__(self, read: int, write: int) -> None:
         self._read = read

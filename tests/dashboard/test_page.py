@@ -196,7 +196,7 @@ def test_nothing_is_wider_than_the_screen(page: Page) -> None:
 
 
 def test_every_plot_has_one_unit(page: Page) -> None:
-    """Power is that of the joint: torque times speed."""
+    """The power is the joint torque times the joint speed."""
     page.until("axes.get('knee').data.power[0].length > 3")
     assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,N·m,rad/s,rad,W"
     last = "axes.get('knee').data.{kind}[1].at(-1)"

@@ -1,4 +1,4 @@
-"""The page's server: what it answers, and to whom."""
+"""Test the server of the page: its answers and its access control."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_other_hosts_and_pages_are_refused(client: TestClient, daemon: Played, h
 
 
 def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
-    """And comes back with what it was before."""
+    """The answer contains the previous value."""
     answer = client.post("/set", json={"name": "knee.compensation", "value": 0.5}, headers=ALLOWED)
     assert (answer.status_code, answer.json()["before"], answer.json()["value"]) == (200, 0.95, 0.5)
     assert daemon.taken == [Command(0, 0, 0.5)]
@@ -122,7 +122,7 @@ def test_recover_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
 
 
 def test_stop_ends_a_daemon_whose_socket_does_not_answer(tmp_path: Path) -> None:
-    """By its process; without one the page is told that it was not stopped."""
+    """It is stopped by its process; without one the page reports that it was not stopped."""
     path = str(tmp_path / "tsa.sock")
     client = TestClient(application(Feed(path), TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}")
     assert client.post("/stop", headers=ALLOWED).status_code == 503
@@ -237,7 +237,7 @@ def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:
 
 
 def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
-    """The connection is made anew."""
+    """The connection is made again."""
     feed = Feed(str(tmp_path / "tsa.sock"))
     for _ in range(2):
         assert "error" in feed.status()
@@ -247,7 +247,7 @@ def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
 
 
 def test_what_is_served_asks_for_nothing_from_elsewhere(client: TestClient) -> None:
-    """The browser is told so, and no file names another place."""
+    """The browser gets this policy, and no file refers to another place."""
     head = client.get("/", params={"token": TOKEN}).headers
     assert head["content-security-policy"].startswith("default-src 'self'")
     for name in ("app.js", "style.css", "uPlot.iife.min.js", "uPlot.min.css"):

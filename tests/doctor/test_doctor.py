@@ -1,4 +1,4 @@
-"""The doctor finds what is wrong with a machine or a bus, and names the command that mends it."""
+"""The doctor finds problems of a machine or a bus, and prints the command that corrects each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The listener on a bus in memory: it hears, stands in for the SYNC, asks who is silent, and switches off."""
+"""Test the listener on a bus in memory: it receives, replaces SYNC, asks silent drives, and switches off."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Bench:
             self.listener.step(0.0)
 
     def wait(self, seconds: float) -> list[int]:
-        """Nothing is heard; identifiers of what was sent meanwhile."""
+        """Receive nothing; return the identifiers of the frames sent meanwhile."""
         before, end = len(self.bus.sent), self.bus.clock.now + seconds
         while self.bus.clock.now < end:
             self.listener.step(0.0005)

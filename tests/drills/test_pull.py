@@ -1,4 +1,4 @@
-"""Which way and how much a motor pulls, by what the plant's nodes say while the torque of a trial begins."""
+"""Test direction and size of a motor's torque from the plant's frames while the torque of a trial begins."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: 
 
 
 def seen(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1) -> Pull:
-    """Of half a second of it."""
+    """Return the result of half a second of the run."""
     return pull(rows(folder, load, fault, sensor, torque), RATED, GEARED, WOUND)
 
 
@@ -73,7 +73,7 @@ def test_a_healthy_motor_gives_the_sensor_what_the_pulleys_do(tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_motor_that_gives_twice_what_it_says_is_found_by_the_sensor(tmp_path: Path) -> None:
-    """With enough of it: what a held joint gets of less, the sheath's friction keeps."""
+    """The torque must be large enough: the sheath's friction retains a small one."""
     found = seen(tmp_path, "held", "torque_gain", torque=0.8)
     assert "the joint torque sensor follows the motor's torque by" in found.wrong
 

@@ -1,4 +1,4 @@
-"""The time until a drive has no torque, from what was seen of it."""
+"""Test the time until a drive has no torque, from samples of its reports."""
 
 from __future__ import annotations
 

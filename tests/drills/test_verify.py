@@ -1,4 +1,4 @@
-"""`tsa verify-safety`: what it asks for, and its verdict on a good and on a bad drive."""
+"""Test `tsa verify-safety`: its requirements, and its verdict on a good and on a bad drive."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
 
 
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:
-    """Files of two axes with a drive alone, of equal drives but for what is told of each simulated one."""
+    """Write files of two axes with equal drives and no sensors, except for the given changes of each drive."""
     times = {"rpdo_timeout": 0.3, "host_timeout": 0.6, "heartbeat_timeout": 0.9}
     none = {"present": False}
     ours = controller(

@@ -1,1 +1,1 @@
-"""Drives that others wrote: what they do at the start, while running and at the end, in virtual time."""
+"""Tests with drives of other makers in virtual time: startup, operation and end."""

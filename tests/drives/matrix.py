@@ -47,13 +47,13 @@ class Outcome:
 
     @property
     def good(self) -> bool:
-        """As the variation says that it must be."""
+        """Return True if the outcome is the one that the variation requires."""
         expected = self.variation.refused or self.variation.told
         return self.started is not bool(self.variation.refused) and not self.wrong and expected in self.message
 
 
 class _Wire(Wire):
-    """Keeps what the host sends."""
+    """Records the host's frames."""
 
     def __init__(self) -> None:
         super().__init__(1_000_000)
@@ -97,7 +97,7 @@ class Station:
         return node
 
     def run(self, story: Story) -> list[str]:
-        """One run of the daemon, until the story is over; returns what was not confirmed."""
+        """Run the daemon until the story is over; return the drives that did not confirm the end."""
         daemon = self.daemon = Daemon(self.configuration, self.wire, self.told.append)
         loop = daemon.loop
         self.proved = self.ended = False
@@ -195,7 +195,7 @@ def run_trial(variation: Variation) -> Outcome:
 
 
 def _story(station: Station, wrong: list[str]) -> Story:
-    """What is done to a running loop, and what must follow; each `yield` lets a few cycles pass."""
+    """Act on a running loop and check the reactions; each `yield` lets some cycles pass."""
 
     def pulls() -> bool:
         return station.torque > PULLS

@@ -57,7 +57,7 @@ def served(folder: Path, text: str) -> Iterator[str]:
 
 
 class Recording(Wire):
-    """A wire that keeps what the host sends, in order, with the time."""
+    """A wire that records the host's frames with their times."""
 
     def __init__(self) -> None:
         super().__init__(1_000_000)
@@ -98,11 +98,11 @@ class Foreign:
         return node
 
     def sent(self, *can_ids: int) -> list[Frame]:
-        """What the host sent with these identifiers; without any: all."""
+        """Return the host's frames with these identifiers; without any: all."""
         return [(can_id, data) for _, can_id, data in self.wire.sent if not can_ids or can_id in can_ids]
 
     def commands(self) -> list[Frame]:
-        """What the host sent that is not a question by SDO (an upload)."""
+        """Return the host's frames without SDO uploads."""
         return [frame for frame in self.sent() if not (0x600 < frame[0] < 0x680 and frame[1][0] >> 5 in (2, 3))]
 
     def bring_up(self, profile: DriveProfile | None = None, reset_faults: bool = False, **drive: object) -> Report:

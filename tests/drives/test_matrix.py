@@ -33,7 +33,7 @@ def test_every_quirk_is_in_the_matrix() -> None:
 
 
 def test_a_refusal_that_a_line_mends_has_a_twin_that_runs() -> None:
-    """A key of the profile or the configuration that a message names is tried, too."""
+    """Each key of the profile or the configuration that a message names is also tested."""
     keys = {key for variation in VARIATIONS for key in (*variation.profile, *variation.drive, *variation.supervision)}
     assert {
         "mode_shows", "produces_sync", "boot_timeout", "enable_timeout", "reports_following", "warnings", "supervision",

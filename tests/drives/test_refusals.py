@@ -1,4 +1,4 @@
-"""No message of a failure at the start lacks what mends it: all that can be raised there is read line by line."""
+"""Each message of a failed startup has a remedy: all that can be raised there is read line by line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stacks that nobody here wrote: durand as a drive under our master, python-canopen's BaseNode402 over our plant."""
+"""Stacks of other authors: durand as a drive under our master, python-canopen's BaseNode402 over our plant."""
 
 from __future__ import annotations
 

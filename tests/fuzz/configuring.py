@@ -32,7 +32,7 @@ PATIENCE = DriveProfile(boot_timeout=0.3, answer_timeout=0.05)
 
 
 class SpoiledBus:
-    """A `Bus` that spoils what is received, and sometimes what is sent."""
+    """A `Bus` that corrupts received frames, and sometimes sent frames."""
 
     def __init__(self, bus: Bus, draw: random.Random, rate: float, part: Part) -> None:
         self.name = bus.name

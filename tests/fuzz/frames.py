@@ -17,7 +17,7 @@ STATUSWORDS = (0x0000, 0x0240, 0x0250, 0x1231, 0x1233, 0x1237, 0x0237, 0x0217, 0
 
 
 def any_frame(draw: random.Random) -> Frame:
-    """Random data under an identifier that mostly means something to somebody."""
+    """Return random data under an identifier that is mostly in use."""
     can_id = draw.choice((*KNOWN, *OTHERS, draw.randrange(0x800)))
     if draw.random() < 0.02:
         can_id = draw.choice((*ERRORS, 0x80000000 | draw.randrange(1 << 29), 0x40000000 | can_id))
@@ -25,7 +25,7 @@ def any_frame(draw: random.Random) -> Frame:
 
 
 def spoil(frame: Frame, draw: random.Random) -> list[Frame]:
-    """A real frame lost, doubled, shortened, lengthened, with a bit flipped, other bytes, or of somebody else."""
+    """Return a frame that is lost, doubled, shortened, lengthened, with a flipped bit, or foreign."""
     can_id, data = frame
     kind = draw.randrange(7)
     if kind == 0:

@@ -1,4 +1,4 @@
-"""The daemon's loop on a bus full of nonsense, beside a judge that has only the frames to go by.
+"""Run the daemon's loop on a bus with random frames, and a judge that uses the frames only.
 
 The judge is a second reading of the rules, of its own words: torque only while the drive's last answer says that it is
 enabled and follows, in mode 10, answers are missing for no longer than tolerated, every heartbeat is there, and nothing
@@ -34,7 +34,7 @@ class OverError(Exception):
 
 
 class Judge:
-    """Reads what the bus carried, and says why there may be no torque now."""
+    """Reads the frames on the bus, and returns the reason why torque is not permitted now."""
 
     def __init__(self) -> None:
         self.statusword = self.mode = 0

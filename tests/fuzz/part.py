@@ -1,4 +1,4 @@
-"""What a part of the fuzzing found, and what it cost this process."""
+"""Report the findings of a part of the fuzzing, and its cost for this process."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Part:
 
     @contextmanager
     def quiet_threads(self) -> Iterator[None]:
-        """An exception that ends a thread is a problem, too."""
+        """An exception that ends a thread is also a problem."""
         kept = threading.excepthook
         threading.excepthook = lambda hook: self.blame(f"thread: {hook.exc_type.__name__}: {hook.exc_value}")
         try:

@@ -64,7 +64,7 @@ def run(lines: int, seed: int) -> Part:
 
 
 def _idle(pid: int, descriptors: int) -> Holdings:
-    """What the server holds once it has noticed that nobody is connected."""
+    """Return the state of the server once all clients have disconnected."""
     until(lambda: Holdings.of(pid).descriptors <= descriptors)
     return Holdings.of(pid)
 
@@ -114,7 +114,7 @@ def _connection(serving: Serving, draw: random.Random, part: Part) -> None:
 
 
 def _take(serving: Serving, part: Part) -> None:
-    """What reached the loop is within its bounds."""
+    """Values that reach the loop are within their bounds."""
     while (command := serving.mailbox.take()) is not None:
         part.counts["commands"] += 1
         low, high = BOUNDS.get(command.parameter, (math.inf, -math.inf))

@@ -99,7 +99,7 @@ def _frames(data: bytes) -> None:
 
 
 class _Answers:
-    """An SDO server that says what the input says, eight bytes a request."""
+    """An SDO server that answers with the input, eight bytes per request."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -114,7 +114,7 @@ class _Answers:
 
 
 def _sdo(data: bytes) -> None:
-    """Reads, texts and writes of a session; a bus error in one line is an answer, too."""
+    """Reads, texts and writes of a session; a one-line bus error is also an answer."""
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     bus = FakeBus(FakeClock(), _Answers(data))
     with Session(bus, BusSettings()) as session:
@@ -135,7 +135,7 @@ def _sdo(data: bytes) -> None:
 
 
 def _requests(data: bytes) -> None:
-    """A server in this process, and one client that says these lines."""
+    """A server in this process, and one client that sends these lines."""
     path = _folder() / "tsa.sock"
     path.unlink(missing_ok=True)
     listener = socket.socket(socket.AF_UNIX)
@@ -164,7 +164,7 @@ def _requests(data: bytes) -> None:
 
 
 class _Feed:
-    """What a page may ask for; the daemon behind it is away."""
+    """A request that a page may send; the daemon behind it is away."""
 
     def status(self) -> dict[str, Any]:
         return {"error": "nobody answers"}

@@ -1,4 +1,4 @@
-"""Small doses of what campaign/fuzz throws at length, and that its judge can tell."""
+"""Run small parts of campaign/fuzz, and check that its judge detects faults."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_judge_sees_a_supervisor_that_is_blind(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_files_that_were_found_by_it(tmp_path: Path, line: str, words: str) -> None:
-    """What once ended in a traceback, or got through, is one line."""
+    """Inputs that once caused a traceback, or were accepted, give one line."""
     path = tmp_path / "a.toml"
     path.write_text(line, encoding="utf-8")
     with pytest.raises(UsageError, match=words) as found:
@@ -62,7 +62,7 @@ def test_files_that_were_found_by_it(tmp_path: Path, line: str, words: str) -> N
 
 @pytest.mark.parametrize("name", ["a\0b", "a" * 5000])
 def test_names_that_are_no_paths(name: str) -> None:
-    """The file system's refusal is said in one line, too."""
+    """An error of the file system is also one line."""
     with pytest.raises(UsageError):
         load_model(name)
 

@@ -1,4 +1,4 @@
-"""What a run delivered, between the fade-in and the stop."""
+"""Test the delivered torque of a run between the fade-in and the stop."""
 
 from __future__ import annotations
 

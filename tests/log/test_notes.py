@@ -1,4 +1,4 @@
-"""What happened stays in the log: faults with their cause, beside the records."""
+"""Test the events in a log: faults with their cause, in addition to the records."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parquet files that another program wrote (the two beside this file: pyarrow 26), and those that cannot be read."""
+"""Test Parquet files of another program (the two next to this file: pyarrow 26), and those that cannot be read."""
 
 from __future__ import annotations
 

@@ -35,14 +35,6 @@ def test_the_record_begins_with_time_and_has_each_field_once() -> None:
     assert len(set(FIELD_NAMES)) == len(FIELDS)
 
 
-def test_records_come_out_in_order_and_once(ring: RingWriter) -> None:
-    reader = RingReader(ring.fd)
-    for number in range(5):
-        ring.push(0, record(number))
-    assert reader.read(0)[:, 0].tolist() == [0, 1, 2, 3, 4]
-    assert len(reader.read(0)) == 0
-
-
 def test_axes_do_not_mix(ring: RingWriter) -> None:
     reader = RingReader(ring.fd)
     ring.push(0, record(1.0))

@@ -62,7 +62,7 @@ def test_what_is_hidden_is_allowed(spec: Specification) -> None:
 
 
 def test_names_of_excluded_effects_exist() -> None:
-    """An exclusion of a name that nobody has would exclude nothing."""
+    """An exclusion of an unknown name would have no effect."""
     assert {other for spec in CATALOGUE.values() for other in spec.excludes} <= set(CATALOGUE)
 
 
@@ -130,7 +130,7 @@ def test_without_a_motor_angle_nothing_follows_it() -> None:
 
 
 def test_defaults_are_filled_in() -> None:
-    """A file need not say what the catalogue knows; what depends on the log stays out."""
+    """A file may omit the defaults of the catalogue; what depends on the log stays out."""
     assert check_effects({"pretension_relaxation": {"relaxed_fraction": 0.1, "time_constant": 9}}, "file") == {
         "pretension_relaxation": {"relaxed_fraction": 0.1, "time_constant": 9.0, "law": "exponential"}
     }

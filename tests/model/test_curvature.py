@@ -120,5 +120,5 @@ def test_any_rising_points_are_a_profile(inner: list[tuple[float, float]]) -> No
     ],
 )
 def test_what_is_no_profile(value: object) -> None:
-    """Too few, falling, beside the ends, no numbers."""
+    """Too few points, falling points, wrong ends, no numbers."""
     assert as_points(value) is None

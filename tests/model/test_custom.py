@@ -191,7 +191,7 @@ def test_a_plain_drive_remembers_too() -> None:
 
 
 def test_a_torque_that_is_cut_is_what_is_remembered() -> None:
-    """Beyond slack the tendons bring less than is wanted, and what follows begins there."""
+    """Beyond slack the tendons deliver less than desired, and the memory continues from there."""
     model = with_custom("0.5*(tau - lag(tau, 0.3))")
     t = np.arange(400) * 2e-3
     wanted = np.where(t < 0.4, 3.0, 0.3)

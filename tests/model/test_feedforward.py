@@ -1,4 +1,4 @@
-"""The live inverse: what it commands makes the model deliver what was wanted."""
+"""Test the live inverse: with its command the model delivers the desired torque."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ NOT_INVERTIBLE = {
 
 
 class Motion:
-    """One second of joint motion through several reversals, and a wanted torque."""
+    """One second of joint motion with several reversals, and a desired torque."""
 
     t = np.arange(200) * 5e-3
     q_j = 0.4 * np.sin(2.0 * np.pi * 1.3 * t + 0.2) + 0.1 * np.sin(2.0 * np.pi * 4.1 * t)
@@ -162,7 +162,7 @@ def test_without_effects() -> None:
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
 def test_each_effect_is_inverted(name: str, data: st.DataObject) -> None:
-    """The model delivers what was wanted, for any parameters."""
+    """The model delivers the desired torque for any parameters."""
     assert_round_trip({name: data.draw(INVERTIBLE[name])})
 
 
@@ -234,7 +234,7 @@ class TestDomain:
 
 
 class TestMeasurements:
-    """What is not measured is nan."""
+    """A value that is not measured is nan."""
 
     def test_missing_value_keeps_the_last(self) -> None:
         """One lost encoder frame does not step the torque."""
@@ -278,7 +278,7 @@ class TestMeasurements:
         assert found == pytest.approx(plain.update(0.2, 1.0, 0.4), rel=1e-6)
 
     def test_periods_without_an_update_do_not_raise_the_acceleration(self) -> None:
-        """Each third one comes; the time says it."""
+        """Only each third period has an update, with its time."""
         feedforward = Feedforward(with_effect("inertia", inertia=0.1), PERIOD)
         for i in range(0, 300, 3):
             found = feedforward.update(0.0, 1.0, 2.0 * i * PERIOD, t=i * PERIOD)
@@ -296,13 +296,13 @@ class TestSettings:
         assert (feedforward.friction_angle, feedforward.pretension) == pytest.approx((0.3, 50.0))
 
     def test_direction_is_continuous(self) -> None:
-        """Half a direction is sinh of half the angle; at standstill there is no friction term."""
+        """Half a direction gives sinh of half the angle; standstill gives no friction term."""
         feedforward = Feedforward(ACTUATOR, PERIOD)
         assert feedforward.update(0.0, 0.5, 0.1) == pytest.approx(0.020 * 2.0 * 45.0 * math.tanh(0.13))
         assert feedforward.update(0.0, 0.0, 0.0) == 0.0
 
     def test_reset_forgets(self) -> None:
-        """The friction state and the start of the relaxation begin anew."""
+        """The friction state and the start of the relaxation are reset."""
         model = ACTUATOR.with_effects(
             {
                 "presliding_hysteresis": {"presliding_distance": 0.1},
@@ -317,7 +317,7 @@ class TestSettings:
 
 
 class TestNotes:
-    """What is said at start."""
+    """Notes at startup."""
 
     @pytest.mark.parametrize(
         ("name", "parameters", "word"),

@@ -58,7 +58,7 @@ class TestDahl:
         np.testing.assert_allclose(z, -np.expm1(-q / 0.1), atol=1e-12)
 
     def test_starts_at_zero_when_what_it_follows_rests_while_the_joint_is_loaded(self) -> None:
-        """The joint gives way at once, the motor stands for a second: z is 0 until the motor moves."""
+        """The joint moves at once and the motor rests for a second: z is 0 until the motor moves."""
         model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
         omega = np.where(T < 1.0, -2.0, 0.5)
         q_m = np.where(T < 1.0, 0.0, 0.5 * (T - 1.0))
@@ -166,7 +166,7 @@ class TestBacklash:
 
 
 class TestResolution:
-    """What counts as one encoder count."""
+    """Tests of the assumed size of an encoder count."""
 
     def test_grid(self) -> None:
         """The step of the grid, when the angles lie on one."""
@@ -210,7 +210,7 @@ class TestVelocityLag:
     LAG, W = 0.02, 2.0 * np.pi
 
     def logged(self) -> tuple[Array, Array, Array]:
-        """True velocity sin(w t), and what a first-order lag makes of it and of its derivative, settled."""
+        """Return the true velocity sin(w t), and the settled output of a first-order lag for it and its derivative."""
         gain, phase = 1.0 / np.hypot(1.0, self.W * self.LAG), np.arctan(self.W * self.LAG)
         return np.sin(self.W * T), gain * np.sin(self.W * T - phase), gain * self.W * np.cos(self.W * T - phase)
 
@@ -247,7 +247,7 @@ class TestRelaxation:
         np.testing.assert_allclose(self.half_loop(law="logarithmic"), 1.0 - 0.3 * np.log10(1.0 + T / 2.0), rtol=1e-12)
 
     def test_nothing_before_its_start(self) -> None:
-        """A start inside the log leaves what is before it alone."""
+        """A start inside the log does not change earlier samples."""
         found = self.half_loop(start_time=9.0)
         np.testing.assert_allclose(found[T < 2.0], 1.0, rtol=1e-12)
         np.testing.assert_allclose(found[T > 2.0], 1.0 - 0.3 * -np.expm1(-(T[T > 2.0] - 2.0) / 2.0), rtol=1e-12)

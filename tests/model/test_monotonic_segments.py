@@ -1,4 +1,4 @@
-"""What friction and play remember along a path, against what they are defined by: loops from sample to sample."""
+"""Test the memory of friction and backlash along a path against loops over the samples."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ starts = st.sampled_from([-1.0, 0.0, 1.0])
 
 
 def dahl_by_steps(path: Array, distance: float, start: float) -> Array:
-    """dz/ds = (1 - sign(ds) z)/q_p over each sample's step."""
+    """Integrate dz/ds = (1 - sign(ds) z)/q_p over the step of each sample."""
     z = [start]
     for step in np.diff(path):
         way = math.copysign(1.0, step)

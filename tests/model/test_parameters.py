@@ -1,4 +1,4 @@
-"""The actuator model file: what is accepted, what is refused in one line, and that a written file is the same model."""
+"""Test the actuator model file: accepted files, one-line errors, and that a written file is the same model."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def bare(model: TendonSheath | RigidDrive) -> TendonSheath | RigidDrive:
 
 
 def test_example_is_the_reference_actuator() -> None:
-    """The commented example loads to the numbers that stand in it."""
+    """The commented example loads to its own numbers."""
     assert bare(load_model(EXAMPLE)) == dataclasses.replace(ACTUATOR, bending_centre=0.5)
 
 
@@ -98,7 +98,7 @@ def test_series_spring_softens() -> None:
 
 
 def test_place_of_the_series_spring(tmp_path: Path) -> None:
-    """At the motor's end unless the file says otherwise."""
+    """It is at the motor's end by default."""
     for line, at_joint in (("", False), ('series_position = "motor"\n', False), ('series_position = "joint"\n', True)):
         model = loaded(tmp_path, changed("[sheath]", f"series_stiffness = 2e4\n{line}[sheath]"))
         assert isinstance(model, TendonSheath)
@@ -115,7 +115,7 @@ def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("spring", "pretension"), [("", 45.0), ("series_stiffness = 2e4", 12.857142857)])
 def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: str, pretension: float) -> None:
-    """(3.56): EA/l_us is 50 N/mm, with a spring of 20 N/mm in series 14.3; what is written is the pretension itself."""
+    """(3.56): EA/l_us is 50 N/mm, with a spring of 20 N/mm in series 14.3; the file stores the pretension."""
     text = changed("# length_change", "length_change").replace("value = 45.0", "# value")
     model = loaded(tmp_path, text.replace("[sheath]", f"{spring}\n[sheath]"))
     assert isinstance(model, TendonSheath)
@@ -153,7 +153,7 @@ def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: st
     ],
 )
 def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
-    """Where, what was found, what is allowed."""
+    """The message has place, value and allowed values."""
     with pytest.raises(UsageError) as caught:
         loaded(tmp_path, changed(old, new))
     assert re.search(message, str(caught.value))
@@ -184,7 +184,7 @@ def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str
     ],
 )
 def test_wrong_effect_is_one_line(tmp_path: Path, table: str, message: str) -> None:
-    """Names and bounds are those of the catalogue."""
+    """Names and bounds come from the catalogue."""
     with pytest.raises(UsageError, match=message) as caught:
         loaded(tmp_path, EXAMPLE.read_text(encoding="utf-8") + table + "\n")
     assert "\n" not in str(caught.value)
@@ -213,7 +213,7 @@ def test_written_course_of_the_bending_is_the_same(tmp_path: Path) -> None:
 
 
 def test_template_keeps_its_comments(tmp_path: Path) -> None:
-    """Only what changed is written anew."""
+    """Only changed values are replaced."""
     text = dump_model(ACTUATOR.recalibrated(pretension=47.5), template=EXAMPLE)
     assert "# m, p: tendon's contact line to the sheath's inner arc" in text
     assert "value = 47.5" in text
@@ -222,7 +222,7 @@ def test_template_keeps_its_comments(tmp_path: Path) -> None:
 
 
 def test_recalibration_moves_friction_through_mu() -> None:
-    """Theta stays, since it is what the theta column is compared with."""
+    """Theta stays, because the theta column is compared with it."""
     model = ACTUATOR.recalibrated(friction_angle=0.52)
     assert (model.friction_coefficient, model.bending_angle) == pytest.approx((0.2, 2.6))
 

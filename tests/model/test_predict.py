@@ -116,12 +116,12 @@ class TestDomain:
         assert beyond_slack(ACTUATOR, log) == pytest.approx(0.5)
 
     def test_plain_drive_has_none(self) -> None:
-        """There is no tendon to go slack."""
+        """A plain drive has no tendon that can go slack."""
         assert beyond_slack(RigidDrive(), signals(T, T)) == 0.0
 
 
 class TestColumns:
-    """Effects name what they need."""
+    """Effects name their required columns."""
 
     def test_missing_column_is_one_line(self) -> None:
         """Effect, column and what to do."""
@@ -135,7 +135,7 @@ class TestColumns:
             predict(model, signals(T, T, q_j=T))
 
     def test_all_that_lack_are_listed(self) -> None:
-        """For a report on what a log cannot test."""
+        """The report lists effects that a log cannot test."""
         model = ACTUATOR.with_effects(
             {"thermal_friction_drift": {"temperature_coefficient": 0.01}, "inertia": {"inertia": 0.1}}
         )

@@ -1,4 +1,4 @@
-"""How joints bend sheaths: the `[routing]` table of a model file, its functions, and what is refused in one line."""
+"""Test the `[routing]` table of a model file, its functions, and its one-line errors."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class TestAgainstIntegration:
             assert line.slope * tau_m - sigma * line.half_loop == pytest.approx(expected, abs=1e-10)
 
     def test_prediction_and_inverse(self, profile: str | Points, spring: str) -> None:
-        """What a log's simulation says, and that the live inverse undoes it."""
+        """The simulation of a log gives this line, and the live inverse inverts it."""
         model, pair = model_of(profile, spring), pair_of(profile, spring)
         tau_m, omega = np.array([-1.0, 0.3, 1.2]), np.array([0.5, -0.5, 0.5])
         expected = [pair.joint_torque(tau, sigma) for tau, sigma in zip(tau_m, np.sign(omega), strict=True)]
@@ -146,7 +146,7 @@ def test_angle_and_pretension_may_be_given() -> None:
 
 @pytest.mark.parametrize("spring", SPRINGS)
 def test_stiffness_at_the_motor(spring: str) -> None:
-    """Joint held, no friction: turn the motor by 1 mrad and let the stretch of each tendon say the torque."""
+    """Turn the motor by 1 mrad with the joint held and no friction; the elongation of each tendon gives the torque."""
     pair = pair_of("uniform", spring, x=0.0)
     per_newton = pair.along(0.0)[1]  # m/N
     torque = 2.0 * R_M * (R_M * 1e-3 / per_newton)

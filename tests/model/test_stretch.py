@@ -40,7 +40,7 @@ def test_the_line_is_that_of_the_capstan(points: Points, sigma: float, x: float,
 
 @pytest.mark.parametrize(("spring", "place"), [("motor_spring", False), ("joint_spring", True)])
 def test_a_series_spring_moves_the_centre(spring: str, place: bool) -> None:
-    """At the motor towards the joint, and the other way; the line stays that of the capstan."""
+    """At the motor towards the joint, and vice versa; the line is the capstan equation's."""
     pair = dataclasses.replace(Pair(NAMED["uniform"], 0.26), **{spring: 1.0 / 1e5})
     t3 = pair.motor_tensions(0.4, 1.0)[1]
     stretch = t3 * pair.along(-0.26)[1] - 45.0 * pair.along(0.0)[1]
@@ -58,7 +58,7 @@ def test_friction_hardly_matters() -> None:
 
 
 def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
-    """Where they are singular, and already where they are nearly so; a model that does not say is evenly bent."""
+    """At and near singular values; a model without a profile is evenly bent."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
     assert unsupported_reason(actuator()) == ""
     with pytest.raises(UsageError, match=r"the bends sit at the joint .* measure it with a joint torque sensor"):

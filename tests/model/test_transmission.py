@@ -75,7 +75,7 @@ def test_arrays_and_floats_agree() -> None:
 @pytest.mark.parametrize("course", ["uniform", "motor_end", [(0.0, 0.0), (0.3, 0.7), (1.0, 1.0)]])
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_tendons_of_different_friction_angles(course: str | Points, sigma: float) -> None:
-    """x_a = 0.36 and x_b = 0.16: both lengths, integrated along the sheath, are those of the pretension."""
+    """With x_a = 0.36 and x_b = 0.16 both lengths, integrated along the sheath, equal those of the pretension."""
     x, imbalance, tau_m = 0.26, 0.1 / 0.26, 0.7
     points = Profile.of(course).points
     found = Elongating((R_M, R_J), Profile.of(course)).torque(SCALARS, tau_m, sigma, x, T_P, imbalance)

@@ -40,7 +40,7 @@ def actuator_file(folder: Path, text: str = ACTUATOR) -> str:
 
 
 def plant_file(folder: Path, text: str = "[[axis]]\nname = 'joint'\n") -> Path:
-    """plant.toml beside its actuator file."""
+    """Write plant.toml next to its actuator file."""
     actuator_file(folder)
     path = folder / "plant.toml"
     path.write_text(text)
@@ -73,13 +73,13 @@ class Bench:
         return self.machine.axes[0]
 
     def send(self, can_id: int, data: bytes = b"") -> list[tuple[int, bytes]]:
-        """One frame to the nodes; what they sent because of it."""
+        """Send one frame to the nodes, and return their answers."""
         before = len(self.bus.sent)
         self.machine.handle(can_id, data, self.clock.now)
         return self.bus.sent[before:]
 
     def wait(self, seconds: float, step: float = 1e-3) -> list[tuple[int, bytes]]:
-        """Let time pass with ticks; what was sent meanwhile."""
+        """Advance the time with ticks, and return the frames sent meanwhile."""
         before = len(self.bus.sent)
         end = self.clock.now + seconds
         while self.clock.now < end - 1e-9:

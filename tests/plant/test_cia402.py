@@ -16,7 +16,7 @@ def machine_in(state: PowerState) -> PowerStateMachine:
 
 
 def expected(state: PowerState, controlword: int) -> PowerState:
-    """Written anew from the figure of the standard, by bits."""
+    """An independent implementation of the standard's figure, by bits."""
     if state is FAULT:
         return DISABLED if controlword & 0x80 else FAULT
     if state in (NOT_READY, REACTION) or controlword & 0x80:

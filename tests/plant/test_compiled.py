@@ -1,4 +1,4 @@
-"""What decides whether compiled code is still good."""
+"""Test when compiled code is reused."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def closed_path(seed: int, radius: float) -> Path2:
 def work_of_cycles(joint: Axis, path: Path2, cycles: int = 3) -> list[float]:
     """Energy (J) that motor and joint put into the tendons in each cycle.
 
-    After the first cycle the state repeats, so that what is left is what the friction took.
+    After the first cycle the state repeats, so that the remaining energy is the dissipated one.
     """
     s, p, arrays = joint.state[0], joint.parameters[0], joint._arrays
     x = float(p["friction"] * p["theta"])
@@ -98,7 +98,7 @@ def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str)
 
 
 def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
-    """What the test above is for: the middle of the tendon, with all bending at one end."""
+    """The case that motivates the test above: the middle of the tendon, with all bending at one end."""
     joint = axis(tmp_path, tendon={"curvature": "motor_end"})
     joint.parameters["centre"] = 0.5
     t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
@@ -117,9 +117,9 @@ def elastic_energy(joint: Axis) -> float:
 @pytest.mark.parametrize("profile", list(PROFILES))
 @pytest.mark.parametrize("load", ["held", "imposed", "spring", "spring, its pulley off its centre"])
 def test_what_the_motor_gives_is_stored_delivered_or_taken_by_friction(tmp_path: Path, load: str, profile: str) -> None:
-    """A motor with inertia that is struck; where all bends sit at a held joint friction takes next to nothing.
+    """An impulse on a motor with inertia; with all bends at a held joint, friction dissipates almost nothing.
 
-    On a pulley off its centre the lever arm is the derivative of what is wound up, or the books would not balance.
+    On an eccentric pulley the lever arm is the derivative of the wound length, which the energy balance requires.
     """
     load, _, off = load.partition(",")
     effects = {"pulley_eccentricity": {"relative_eccentricity": 0.3, "phase": 0.4}} if off else {}

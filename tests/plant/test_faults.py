@@ -1,4 +1,4 @@
-"""Faults of the simulated machine: what the bus and the truth show of each."""
+"""Test the faults of the simulated machine: their effect on the bus and on the truth."""
 
 from __future__ import annotations
 

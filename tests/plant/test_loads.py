@@ -1,4 +1,4 @@
-"""What the joint drives: held, moved by its torque, held by a hand that moves and lets go."""
+"""Test the loads of the joint: locked, moved by its torque, held by a hand that moves and lets go."""
 
 from __future__ import annotations
 

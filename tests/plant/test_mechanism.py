@@ -76,7 +76,7 @@ def test_a_sheath_is_bent_by_the_angle_of_a_joint_that_it_crosses(tmp_path: Path
 
 
 def test_the_bending_follows_a_joint_that_moves(tmp_path: Path) -> None:
-    """The exact angle is that of the hip's motion; what the exchange loses is a t^2 / 2 = 10 urad in a millisecond."""
+    """The exact angle follows from the hip's motion; the exchange loses a t^2 / 2 = 10 urad per millisecond."""
     made, _ = machine(
         files(tmp_path, two("full", HIP, {"kind": "still"}), routing="[routing]\njoints = { hip = 0.8, knee = -0.3 }\n")
     )

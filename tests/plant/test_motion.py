@@ -1,4 +1,4 @@
-"""The imposed motion of a joint: what the shipped cycle is, and what a start need not pay for it."""
+"""Test the prescribed motion of a joint: the shipped cycle, and its cost at startup."""
 
 from __future__ import annotations
 

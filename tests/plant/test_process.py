@@ -1,4 +1,4 @@
-"""The process `tsa plant`: what it looks at before it says that it is ready."""
+"""Test the process `tsa plant`: its checks before it reports that it is ready."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""plant.toml: defaults, and one clear line for what is wrong."""
+"""Test plant.toml: defaults, and one-line errors."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ LONGEST = 32  # bytes of a line
 
 
 class Adapter:
-    """One adapter; `path` is what a program opens."""
+    """One adapter; a program opens `path`."""
 
     def __init__(self) -> None:
         self.ours, self._theirs = os.openpty()
@@ -48,7 +48,7 @@ class Adapter:
         os.close(self._theirs)
 
     def _obey(self, line: bytes) -> bool:
-        """Whether this is a frame for the bus."""
+        """Return True if this is a frame for the bus."""
         if line in (b"O", b"L"):
             self.open = True
         elif line == b"C":

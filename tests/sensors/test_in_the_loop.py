@@ -1,4 +1,4 @@
-"""Serial sensors in the loop: configuration, what the cycle and the log take from them, and their health as events."""
+"""Test serial sensors in the loop: configuration, values in cycle and log, and their health as events."""
 
 from __future__ import annotations
 

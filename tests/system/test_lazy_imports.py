@@ -1,4 +1,4 @@
-"""What is loaded for a diagnosis, and what is not; and that it is there when it is used."""
+"""Test which parts of numpy a diagnosis loads, and that the others load on first use."""
 
 from __future__ import annotations
 

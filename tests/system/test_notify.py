@@ -20,7 +20,7 @@ UNIT = ROOT / "config" / "tsa.service"
 
 
 class Manager:
-    """The service manager's end: what was said, in order."""
+    """The service manager's end of the socket: the messages in order."""
 
     def __init__(self, address: str) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -84,7 +84,7 @@ def test_no_signs_of_life_for_somebody_else(manager: Manager, tmp_path: Path, mo
 
 
 def test_a_bring_up_may_take_longer(manager: Manager, tmp_path: Path) -> None:
-    """While there is no loop the manager waits longer, and afterwards as before."""
+    """Without a loop the manager waits longer, and afterwards as before."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="2000000"))
     with notifier.no_loop():
         assert manager.heard() == [f"WATCHDOG_USEC={round(LONGEST * 1e6)}\nWATCHDOG=1"]
@@ -120,7 +120,7 @@ def test_a_manager_that_does_not_read_is_not_waited_for(manager: Manager, tmp_pa
 
 
 def test_unit_says_what_the_daemon_keeps_to() -> None:
-    """Type, watchdog, limits, and a policy that never starts the drives again by itself."""
+    """The unit file has type, watchdog, limits, and a policy that never restarts the drives automatically."""
     unit = configparser.ConfigParser(strict=False, interpolation=None)
     unit.optionxform = str  # type: ignore[assignment,method-assign]
     unit.read_string(UNIT.read_text(encoding="utf-8"))
@@ -135,7 +135,7 @@ def test_unit_says_what_the_daemon_keeps_to() -> None:
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze: install systemd")
 def test_unit_is_good_for_systemd_itself(tmp_path: Path) -> None:
-    """systemd-analyze verify says nothing of it, once the command and the user are ones that are here."""
+    """systemd-analyze verify reports nothing once command and user exist on this machine."""
     text = UNIT.read_text(encoding="utf-8").replace("/opt/tsa/bin/tsa", "/bin/true").replace("User=tsa", "User=root")
     unit = tmp_path / "tsa.service"
     unit.write_text(text.replace("Group=tsa", "Group=root"), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the demo started ends with it, however the demo ends."""
+"""The processes of the demo end with it, however it ends."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ time.sleep(120)
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs; one that nobody has waited for yet does not."""
+    """Return True if a process runs; a zombie does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != "Z"
     except FileNotFoundError:

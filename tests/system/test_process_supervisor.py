@@ -68,7 +68,7 @@ def test_worker_that_has_done_its_work_is_not_replaced(kept: Callable[[str], Kep
 def test_worker_that_dies_or_hangs_is_gone_before_the_next_begins(
     kept: Callable[[str], Kept], number: signal.Signals
 ) -> None:
-    """Stopped as by SIGSTOP, a worker never comes back beside the one in its place."""
+    """A worker stopped by SIGSTOP never runs next to its replacement."""
     one = kept("time.sleep(60)")
     _, _, first = one.line()
     os.kill(first, number)
@@ -80,7 +80,7 @@ def test_worker_that_dies_or_hangs_is_gone_before_the_next_begins(
 
 
 def test_worker_that_always_fails_is_replaced_as_long_as_the_parent_lives(kept: Callable[[str], Kept]) -> None:
-    """A server that ten crashes end for good is a daemon that nobody can watch or stop over its socket."""
+    """A server that ten crashes end permanently would leave a daemon without socket."""
     one = kept("os._exit(1)")
     for number in range(30):
         assert one.line()[:2] == ("worker", number)

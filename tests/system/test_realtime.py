@@ -102,7 +102,7 @@ def test_missing_rights_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_missing_rights_are_told_where_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the configuration allows it, what is missing is said, and what is in force read back."""
+    """If the configuration allows it, missing rights are reported, and the effective ones are read back."""
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     rights = realtime.acquire(RealtimeSettings(lock_memory=False, allow_without=True))
     assert not rights.fifo

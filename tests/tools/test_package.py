@@ -72,6 +72,6 @@ def test_the_licence_is_apache_and_travels_with_the_wheel(wheel: Path) -> None:
 
 
 def test_no_hint_installs_a_name_of_an_index() -> None:
-    """The name of this project in an index is nobody's, or somebody else's."""
+    """The name of this project in an index is free, or belongs to another project."""
     line = ["git", "grep", "-nE", r"pip3? install [^`|]*tsa[-_]ctrl", "--", ":!tests/tools/test_package.py"]
     assert subprocess.run(line, cwd=ROOT, capture_output=True, text=True).stdout == ""

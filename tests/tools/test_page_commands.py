@@ -1,4 +1,4 @@
-"""Every command that a page or a help text shows exists and takes what is written; a block without a rig is run."""
+"""Every command on a page or in a help text exists and accepts the shown options; a block without a rig is run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""tools/run: what there is, and what is not."""
+"""Test tools/run: its commands, and errors for unknown names."""
 
 from __future__ import annotations
 

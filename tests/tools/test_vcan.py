@@ -35,7 +35,7 @@ def run(command: list[str], environment: dict[str, str], stdin: bytes = b"") -> 
     ],
 )
 def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], status: int, message: str) -> None:
-    """A mistake in the call ends before anything is started, with a line that says what is allowed."""
+    """A wrong call ends before a process starts, with a line that states the allowed values."""
     done = run(command, environment)
     assert done.returncode == status
     assert done.stdout == b""

@@ -33,7 +33,7 @@ def sine(amplitude: float, frequency: float) -> Tables:
 
 @dataclass(frozen=True)
 class Case:
-    """A joint and what is wanted there."""
+    """A joint and its set-point."""
 
     load: str
     setpoint: Mapping[str, Any]
@@ -137,7 +137,7 @@ def play_case(folder: Path, name: str, seconds: float | None = None, **more: Any
 
 
 def error(result: Simulation, after: float = 1.0) -> NDArray[np.float64]:
-    """Delivered less wanted joint torque, mN*m, from `after` s of the log on until the stop."""
+    """Return the delivered minus the desired joint torque, mN*m, from `after` s of the log until the stop."""
     axis = result.axes[0]
     t = axis.log["t"][axis.counted]
     return 1e3 * axis.error[t >= after]

@@ -83,7 +83,7 @@ def in_real_time(folder: Path) -> tuple[Any, dict[str, FloatArray]]:
 
 
 def woken_as(log: dict[str, FloatArray], paths: tuple[Path, Path], rate: float) -> Simulation:
-    """The run in virtual time whose loop is awake when that of `log` was, and misses the answers that it missed."""
+    """Run in virtual time with the wake-up times and the lost answers of `log`."""
     run = Run(load_configuration(paths[0]), check(paths[1]), SECONDS)
     wait, faults = run.rig.wait, run.machine.axes[0].transmit.values()
     cycle = 0

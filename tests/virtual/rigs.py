@@ -33,7 +33,7 @@ class Drawn:
 
     @property
     def nominal(self) -> TendonSheath:
-        """What the controller's file says."""
+        """Return the tables of the controller file."""
         model = NOMINAL.recalibrated(NOMINAL.friction_angle, NOMINAL.pretension)
         return dataclasses.replace(_with_stiffness(model, self.stiffness), bending_centre=None)
 

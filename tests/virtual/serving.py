@@ -1,6 +1,6 @@
-"""A run in virtual time with the daemon's own socket server beside its loop: real sockets, the run's clock.
+"""A run in virtual time with the daemon's socket server: real sockets, the clock of the run.
 
-Time stands still while a client is served, so the same clients give the same run.
+The time stops while a client is served, so the same clients give the same run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class ServedRun(Run):
         self._planned.append((action, time))
 
     def connected(self, sent: bytes, ends: bool = False) -> Action:
-        """A client of its own comes and says this; it `ends` right after."""
+        """Connect another client that sends this; it disconnects right after if it `ends`."""
 
         def action(now: float) -> None:
             connection = self.send(sent)
@@ -62,7 +62,7 @@ class ServedRun(Run):
         return connection
 
     def again(self, sent: bytes) -> None:
-        """The client that came last says something more."""
+        """Let the last client send another request."""
         self._connections[-1].sendall(sent)
         self.serve()
 

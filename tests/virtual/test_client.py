@@ -1,4 +1,4 @@
-"""The manual's controller above the daemon, word for word, on a limb in a hand: what the hand feels. Virtual time."""
+"""Run the manual's controller verbatim on a limb in a hand, in virtual time, and evaluate the torque on the hand."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def block(language: str) -> str:
 def test_a_hand_feels_the_stiffness_that_the_manuals_controller_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A hand moves the limb by a quarter of a radian either way: torque against angle has the slope it says."""
+    """A hand moves the limb by 0.25 rad in both directions: torque over angle has the stated slope."""
     text = block("python")
     assert "STIFFNESS, DAMPING, REST = 4.0, 0.3, 0.2" in text
     setpoint = {"kind": "socket", "timeout": 0.2}

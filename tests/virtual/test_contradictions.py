@@ -1,4 +1,4 @@
-"""What lies on a running rig, in virtual time: the real loop and supervision on the real plant."""
+"""Test faulty signals on a running rig, in virtual time: the real loop and supervision on the real plant."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("node", ["drive", "encoder"])
 def test_two_of_three_answers_lost_for_ever_stop_the_axis(tmp_path: Path, node: str) -> None:
-    """Never three in a row, which is what is tolerated of a single loss."""
+    """Never three in a row, which a single loss may reach."""
     result = play(tmp_path, "held", CONSTANT, 1.5, faults=[f"sparse_tpdo value=2 node={node}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("stale PDO: 200 cycles within a second lost answers")
@@ -169,7 +169,7 @@ def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -
 
 @pytest.mark.slow
 def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: Path) -> None:
-    """No frame tells it: what the start wrote is read back in spare bus time."""
+    """No frame reports it: the values written at startup are read back in spare bus time."""
     result = play(tmp_path, "held", CONSTANT, 3.2, faults=["watchdogs_lost@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("a node's configuration changed: drive node 1: 0x1")
@@ -198,7 +198,7 @@ def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lo
 
 @pytest.mark.slow
 def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path: Path) -> None:
-    """Each 33 ms five in a row are lost, at a drawn moment: a tenth of what is held is three behind."""
+    """Five commands in a row are lost every 33 ms, at a random moment: a tenth of the values is three behind."""
     rng = np.random.default_rng(1)
     losses = [f"rpdo_lost duration=0.005@{0.8 + 0.033 * n + rng.uniform(0.0, 0.028):.6f}" for n in range(75)]
     result = play(tmp_path, "held", sine(0.8, 1.0), 3.6, faults=losses)
@@ -230,7 +230,7 @@ def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_pat
 def test_a_motor_that_turns_the_wrong_way_is_found_by_coarse_encoders_and_a_healthy_one_is_not(
     tmp_path: Path, load: str, motor: int, joint: int
 ) -> None:
-    """A count is coarser than what a small torque stretches, and one alone says nothing."""
+    """A count is coarser than the elongation by a small torque, and a single count is no evidence."""
     ours = {"drive": {"counts_per_revolution": 1 << motor}, "encoder": {"counts_per_revolution": 1 << joint}}
     for fault in ("", "reversed_sign"):
         faults = [f"{fault}@0"] if fault else []

@@ -1,9 +1,9 @@
-"""What reaches the joint with true parameters: moved, held, on a spring, a weight, free, a limb, a wearer.
+"""Test the delivered torque with true parameters for each kind of joint.
 
-No sound joint contradicts itself either: there is no fault in any of these runs.
+Healthy joints cause no fault in any of these runs.
 
-Figures are RMS (and peak) of delivered less wanted joint torque. Without compensation they are 354 mN*m of a sine of
-0.5 N*m that moves or does not move a joint, 35 of one of 0.05, and 570 of the gait.
+Figures are RMS (and peak) of the delivered minus the desired joint torque. Without compensation they are 354 mN*m for a
+sine of 0.5 N*m that moves or does not move a joint, 35 for one of 0.05, and 570 for the gait.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None
     [(CONSTANT, 0.5e-3), (sine(0.4, 0.5), 10e-3)],
 )
 def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[str, Any]) -> None:
-    """8 Hz: the friction turns each time, and that is no buzzing motor; 90 to 600 mN*m are off without compensation."""
+    """8 Hz: the friction reverses each time without a chatter fault; 90 to 600 mN*m are off without compensation."""
     script = [[0.02 * n, 40.0, 1.0, 0.3 + trembles * math.sin(16.0 * math.pi * 0.02 * n)] for n in range(110)]
     hand = {"joint": {"load": "wearer", "hand": script, "hand_repeat": False}}
     result = play(tmp_path, "wearer", setpoint, 2.2, plant=hand)
@@ -158,7 +158,7 @@ def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[st
 
 @pytest.mark.slow
 def test_a_coarse_encoder_of_the_joint(tmp_path: Path) -> None:
-    """Less is foretold, and nothing chatters: 92 % of the gait's error is gone, and the friction turns as the joint."""
+    """Nothing chatters: 92 % of the gait's error is removed, and the friction reverses with the joint."""
     counts = {"encoder": {"counts_per_revolution": 1 << 12}}
     result = play(tmp_path, "imposed", GAIT, 3.0, axis=counts, plant=counts)
     assert not result.axes[0].faults

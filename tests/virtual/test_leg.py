@@ -33,7 +33,7 @@ def test_compensation_takes_95_percent_of_the_error_of_each_joint(
     """At 1 kHz, over two strides with heel strikes: 3.0 % of the error without compensation are left at the hip, 2.8 %
     at the knee and 4.7 % at the ankle.
 
-    A wire of 4 Mbit/s stands for a bus for each axis: one of 1 Mbit/s does not carry three axes at this rate.
+    A wire of 4 Mbit/s replaces one bus per axis: 1 Mbit/s does not carry three axes at this rate.
     """
     monkeypatch.setattr("tsa_ctrl.virtual.simulation.Wire", lambda bitrate: Wire(4.0 * bitrate))
     monkeypatch.setattr("tsa_ctrl.bus.drive.budget.check", lambda *given: budget.load(*given[:3]))

@@ -1,4 +1,4 @@
-"""A pair of load cells in a closed run: the loop follows the tensioner by what two serial lines say of t1 and t3.
+"""Test a pair of load cells in a closed run: the loop follows the tensioner by t1 and t3 from two serial lines.
 
 The plant's tendons are distributed and have lost a quarter of their pretension. The lines are text, read by the
 parser of the serial sensors into their slots, 100 values a second; only the terminal between is left out.
@@ -52,7 +52,7 @@ def drifting(t: float, tension: float) -> str:
 
 
 class Cells:
-    """Both lines beside a run, from the plant's own tensions to what the loop reads."""
+    """Both serial lines of a run, from the plant's tensions to the values that the loop reads."""
 
     def __init__(self, run: Run, settings: tuple[SerialSensorSettings, ...], t3: Cell) -> None:
         self._truth = run.machine.axes[0].axis.values
@@ -87,7 +87,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class Told:
-    """A run, and what was said of the estimate meanwhile."""
+    """Return a run, and the events about the estimate."""
 
     result: Simulation
     lines: list[str]

@@ -17,7 +17,7 @@ DRIVES = Path(__file__).resolve().parents[2] / "config" / "drives"
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["epos4", "elmo_gold"])
 def test_runs_a_drive_of_another_make(tmp_path: Path, kind: str) -> None:
-    """The speed is that of the angle, the torque reported is the one commanded a period before."""
+    """The speed is the derivative of the angle; the reported torque is the command of the previous period."""
     shutil.copytree(DRIVES, tmp_path / "drives")
     tables = controller(drive={"profile": kind})
     log = simulate_loop(*write(tmp_path, tables, plant(drive={"kind": kind})), 2.0).log

@@ -1,6 +1,6 @@
 """Virtual time against real time: the same files on a vcan and in lockstep, torques compared sample by sample.
 
-What the processes on the bus delivered, the lockstep run must deliver that is woken when they were (`real_time`).
+A lockstep run with the wake-up times of the processes (`real_time`) must deliver the same torque.
 """
 
 from __future__ import annotations

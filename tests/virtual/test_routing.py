@@ -99,7 +99,7 @@ def test_encoders_alone_prove_the_friction_of_a_sheath_that_the_hip_bends(tmp_pa
 
 @pytest.mark.slow
 def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path: Path) -> None:
-    """The plant's hip moves exactly as the table says: 11.0 and 11.2 mN*m."""
+    """The plant's hip moves exactly by the table: 11.0 and 11.2 mN*m."""
     by_hip, by_table = knee(tmp_path, "imposed", 0.4), knee(tmp_path, "imposed", 0.4, table=True)
     assert by_hip == pytest.approx(by_table, rel=0.05)
 
@@ -170,7 +170,7 @@ def test_a_hip_without_an_angle_is_named_at_the_start(tmp_path: Path, load: str)
     ("gain", "name", "words"), [(GAIN, "hips", "names joint 'hip'"), (9.0, "hip", "wrap angle of -")]
 )
 def test_a_routing_that_cannot_be_is_one_line(tmp_path: Path, gain: float, name: str, words: str) -> None:
-    """A joint that is no axis, and a gain that makes the wrap angle negative within the hip's travel."""
+    """An unknown joint, and a gain that makes the wrap angle negative within the hip's travel."""
     controller, _ = files(tmp_path, "imposed", 0.4, travel=True)
     text = controller.read_text(encoding="utf-8").replace('name = "hip"', f'name = "{name}"')
     controller.write_text(text, encoding="utf-8")

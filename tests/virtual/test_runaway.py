@@ -144,7 +144,7 @@ def test_the_stretch_sees_it_without_a_torque_sensor(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_bounds_the_compensation_is_said_at_the_start(tmp_path: Path) -> None:
-    """The range of the bending; keys of earlier versions are read, and said to be without effect."""
+    """The range of the wrap angle; keys of earlier versions are read, and reported as without effect."""
     axis = {"bending": {"range": 0.1}, "oscillation": {"speed": 0.5}}
     result = play(tmp_path, "held", sine(0.5, 0.5), 2.0, axis=axis)
     texts = [event.text for event in result.summary.events]

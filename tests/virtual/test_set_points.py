@@ -43,7 +43,7 @@ def wanted(run: ServedRun) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def test_a_burst_of_a_client_that_dies_plays_no_longer_than_its_connection(run: ServedRun) -> None:
-    """64 values at once, the client gone: what is left falls to 0 as fast as a set-point may."""
+    """The client sends 64 values at once and disconnects: the set-point falls to 0 at its rate limit."""
     sent = lines([WANTED * (n + 1) / BURST for n in range(BURST)])
     run.at(DIES, run.connected(sent, ends=True))
     t, tau_j_des = wanted(run)

@@ -185,7 +185,7 @@ def test_faults_and_changes_may_be_written_as_on_the_command_line(tmp_path: Path
 
 @pytest.mark.slow
 def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(tmp_path: Path) -> None:
-    """What is on the bus is lost with it; the torque comes back only when it is asked for."""
+    """Frames on the bus are lost with it; the torque returns only after a request."""
     result = simulate_loop(*write(tmp_path), 5.0, faults=["interface_down duration=0.3@1"], changes=["recover=1@2"])
     assert result.axes[0].faults[0].startswith("bus fault: the interface is down")
     t, enabled = result.truth["clock"] - result.axes[0].start, result.truth["enabled"] > 0.0

@@ -35,7 +35,7 @@ def play(folder: Path, fault: str, recovery: float, seconds: float = 2.5) -> Sim
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["emcy", "heartbeat_lost duration=0.4"], ids=["reset", "bring-up"])
 def test_a_recovery_waits_until_every_axis_has_ended_its_ramp(tmp_path: Path, fault: str) -> None:
-    """The other drive is off, and said so, before anything is reset; then both have torque again."""
+    """The other drive has confirmed that it is off before the reset; then both have torque again."""
     result = play(tmp_path, fault, FAULT + (0.25 if "lost" in fault else 0.1), 4.0)
     first, other = result.axes
     start = other.truth["clock"] - other.start

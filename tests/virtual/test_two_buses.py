@@ -1,4 +1,4 @@
-"""Two buses in one daemon: one cycle over both, and what a fault of one does to the axes of the other."""
+"""Test two buses in one daemon: one cycle over both, and the effect of a fault on the axes of the other."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = ("knee", "hip", "ankle", "toe")
 
 
 def on_buses(tables: Tables, places: Mapping[str, str], buses: list[dict[str, Any]] | None = None) -> Tables:
-    """The same with an axis for each name of `places`, on that bus, and node ids of its own."""
+    """The same with an axis for each name in `places`, on that bus, with unique node ids."""
     (first,) = tables["axis"]
     axes = [
         merged(

@@ -26,7 +26,7 @@ def nodes() -> Iterator[Bench]:
 
 
 def run(nodes: Bench, *arguments: str) -> str:
-    """The command's stdout on the bus of these nodes; raises what it raises."""
+    """Return the stdout of the command on the bus of these nodes; exceptions pass through."""
     channel = nodes.bus.name.partition(":")[2]
     options = ["--node", "1", "--interface", "virtual", "--channel", channel]
     result = CliRunner().invoke(command, [*arguments, *options])
@@ -36,7 +36,7 @@ def run(nodes: Bench, *arguments: str) -> str:
 
 
 def held(nodes: Bench) -> dict[tuple[int, int], int]:
-    """What the drive holds of everything that a bring-up writes."""
+    """Return the drive's values of all objects that a bring-up writes."""
     dictionary = nodes.nodes[1].object_dictionary
     keys = [(i, 0) for i in (0x1017, 0x6007, 0x6060, 0x6072, 0x6080, 0x60A9)] + [(0x1016, 1), (0x1400, 1), (0x1600, 0)]
     return {key: nodes.get(1, *key) for key in keys if key[0] in dictionary}

@@ -204,7 +204,7 @@ def test_what_the_profile_says_it_lacks_is_not_compared() -> None:
 
 
 def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
-    """-1 is the maker's own: nobody knows whether it ends without torque."""
+    """-1 is specific to the maker: it is not known to end without torque."""
     with bench(drive={(0x605E, 0): (I16, -1)}) as nodes:
         nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
         with pytest.raises(BusError, match=r"refuses 0x605E:0 fault reaction: Attempt to write a read only object"):

@@ -89,7 +89,7 @@ def test_torque_sensors_answer_every_second_sync_only_where_the_bit_rate_needs_i
 
 
 def followed(suggestion: str, settings: BusSettings, axes: list[AxisNodes], rate: float) -> None:
-    """What somebody does who follows one suggestion; `check` raises if it does not help."""
+    """Apply one suggestion; `check` raises if it does not help."""
     if found := re.search(r"bitrate = (\d+)", suggestion):
         settings = replace(settings, bitrate=int(found[1]))
     if found := re.search(r"rate = (\d+) in \[controller\]", suggestion):

@@ -1,4 +1,4 @@
-"""One axis against hand-made nodes: what it counts, what it keeps, and what a new start forgets."""
+"""Test one axis with scripted nodes: counters, kept values, and the reset at a new start."""
 
 from __future__ import annotations
 

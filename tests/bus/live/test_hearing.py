@@ -1,4 +1,4 @@
-"""Which command a drive heard, told by what it held and by what was sent; nothing else is known of the drive."""
+"""Determine which command a drive received from its stored value and the sent commands alone."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ CYCLES = 2000
 def play(
     hearing: Hearing, commands: Iterator[int], hears: int, lag: int = 1, wait: int = 0, trembles: int = 0
 ) -> float:
-    """Share of the answers that count as unheard; the drive takes each `hears`-th command, and shows it `lag` later.
+    """Return the share of lost commands; the drive takes each `hears`-th command, and reports it `lag` later.
 
-    It is asked every 20 or 21 cycles, and answers what it held `wait` cycles later; up to `trembles` more behind.
+    It is read every 20 or 21 cycles, and answers after `wait` cycles, with up to `trembles` cycles of jitter.
     """
     late = random.Random(1)
     before = hearing.asked, hearing.unheard

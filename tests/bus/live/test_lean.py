@@ -1,4 +1,4 @@
-"""Lean drives: what comes on every 50th SYNC, and what a repeated, late or missing one of them does. Literal bytes."""
+"""Test lean drives: PDOs at every 50th SYNC, and repeated, late or missing ones. Literal bytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What nodes hold is compared with what they were given, in spare time, and nothing is accused by a single answer."""
+"""The values of nodes are compared with the written ones in spare bus time; a single answer is no fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))
 
 
 class Node:
-    """Node 1, which answers what it is asked when it is told to; bytes by hand."""
+    """Node 1, which answers a request when the test calls it; literal bytes."""
 
     def __init__(self, bitrate: int = 1_000_000) -> None:
         self.asked: list[tuple[float, int, bytes]] = []

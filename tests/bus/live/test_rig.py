@@ -198,7 +198,7 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
 
 
 def test_a_frame_that_is_no_answer_is_never_listened_for() -> None:
-    """A heartbeat that stands behind the last answer ends no cycle."""
+    """A heartbeat after the last answer does not end a cycle."""
     rig, bus, nodes = one_axis_rig()
     bus.answers = lambda timeout, most: []  # type: ignore[method-assign]
     bus.recv = lambda timeout: None  # type: ignore[method-assign]
@@ -239,7 +239,7 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
 
 
 def test_how_long_answers_are_waited_for_is_said_before_the_sleep() -> None:
-    """As long as in the cycle before; nobody knows before the first."""
+    """As long as in the previous cycle; unknown before the first."""
     rig, bus, _ = one_axis_rig()
     start = rig.wait(bus.clock.now + 0.001)
     assert bus.expected is None

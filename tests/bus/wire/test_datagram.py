@@ -1,4 +1,4 @@
-"""The bus of local sockets: who hears whom, who dies and returns, and what is not allowed."""
+"""Test the bus of local sockets: delivery, lost and returning participants, and rejected use."""
 
 from __future__ import annotations
 
