@@ -188,6 +188,16 @@ def test_a_changing_set_point_suspends_the_account_where_nothing_can_be_proven()
     assert seeing.share == 0.0
 
 
+def test_the_peaks_of_a_sine_never_empty_the_credit_of_a_blind_axis() -> None:
+    """A hand moves the joint without a pause, and at each peak the set-point is constant for some milliseconds."""
+    blind = limit(Proof(usable=False), 0.1)
+    for n in range(30_000):
+        phase = math.pi * n * PERIOD
+        rate = 0.5 * math.pi * math.cos(phase)
+        blind.update(FRICTION, blind.share * FRICTION, 3.0, 0.5 * math.sin(phase), rate, 1.0)
+    assert blind.share == 0.6
+
+
 def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> None:
     """Friction may have grown: a smaller term would never show it. At a constant set-point the bound stays."""
     proof = Proof()

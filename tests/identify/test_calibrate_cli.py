@@ -139,7 +139,7 @@ def test_worse_than_given_is_told_and_not_written_unasked(
     logs = [f"{number}.csv" for number in range(3)]
     assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml") == 2
     captured = capsys.readouterr()
-    assert "WORSE than as given" in captured.out
+    assert "LARGER than with the given file" in captured.out
     assert "new.toml: not written" in captured.err
     assert not (folder / "new.toml").exists()
     assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml", "--yes") == 0

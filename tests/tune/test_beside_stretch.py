@@ -1,7 +1,8 @@
-"""`tsa tune` with a joint torque sensor and two encoders on a limb, which creeps between its strokes."""
+"""`tsa tune` with a joint torque sensor and two encoders: which of them determines the friction."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -14,8 +15,9 @@ from tests.tune import rig
 from tests.tune.test_command import tsa
 from tests.tune.test_in_virtual_time import RATE, tune
 from tests.virtual.rigs import draw
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import NOMINAL, VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.tune.excitation import multi_sine
 from tsa_ctrl.virtual.simulation import simulate_loop
 
@@ -40,7 +42,7 @@ def check(data: dict[str, Any], model: Path) -> None:
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["low"] <= half_loop <= found["high"]
     assert found["value"] == pytest.approx(half_loop, rel=0.02)
-    assert any("the stretch's is taken" in note for note in data["notes"])
+    assert any("the value by the elongation is used" in note for note in data["notes"])
     written = load_tendon_sheath(model)
     assert written.pretension * written.friction_angle == pytest.approx(
         truth.pretension * truth.friction_angle, rel=0.03
@@ -70,3 +72,29 @@ def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.
     data = json.loads(capsys.readouterr().out)
     check(data, tmp_path / rig.MODEL)
     assert data["verification"]["reduction_percent"]["after"] > 80.0
+
+
+@pytest.mark.slow
+def test_much_friction_near_the_motor_leaves_the_half_loop_of_the_torque_sensor(tmp_path: Path) -> None:
+    """Both descriptions of the bends fit the log, each with its own friction angle: that is no contradiction."""
+    bends = [[0.0, 0.0], [0.06, 0.0], [0.2, 1.0], [1.0, 1.0]]
+    file = NOMINAL.recalibrated(1.07, 44.0)
+    truth = dataclasses.replace(file.recalibrated(1.05, 54.0), axial_stiffness=0.87 * file.axial_stiffness)
+    factors = {
+        "friction_coefficient": truth.friction_coefficient / file.friction_coefficient,
+        "pretension": truth.pretension / file.pretension,
+        "axial_stiffness": truth.axial_stiffness / file.axial_stiffness,
+    }
+    axis = {"perturbation": factors, "tendon": {"kind": "distributed", "curvature": bends}}
+    wave = multi_sine((0.2, 0.5, 0.9), 0.4, 12.0)
+    table = np.column_stack([wave.t, wave.tau_j_des])
+    np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
+    played = {"setpoint": {"kind": "file", "file": "wave.csv"}, "law": {"compensation": 0.0, "fade_in": 0.1}}
+    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", axis, played)
+    for name in ("nominal.toml", rig.MODEL):
+        save_model(dataclasses.replace(file, bending_centre=None), tmp_path / name)
+    simulate_loop(controller, tmp_path / "plant.toml", wave.seconds, out=tmp_path)
+    assert tsa(str(controller), "--from-log", str(tmp_path / "tsa.mcap"), "--yes", "--json") == 0
+    written = load_tendon_sheath(tmp_path / rig.MODEL)
+    true = truth.with_effects({"elongation_coupling": {"curvature_profile": bends}})
+    assert sliding(written).half_loop == pytest.approx(sliding(true).half_loop, rel=0.03)

@@ -75,6 +75,11 @@ class Rig:
         most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
         return max(2.5, 1.4 * most)
 
+    @property
+    def rated(self) -> float:
+        """Return the rated torque of the drive, N*m: the controller's limit is at most 3 times as large."""
+        return max(1.0, self.torque / 3.0)
+
     def plant(self, joint: str) -> dict[str, Any]:
         """Return the plant's tables with the joint `joint`."""
         axis: dict[str, dict[str, Any]] = {
@@ -84,6 +89,7 @@ class Rig:
                 "delay_periods": self.delay - 1,
                 "counts_per_revolution": 2 ** self.bits[0],
                 "peak_torque": 1.5 * self.torque,
+                "rated_torque": self.rated,
             },
             "encoder": {"counts_per_revolution": 2 ** self.bits[1]},
             "torque_sensor": {"noise": self.noise},
@@ -100,7 +106,8 @@ class Rig:
         axis, torque = tables["axis"][0], self.torque
         axis["law"] = {"compensation": 0.95, "fade_in": demo.FADE_IN}
         axis["limits"] |= {"torque": torque, "rate": 80.0 * torque}
-        axis["drive"] |= {"max_torque": 1.2 * torque, "counts_per_revolution": 2 ** self.bits[0]}
+        axis["drive"] |= {"max_torque": 1.2 * torque, "rated_torque": self.rated}
+        axis["drive"]["counts_per_revolution"] = 2 ** self.bits[0]
         axis["encoder"]["counts_per_revolution"] = 2 ** self.bits[1]
         return tables
 

@@ -127,8 +127,8 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
     if asked and click.confirm(f"the calibrated model is worse than {model}; write {out}?", default=False):
         return
     raise UsageError(
-        f"{out}: not written: calibrated, the simulation is worse than with {model} ({result.worse}): an effect is "
-        "missing, which tsa diagnose names; as given is kept, --yes writes it nevertheless"
+        f"{out}: not written: the error while sliding is larger than with {model} ({result.worse}): an effect is "
+        "missing, which tsa diagnose names; --yes writes the file nevertheless"
     )
 
 
@@ -197,7 +197,9 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
     )
     click.echo(of_the_written_model(result.errors))
     if result.worse:
-        click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")
+        click.echo(
+            f"the error while sliding is LARGER than with the given file: {result.worse}; tsa diagnose finds the cause"
+        )
 
 
 def _unit(quantity: Quantity) -> str:

@@ -324,7 +324,7 @@ class ControlAxis:
             counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
             excess = instruments.tau_j - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.turn.turning)
-            law.learn(excess, self.set_point.rate)
+            law.learn(excess)
         unheard = self._lost_commands.update(now)
         if unheard is not None:
             self.supervisor.trip(unheard, now)

@@ -317,22 +317,23 @@ class Law:
             self.half_loop = self._inverse.half_loop()
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
-    def learn(self, excess: float, rate: float) -> None:
+    def learn(self, excess: float) -> None:
         """Take the joint torque sensor's result of this cycle into the correction.
 
         Args:
             excess: N*m of the delivered joint torque beyond the desired one, nan without a measurement.
-            rate: slope of the set-point, N*m/s.
         """
         turn = self.turn
-        if self.feedback.used and self.faded and not self.beyond:
+        if self.feedback.used and not self.beyond:
             self.feedback.update(
                 excess,
                 turn.force,
                 turn.turning,
                 self.direction.moving,
-                rate,
-                self.ideal + self.friction_term,
+                not self.faded,
+                self.ideal,
+                self.friction_term,
+                self._correction,
                 self.half_loop,
             )
 

@@ -9,7 +9,8 @@ A reversal therefore begins with the correction of the new direction. While the 
 follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
 
 * The error counts only while the command is the largest since the last reversal. Below it nothing slides.
-* The correction decreases at most as fast as the set-point grows. A motor that turns back only releases friction.
+* The correction decreases at most as fast as the rest of the command grows. A motor that turns back only releases
+  friction. So a fade-in with too much friction ends at the friction that is there: the correction takes the growth.
 * A reversal that delivered too much reduces the next one at once. The integral of a stroke is kept in part (`KEPT`),
   because the inertia of the motor carries a reversal further than the same torque carries resting tendons.
 
@@ -56,6 +57,8 @@ class TorqueFeedback:
         self._since = 0.0  # s since the last turn
         self._mean = self._before = math.nan  # N*m, smoothed excess, and its value before the last turn
         self._farthest = -math.inf  # N*m, of the command in this direction since the turn
+        self._peak = -math.inf  # N*m, the same of the set-point
+        self._last = math.inf  # N*m, of the command without the correction in this direction, a cycle ago
         self._side = -1  # direction of this stroke: 0 or 1, -1 unknown
         self._rested = True  # the joint was at rest during this whole stroke
 
@@ -80,8 +83,10 @@ class TorqueFeedback:
         force: float,
         turning: bool,
         moving: bool,
-        rate: float,
-        command: float,
+        fading: bool,
+        ideal: float,
+        term: float,
+        correction: float,
         half_loop: float,
     ) -> None:
         """Take one cycle.
@@ -91,8 +96,10 @@ class TorqueFeedback:
             force: direction of the friction term, -1 to 1.
             turning: True while it reverses.
             moving: True if the joint moves.
-            rate: N*m/s of the set-point.
-            command: N*m of the motor.
+            fading: True while the friction term is faded in. Then the correction is 0 or less, and a joint must have
+                rested since the last reversal.
+            ideal: N*m of the motor, the set-point without friction.
+            term, correction: N*m, the friction term of this cycle, and the part of it that `torque` returned.
             half_loop: N*m at the motor, the friction torque.
         """
         if excess != excess or force == 0.0:
@@ -119,19 +126,25 @@ class TorqueFeedback:
             self._begun[side] = self._corrections[side]
             self._before = math.nan
         self._rested = self._rested and not moving
-        along = command * sigma
+        along, wanted = (ideal + term) * sigma, ideal * sigma
         if moving or along > self._farthest:
             self._farthest = along
+        if moving or wanted > self._peak:
+            self._peak = wanted
+        rest = along - correction * sigma
+        growth, self._last = max(0.0, rest - self._last), rest
         error = -self._mean * self._ratio
         if not -LARGEST * half_loop < error < LARGEST * half_loop:
             return
         step = self._step * error
         if not moving:
-            if along < self._farthest - FARTHEST * half_loop:
+            near = FARTHEST * half_loop
+            if along < self._farthest - near or wanted < self._peak - near:
                 return
-            back = max(0.0, rate * sigma) * self._ratio * self._period
-            if step * sigma < -back:
-                step = -back * sigma
+            if step * sigma < -growth or (fading and error * sigma < 0.0):
+                step = -growth * sigma
+        if fading and (not self._rested or (step + self._corrections[side]) * sigma > 0.0):
+            return
         self._correct(side, step, half_loop)
 
     def _correct(self, side: int, by: float, half_loop: float) -> None:

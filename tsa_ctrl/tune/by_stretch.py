@@ -20,7 +20,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
-from tsa_ctrl.model.stretch import MOST_CENTRE, unsupported_reason
+from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of, unsupported_reason
 from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
 _OF_THE_SENSOR = ("tau_j", "theta", "theta_difference")
@@ -125,6 +125,9 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     A limb that creeps between its strokes moves while its tendons slide only in part: regressed there, friction comes
     out too small. The tendons led through the log know better. The file's value stays if the elongation does not
     determine it, if x and T_p0 were separated, or if effects take torque, which the elongation does not show.
+
+    The two models may describe the bends differently, and x then has another value for the same torques. So their half
+    loops at the joint are compared, each by its own form of the transmission.
     """
     if found.calibration.split or set(model.effects) - {COUPLING}:
         return found
@@ -136,25 +139,38 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     if fit.centre is None or fit.centre.value > MOST_CENTRE:
         return found
     x = fit.friction_angle
-    value, low, high = (sliding(bare, 1.0, angle).half_loop for angle in (x.value, x.low, x.high))
-    half = Quantity(value, low, high, "N*m")
+    points = [list(point) for point in profile_of(fit.model).points]
+    bent = fit.model.with_effects({COUPLING: {"curvature_profile": points}})
+    value, low, high = (sliding(bent, 1.0, angle).half_loop for angle in (x.value, x.low, x.high))
+    at_joint = Quantity(value, low, high, "N*m")
     regressed = found.calibration.half_loop_torque
-    if half.low <= regressed.value <= half.high:
+    before = regressed.value / _of_bends_at_the_joint(found.model)
+    if at_joint.low <= before <= at_joint.high:
         return found
     notes = [
-        f"the tendons' stretch shows a half loop of {half}, the torques where the joint moves {regressed}: the tendons "
-        "do not slide all along there; the stretch's is taken"
+        f"the elongation of the tendons shows a half loop of {at_joint}, the torques where the joint moves "
+        f"{before:.4g} N*m: the tendons slide only in part there; the value by the elongation is used"
     ]
-    angle, tension = keep_split(model, half, notes)
-    model = found.model.recalibrated(angle.value, tension.value)
+    better, told_before = found.model, len(notes)
+    for _ in range(ROUNDS):
+        half = _scaled(at_joint, _of_bends_at_the_joint(better))
+        del notes[told_before:]
+        angle, tension = keep_split(model, half, notes)
+        better = better.recalibrated(angle.value, tension.value)
     return dataclasses.replace(
         found,
-        model=model,
+        model=better,
         calibration=dataclasses.replace(
-            found.calibration, friction_angle=angle, pretension=tension, half_loop_torque=half, model=model
+            found.calibration, friction_angle=angle, pretension=tension, half_loop_torque=half, model=better
         ),
         notes=(*found.notes, *notes),
     )
+
+
+def _of_bends_at_the_joint(model: TendonSheath) -> float:
+    """Return the half loop of (3.55), 2 T_p r_J sinh x, over that of the model's own form (1)."""
+    plain = model.with_effects({name: value for name, value in model.effects.items() if name != COUPLING})
+    return sliding(plain).half_loop / sliding(model).half_loop
 
 
 def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -323,13 +323,16 @@ def _as_extended(without: Calibration, found: Diagnosis, model: TendonSheath) ->
     def still_open(before: Quantity, value: float) -> Quantity:
         return Quantity(value, min(before.low, value), max(before.high, value), before.unit)
 
+    before, after = found.rms.as_given, found.rms.extended
+    held_out: dict[str, Any] = {}
+    if before is not None and after is not None:
+        held_out = {"rms_before": before, "rms_after": after, "sliding_before": before, "sliding_after": after}
     return dataclasses.replace(
         without,
         friction_angle=errors.get("friction_angle", still_open(without.friction_angle, model.friction_angle)),
         pretension=errors.get("pretension", still_open(without.pretension, model.pretension)),
         half_loop_torque=errors.get("half_loop_torque", without.half_loop_torque),
         slope=errors.get("slope", without.slope),
-        rms_before=without.rms_before if found.rms.as_given is None else found.rms.as_given,
-        rms_after=without.rms_after if found.rms.extended is None else found.rms.extended,
         model=model,
+        **held_out,
     )

@@ -242,7 +242,7 @@ class Outcome:
         """Return True if the new file has the smaller error on data that was not used for the estimate."""
         if self.verification is not None:
             return self.verification.after.rms < self.verification.before.rms
-        return self.estimate.calibration.rms_after < self.estimate.calibration.rms_before
+        return self.estimate.calibration.better
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,8 @@ def headline(outcome: Outcome) -> str:
     verified, result = outcome.verification, outcome.estimate.calibration
     if verified is None:
         return (
-            f"On held-out data the prediction error is {1e3 * result.rms_before:.0f} mN·m with the given file and "
-            f"{1e3 * result.rms_after:.0f} mN·m with the new one"
+            f"On held-out data the error while sliding is {1e3 * result.sliding_before:.0f} mN·m with the given file, "
+            f"{1e3 * result.sliding_after:.0f} mN·m with the new one"
         )
     return (
         f"Compensation reduces the joint torque error by {verified.reduction(verified.before):.1f} % with the given "

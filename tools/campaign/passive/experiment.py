@@ -16,6 +16,7 @@ from typing import Any
 
 from tools import command
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.rig import VIRTUAL, gait
 from tsa_ctrl.ipc.protocol import Event
@@ -158,7 +159,7 @@ class Experiment:
             del axis["encoder"]
         if self.sensors != "sensor":
             del axis["torque_sensor"]
-        elif self.compensation > 0.0:
+        elif self.compensation > 0.0 and hasattr(LawSettings, "feedback"):  # a revision to compare with may lack it
             axis["law"]["feedback"] = self.feedback
         _over(axis, self.axis)
         _over(tables, self.file)
