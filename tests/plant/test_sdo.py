@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tsa_ctrl.plant.dictionary import Access, Entry, ObjectDictionary, Type
-from tsa_ctrl.plant.sdo import SdoServer
+from tsa_ctrl.plant.node import SdoServer
 
 
 @pytest.fixture

@@ -20,10 +20,10 @@ from tsa_ctrl.bus.canopen import cia402, objects
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
+from tsa_ctrl.bus.drive.bring_up import write_all
 from tsa_ctrl.bus.drive.checks import Row
 from tsa_ctrl.bus.drive.profile import PER_MILLE, Index, NumberType, Subindex
 from tsa_ctrl.bus.drive.session import Session
-from tsa_ctrl.bus.drive.writing import write_all
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
 
