@@ -7,6 +7,7 @@ import json
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomlkit
@@ -19,6 +20,7 @@ from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.tune import procedure
 from tsa_ctrl.tune.estimate import Estimate
+from tsa_ctrl.tune.run import RigRunner, Run, TrippedError
 
 RATE = 500.0  # Hz
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
@@ -64,6 +66,60 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
     assert {name: node.serial_number for name, node in new.origin.nodes.items()} == {"drive": 1, "encoder": 32}
     assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
     assert not list(tmp_path.glob(".tune-*"))
+
+
+@pytest.mark.slow
+def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The given file and the first new file trip here; the second new file is written."""
+    play = RigRunner.play
+
+    def tripping(runner: RigRunner, name: str, *given: Any, **more: Any) -> Run:
+        if name in ("before", "after"):
+            raise TrippedError(name, "over-speed of the joint")
+        return play(runner, name, *given, **more)
+
+    def same(logs: object, model: object, plain: Estimate) -> Estimate:
+        return dataclasses.replace(plain, effects=("gravity_load",), plain=plain)
+
+    monkeypatch.setattr(RigRunner, "play", tripping)
+    monkeypatch.setattr(procedure, "extended", same)
+    rig.write(tmp_path, VIRTUAL, RATE)
+    short = ("--seconds", "8", "--verify-seconds", "4")
+    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *short) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["verification"]["rms"]["before"] is None
+    assert data["verification"]["reduction_percent"]["after"] > 85.0
+    assert any("over-speed of the joint" in note for note in data["notes"])
+    assert (tmp_path / "out" / rig.MODEL).exists()
+
+
+@pytest.mark.slow
+def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The file of the knee knows nothing of the hip, whose gain is 0.8 rad/rad."""
+    assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
+    files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
+    knee = tmp_path / "leg" / "knee.toml"
+    save_model(load_tendon_sheath(knee), tmp_path / "leg" / "true.toml", template=knee)
+    save_model(dataclasses.replace(load_tendon_sheath(knee), routing=None), knee, template=knee)
+    plant = tomllib.loads(Path(files[1]).read_text())
+    plant["axis"][1]["actuator"] = "true.toml"
+    Path(files[1]).write_text(tomlkit.dumps(plant))
+    capsys.readouterr()
+    short = ("--seconds", "10", "--verify-seconds", "4", "--yes", "--json", "--out", str(tmp_path / "out"))
+    assert main_status("tune", files[0], "--axis", "knee", "--joint", "hip", "--virtual", files[1], *short) == 0
+    data = json.loads(capsys.readouterr().out)
+    gain = data["calibration"]["routing"]["gain.hip"]
+    assert gain["low"] < 0.8 < gain["high"]
+    assert gain["value"] == pytest.approx(0.8, rel=0.1)
+    assert data["verification"]["reduction_percent"]["after"] > 90.0
+
+
+def test_a_joint_that_is_no_other_axis_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig.write(tmp_path, VIRTUAL, RATE)
+    assert tune(tmp_path, "--joint", "hip", "--dry-run") == 2
+    assert "--joint hip is no other axis; the other axes are none" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -23,6 +23,13 @@ if TYPE_CHECKING:
 )
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--axis", "axis_name", metavar="NAME", help="The axis, if the file has several.")
+@click.option(
+    "--joint",
+    "joints",
+    multiple=True,
+    metavar="NAME",
+    help="Also move this axis and find how its joint bends the sheaths; may be repeated.",
+)
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
 @click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
@@ -67,6 +74,7 @@ if TYPE_CHECKING:
 def command(
     controller: Path,
     axis_name: str | None,
+    joints: tuple[str, ...],
     torque: float | None,
     speed: float | None,
     travel: tuple[float, float] | None,
@@ -106,6 +114,7 @@ def command(
         forms=not given_form,
         extended=extended,
         setpoint=setpoint,
+        joints=joints,
         plant=plant,
         allow_simulated=allow_simulated,
     )

@@ -107,13 +107,32 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
 def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[FloatArray, FloatArray]:
     """What both lines are made of while sliding, (n, 4): 1, tau_M, sigma, q_J; and what they give, (n, 2): e, tau_J.
 
+    sigma is in proportion to the model's friction torque at the present wrap angle.
+
     The joint's angle absorbs the errors of the ratio of the radii and of the motor's inertia.
     """
     mask = prepared.mask
+    completed = log.completed_for(model)
     angle = log["q_j"][mask]
     gear = model.joint_pulley_radius / model.motor_pulley_radius
-    columns = (np.ones(angle.size), log["tau_m"][mask], prepared.admission.direction[mask], angle)
-    return np.column_stack(columns), np.column_stack((log["q_m"][mask] - gear * angle, log["tau_j"][mask]))
+    direction = prepared.admission.direction * friction_share(completed, model)
+    columns = (np.ones(angle.size), log["tau_m"][mask], direction[mask], angle)
+    beyond = log["q_m"][mask] - gear * angle
+    if "theta_difference" in completed:  # paths of different lengths (3.52)
+        beyond = beyond - model.lever / model.motor_pulley_radius * completed["theta_difference"][mask]
+    return np.column_stack(columns), np.column_stack((beyond, log["tau_j"][mask]))
+
+
+def friction_share(log: Dataset, model: TendonSheath) -> FloatArray:
+    """Return the model's friction torque at the wrap angle of each sample over that at Theta_0, 1, (n,).
+
+    `log`: completed for the model. To first order in x the friction torque is x T_p.
+    """
+    if "theta" not in log:
+        return np.ones(len(log))
+    theta = log["theta"]
+    tension = model.pretension + model.pretension_slope * (theta - model.bending_angle)
+    return np.maximum(theta, 0.0) * np.maximum(tension, 0.0) / (model.bending_angle * model.pretension)
 
 
 def _blocks(columns: FloatArray, given: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
@@ -178,14 +197,22 @@ class Estimate:
     plain: Estimate | None = None
 
 
-def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
-    """Calibrate `model`; with `forms` also by where the sheath bends, and how late the velocity is.
+def estimate(
+    logs: Sequence[Dataset],
+    model: TendonSheath,
+    certified_gain: bool,
+    forms: bool,
+    routed: TendonSheath | None = None,
+) -> Estimate:
+    """Calibrate `model`; `routed` is the same with the routing that the logs show, where other joints moved.
+
+    With `forms` also by where the sheath bends, and how late the velocity is.
 
     The angles of motor and joint show where it bends, if the logs have both; else an evenly and a motor-side bent
     sheath are tried. Raises UsageError when the logs do not show enough.
     """
     excluded = set(CATALOGUE[COUPLING].excludes) & set(model.effects)
-    found_bends = bends(logs, model) if forms and not excluded else None
+    found_bends = bends(logs, routed or model) if forms and not excluded else None
     if found_bends is not None:
         return _late(_bent(logs, model, found_bends, certified_gain), logs)
     candidates = {Form.GIVEN: model}

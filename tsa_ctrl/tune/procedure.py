@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.errors import TooStillError, UsageError
-from tsa_ctrl.identify.calibrate import errors_of
+from tsa_ctrl.errors import BusError, TooStillError, UsageError
+from tsa_ctrl.identify.calibrate import errors_of, routing_of_logs
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, rounded
@@ -21,23 +21,26 @@ from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.model.steady_sliding import sliding, sliding_stiffness, wound_by_friction
 from tsa_ctrl.tune.by_stretch import beside_stretch, estimate_by_stretch, moved_by_hand
-from tsa_ctrl.tune.estimate import Estimate, estimate, extended
+from tsa_ctrl.tune.estimate import Estimate, estimate, extended, friction_share
 from tsa_ctrl.tune.excitation import (
+    MOVED_BY_TORQUE,
     MOVING,
     PROBE_SHARES,
+    RAMP,
     SHAKE_SECONDS,
     Bounds,
     Design,
     Waveform,
     design,
     fading,
+    multi_sine,
     playing,
     probe,
     response,
 )
 from tsa_ctrl.tune.mechanics import FEEDBACK_KEY, MOTOR, LawTuning, Mechanics, bearable, measured, pulling, stiffened
 from tsa_ctrl.tune.ripple import with_torque_ripple
-from tsa_ctrl.tune.run import RigRunner, Run, longest
+from tsa_ctrl.tune.run import RigRunner, Run, TrippedError, longest
 
 # Ratio of the pulley radii r_J/r_M, from the angles of motor and joint over the travel.
 #
@@ -127,15 +130,23 @@ def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheat
 
 
 def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, FloatArray]:
-    """Return regressors q_J, tau_M, sigma, omega_J (n, 4) and q_M - gear q_J (n), where the tendons slide."""
+    """Return regressors q_J, tau_M, sigma, omega_J (n, 4) and q_M - gear q_J (n), where the tendons slide.
+
+    The column sigma is in proportion to the model's friction torque at the present wrap angle.
+    """
     angle, speed = log["q_j"], log["omega_j"]
     direction = np.sign(speed)
     turns = np.concatenate([[True], direction[1:] != direction[:-1]])
     since = np.maximum.accumulate(np.where(turns, np.arange(angle.size), 0))  # the last reversal before each sample
     way = UNWOUND * wound_by_friction(model) / gear
     slides = (direction != 0.0) & (np.abs(angle - angle[since]) > way)
-    columns = np.column_stack((angle, log["tau_m"], direction, speed))
-    return columns[slides], (log["q_m"] - gear * angle)[slides]
+    completed = log.completed_for(model)
+    share = friction_share(completed, model)
+    columns = np.column_stack((angle, log["tau_m"], direction * share, speed))
+    beyond = log["q_m"] - gear * angle
+    if "theta_difference" in completed:  # paths of different lengths (3.52)
+        beyond = beyond - model.lever / model.motor_pulley_radius * completed["theta_difference"]
+    return columns[slides], beyond[slides]
 
 
 def _follows(columns: FloatArray) -> float | None:
@@ -189,7 +200,9 @@ BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without the keys that
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
 Progress = Callable[[str, float], None]  # phase, completed share of the whole run
 Ask = Callable[[str], None]  # shows an instruction and returns when the user is ready
-PHASES = ("probe", "shake", "excitation", "estimate", "without", "before", "after")
+PHASES = ("probe", "shake", "excitation", "routing", "estimate", "without", "before", "after")
+OTHER_JOINTS = (0.37, 0.61, 0.97)  # Hz of the torques of other joints: none of the excitation's frequencies
+LEAST_SWING = 0.1  # rad of another joint, standard deviation below which it hardly shows how it bends the sheath
 
 
 @dataclass(frozen=True)
@@ -205,15 +218,20 @@ class Settings:
     extended: bool
     by_stretch: bool = False  # estimate the joint torque from the tendon elongation, for a rig without a sensor
     excitation: Waveform | None = None  # played in place of a designed one; `seconds` is then its duration
+    others: Mapping[str, Bounds] = dataclasses.field(default_factory=dict)  # joints that may bend the sheaths
 
 
 @dataclass(frozen=True)
 class Verification:
-    """The same motion without compensation, with the given file and with the new one."""
+    """The same motion without compensation, with the given file and with the new one.
+
+    `before` is None if a fault ended that run; `fault` is then its cause.
+    """
 
     without: Run
-    before: Run
+    before: Run | None
     after: Run
+    fault: str = ""
 
     def reduction(self, run: Run) -> float:
         """Per cent by which compensation reduces the RMS joint torque error."""
@@ -241,7 +259,8 @@ class Outcome:
     def better(self) -> bool:
         """Return True if the new file has the smaller error on data that was not used for the estimate."""
         if self.verification is not None:
-            return self.verification.after.rms < self.verification.before.rms
+            before = self.verification.before
+            return before is None or self.verification.after.rms < before.rms
         return self.estimate.calibration.better
 
 
@@ -311,7 +330,9 @@ class Procedure:
         self._say = say
         self._ask = ask
         self._total = PROBE_SECONDS + SHAKE_SECONDS + settings.seconds + 3.0 * settings.verification_seconds
+        self._total += sum(seconds for _, seconds in routing_runs(settings))
         self._done = 0.0
+        self._others: dict[str, Waveform] = {}  # of the other joints, by name
 
     def run(self) -> Outcome:
         """Probe, shake, excite, estimate and verify.
@@ -320,6 +341,7 @@ class Procedure:
         """
         designed = self._design()
         mechanics = self._shake(designed.shake)
+        self._others = {name: self._moving(name, bounds) for name, bounds in self._settings.others.items()}
         logs, learned = self._excite(designed.excitation, mechanics)
         learned = self._with_stiffness(logs, learned, mechanics)
         trials = [self._trial(learned, mechanics, logs)]
@@ -333,30 +355,38 @@ class Procedure:
             trials.append(self._trial(rippled, mechanics, logs, "-ripple"))
         self._total += (len(trials) - 1) * self._settings.verification_seconds
         motion = designed.verification
-        without = self._play("without", self._path, 0.0, motion, BARE)
-        before = self._play("before", self._path, permitted, motion)
-        runs = [self._play(f"after{trial.kind}", *trial.played, motion, trial.values) for trial in trials]
-        best = min(range(len(runs)), key=lambda number: runs[number].rms)
+        without = self._play("without", self._path, 0.0, motion, BARE, others=self._others)
+        before, fault = self._tried("before", self._path, permitted, motion)
+        tried = [self._tried(f"after{trial.kind}", *trial.played, motion, trial.values) for trial in trials]
+        errors = [np.inf if run is None else run.rms for run, _ in tried]
+        best = int(np.argmin(errors))
+        after = tried[best][0]
+        if after is None:
+            raise BusError(f"a fault ended the verification run with the new file: {tried[0][1]}; nothing is written")
         found = trials[best].found
+        tripped = [cause for run, cause in tried if run is None]
         if learned.plain is not None and found.effects == learned.plain.effects:
-            found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, runs[0], runs[best])))
+            found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, errors[0], errors[best])))
         if trials[0].has_feedback and not trials[best].has_feedback:
             note = (
                 "law.feedback is not used: on a motion not used for the fit the error is "
-                f"{1e3 * runs[0].rms:.0f} mN·m with the correction by the joint torque sensor, and "
-                f"{1e3 * runs[best].rms:.0f} mN·m without"
+                f"{_milli(errors[0])} with the correction by the joint torque sensor, and "
+                f"{_milli(errors[best])} without"
             )
             found = dataclasses.replace(found, notes=(*found.notes, note))
         if rippled is not None and trials[best].kind != "-ripple":
             note = (
                 f"{rippled.notes[-1].split(';')[0]}. It is not written: on a motion not used for the fit the error is "
-                f"{1e3 * runs[-1].rms:.0f} mN·m with it and {1e3 * runs[best].rms:.0f} mN·m without"
+                f"{_milli(errors[-1])} with it and {_milli(errors[best])} without"
             )
             found = dataclasses.replace(found, notes=(*found.notes, note))
-        agreeing = _agreeing(runs[best], found)
+        agreeing = _agreeing(after, found)
         if agreeing and not self._settings.by_stretch:
             found = dataclasses.replace(found, notes=(*found.notes, agreeing))
-        verification = Verification(without, before, runs[best])
+        if tripped:
+            note = f"a fault ended {len(tripped)} of {len(tried)} verification runs with new files: {tripped[0]}"
+            found = dataclasses.replace(found, notes=(*found.notes, note))
+        verification = Verification(without, before, after, fault)
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
 
     def _with_stiffness(self, logs: Sequence[Dataset], learned: Estimate, mechanics: Mechanics) -> Estimate:
@@ -385,6 +415,8 @@ class Procedure:
         If a free joint moves too little, the excitation is repeated while the user moves the joint.
         """
         first = self._excitation("excitation", wave, mechanics)
+        for name, joints in self._together():
+            first += self._excitation(name, wave, mechanics, joints)
         try:
             return first, learn(first, self._model, self._settings)
         except TooStillError as error:
@@ -402,8 +434,57 @@ class Procedure:
         except TooStillError:  # of the first, which may show nothing at all
             return second, learn(second, self._model, self._settings)
 
-    def _excitation(self, name: str, wave: Waveform, mechanics: Mechanics) -> tuple[Dataset, ...]:
-        logs = self._play(name, self._path, 0.0, wave, BARE).learnable()
+    def _together(self) -> list[tuple[str, dict[str, Waveform]]]:
+        """Return name and torques of each run with other joints: each joint alone, then all of them."""
+        alone = [(f"routing-{name}", {name: wave}) for name, wave in self._others.items()]
+        return [*alone, ("routing-all", self._others)] if len(alone) > 1 else alone
+
+    def _moving(self, name: str, bounds: Bounds) -> Waveform:
+        """Return the torque that moves another joint within its limits.
+
+        A joint that does not move by its own torque is moved by the user. Raises UsageError without a user.
+        """
+        own = probe(self._bounds, PROBE_SHARES[0], PROBE_SECONDS)
+        for number, share in enumerate(PROBE_SHARES):
+            wave = probe(bounds, share, PROBE_SECONDS)
+            run = f"routing-probe-{name}-{number + 1}"
+            self._play(run, self._path, 0.0, own, BARE, others={name: wave})
+            motion = self._runner.motion_of(run, name)
+            if float(np.std(motion["q_j"])) > LEAST_SWING:
+                break
+        else:
+            if self._ask is None:
+                raise UsageError(
+                    f"tune: joint '{name}' moves by less than {LEAST_SWING:g} rad with {wave.peak:.2g} N*m, so it does "
+                    "not show how it bends the sheath; run tsa tune in a terminal and move the joint by hand, or give "
+                    "logs of such motion by --from-log"
+                )
+            self._ask(f"move joint '{name}' by hand, slowly to and fro, until the runs have ended")
+            return multi_sine(OTHER_JOINTS, 0.0, self._settings.seconds)
+        found = response(motion)
+        if found.by_torque < MOVED_BY_TORQUE:  # others move it
+            return multi_sine(OTHER_JOINTS, 0.0, self._settings.seconds)
+        peak = design(found, wave.peak, bounds, self._settings.seconds, 4.0 * RAMP).excitation.peak
+        return multi_sine(OTHER_JOINTS, peak, self._settings.seconds)
+
+    def _tried(
+        self,
+        name: str,
+        model: Path,
+        compensation: float,
+        motion: Waveform,
+        law: Mapping[str, float | None] | None = None,
+    ) -> tuple[Run | None, str]:
+        """Return the verification run of a file, or None and the cause if a fault ended it."""
+        try:
+            return self._play(name, model, compensation, motion, law, others=self._others), ""
+        except TrippedError as error:
+            return None, error.cause
+
+    def _excitation(
+        self, name: str, wave: Waveform, mechanics: Mechanics, others: Mapping[str, Waveform] | None = None
+    ) -> tuple[Dataset, ...]:
+        logs = self._play(name, self._path, 0.0, wave, BARE, others=others).learnable()
         self._say(phase("estimate"), self._done / self._total)
         swing = mechanics.swing
         return logs if swing is None else tuple(pulling(log, swing.inertia.value) for log in logs)
@@ -434,6 +515,7 @@ class Procedure:
         waveform: Waveform,
         law: Mapping[str, float | None] | None = None,
         rate: float | None = None,
+        others: Mapping[str, Waveform] | None = None,
     ) -> Run:
         seconds, begin = waveform.seconds, self._done
 
@@ -441,7 +523,7 @@ class Procedure:
             self._say(phase(name), min(1.0, (begin + share * seconds) / self._total))
 
         tick(0.0)
-        played = self._runner.play(name, model, compensation, waveform, tick, law, rate)
+        played = self._runner.play(name, model, compensation, waveform, tick, law, rate, others)
         self._done += seconds
         return played
 
@@ -464,12 +546,24 @@ def _agreeing(run: Run, found: Estimate) -> str:
     )
 
 
-def _worse(learned: Estimate, first: Run, second: Run) -> str:
+def _milli(error: float) -> str:
+    """Return an RMS error (N*m) as people read it; infinite for a run that a fault ended."""
+    return f"{1e3 * error:.0f} mN·m" if np.isfinite(error) else "unknown, because a fault ended the run,"
+
+
+def _worse(learned: Estimate, first: float, second: float) -> str:
     """Return the note that explains why the effects added by the diagnosis are not written."""
     return (
         f"not used: {' and '.join(learned.effects)}, which the diagnosis named; on a motion not used for the fit the "
-        f"error is {1e3 * first.rms:.0f} mN·m with and {1e3 * second.rms:.0f} mN·m without"
+        f"error is {_milli(first)} with and {_milli(second)} without"
     )
+
+
+def routing_runs(settings: Settings) -> list[tuple[str, float]]:
+    """Return what moves in each run with other joints, and its duration in s."""
+    names = list(settings.others)
+    alone = [run for name in names for run in ((f"probe of {name}", PROBE_SECONDS), (name, settings.seconds))]
+    return [*alone, (" and ".join(names), settings.seconds)] if len(names) > 1 else alone
 
 
 def phase(name: str) -> str:
@@ -489,12 +583,15 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
 
     Raises UsageError if the logs contain too little motion or contradict the pulley radii.
     """
-    ratio = radius_ratio(logs, model)
+    routed = None if settings.by_stretch else routing_of_logs(logs, model, settings.certified_gain)
+    ratio = radius_ratio(logs, model if routed is None else routed)
     model, notes = with_ratio(model, ratio)
+    if routed is not None:
+        routed = dataclasses.replace(routed, joint_pulley_radius=model.joint_pulley_radius)
     if settings.by_stretch:
         found = estimate_by_stretch(logs, model)
     else:
-        found = beside_stretch(estimate(logs, model, settings.certified_gain, settings.forms), logs, model)
+        found = beside_stretch(estimate(logs, model, settings.certified_gain, settings.forms, routed), logs, model)
         found = extended(logs, model, found) if settings.extended else found
     known = {} if ratio is None else {"radius_ratio": ratio}
     return dataclasses.replace(found, parameters={**known, **found.parameters}, notes=(*notes, *found.notes))

@@ -53,6 +53,11 @@ def headline(outcome: Outcome) -> str:
             f"On held-out data the error while sliding is {1e3 * result.sliding_before:.0f} mN·m with the given file, "
             f"{1e3 * result.sliding_after:.0f} mN·m with the new one"
         )
+    if verified.before is None:
+        return (
+            f"Compensation reduces the joint torque error by {verified.reduction(verified.after):.1f} % with the new "
+            f"file; with the given file a fault ended the run: {verified.fault}"
+        )
     return (
         f"Compensation reduces the joint torque error by {verified.reduction(verified.before):.1f} % with the given "
         f"file and by {verified.reduction(verified.after):.1f} % with the new one"
@@ -67,6 +72,7 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
         ("pretension", nominal.pretension, result.pretension),
         ("friction torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
+        *((name.replace("_", " "), None, found) for name, found in result.routing.items()),
         *((name.replace("_", " "), None, found) for name, found in outcome.estimate.parameters.items()),
     ]
     if outcome.law is not None:
@@ -89,7 +95,12 @@ def run_rows(outcome: Outcome) -> list[tuple[str, str, str]]:
     if verified is None:
         return []
     named = (("none", verified.without), ("given file", verified.before), ("new file", verified.after))
-    return [(name, f"{1e3 * run.rms:.1f}", f"{verified.reduction(run):.1f} %") for name, run in named]
+    return [
+        (name, "-", "a fault ended it")
+        if run is None
+        else (name, f"{1e3 * run.rms:.1f}", f"{verified.reduction(run):.1f} %")
+        for name, run in named
+    ]
 
 
 def notes(outcome: Outcome) -> list[str]:
@@ -130,12 +141,12 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
     if verified is not None:
         rms = {
             "without": verified.without.rms,
-            "before": verified.before.rms,
+            "before": None if verified.before is None else verified.before.rms,
             "after": verified.after.rms,
             "unit": "N*m",
         }
         reduction = {
-            "before": verified.reduction(verified.before),
+            "before": None if verified.before is None else verified.reduction(verified.before),
             "after": verified.reduction(verified.after),
         }
     law = outcome.law

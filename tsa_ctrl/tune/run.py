@@ -18,7 +18,7 @@ from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
-from tsa_ctrl.log.table import STRETCH, load_run, sha256_of
+from tsa_ctrl.log.table import STRETCH, load_run, read_table, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.signals import INPUTS, is_input
 from tsa_ctrl.system.process_supervisor import daemon
@@ -28,6 +28,14 @@ FloatArray = NDArray[np.float64]
 Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 
 SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
+
+
+class TrippedError(BusError):
+    """A run that a fault of the loop ended; `cause` is that fault."""
+
+    def __init__(self, name: str, cause: str) -> None:
+        super().__init__(f"the run '{name}' failed: {cause}")
+        self.cause = cause
 
 
 @dataclass(frozen=True)
@@ -109,28 +117,45 @@ class RigRunner:
         tick: Callable[[float], None],
         law: Mapping[str, float | None] | None = None,
         rate: float | None = None,
+        others: Mapping[str, Waveform] | None = None,
     ) -> Run:
-        """Play the waveform once and read the log; raises BusError if the run fails.
+        """Play the waveform once and read the log.
+
+        Raises TrippedError if a fault ended the run, and BusError if it left no log.
 
         The model is played as a file of this rig, whatever joint it was tuned on. This is safe because a friction term
         is tried only after the excitation has measured the rig's friction.
         `law`: keys of [axis.law] that replace the file's, None for a key that is left out.
         `rate`: set-point rate in N*m/s, in place of the default.
+        `others`: waveforms of other axes by name, without compensation; an axis that is not named stays at 0.
         """
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"
         np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
         copy = self._folder / f"model-{name}.toml"
         copy.write_text(with_origin(model.read_text(encoding="utf-8"), self.origin), encoding="utf-8")
-        text = self._controller(name, copy, compensation, setpoint, law or {}, rate)
+        played = {}
+        for other, wave in (others or {}).items():
+            played[other] = f"{name}-{other}.csv"
+            rows = np.column_stack([wave.t, wave.tau_j_des])
+            np.savetxt(self._folder / played[other], rows, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
+        text = self._controller(name, copy, compensation, setpoint, law or {}, rate, played)
         (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
         summary = self._run(self._folder, name, waveform.seconds, tick)
-        if summary["log"] is None or summary["failed"]:
+        if summary["log"] is None:
             raise BusError(f"the run '{name}' failed: {summary['cause']}")
+        if summary["failed"]:
+            raise TrippedError(name, str(summary["cause"]))
         nodes = nodes_from(summary["joints"].get(self._axis.name, {}))
         self.origin = Origin("simulated" if summary["simulated"] else "measured", nodes)
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
+
+    def motion_of(self, name: str, axis: str) -> Dataset:
+        """Return torque and motion of another axis during a run that was played."""
+        columns = read_table(f"{self._folder / name}.mcap:{axis}", ("t", "tau_m", "omega_j", "q_j")).columns
+        known = np.all([np.isfinite(values) for values in columns.values()], axis=0)
+        return Dataset.from_arrays({key: values[known] for key, values in columns.items()}, f"{name} of {axis}")
 
     def _controller(
         self,
@@ -140,6 +165,7 @@ class RigRunner:
         setpoint: Path,
         law: Mapping[str, float | None],
         rate: float | None,
+        played: Mapping[str, str],
     ) -> str:
         """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
         data = tomllib.loads(self._configuration.text)
@@ -156,11 +182,14 @@ class RigRunner:
                 axis["setpoint"] = {"kind": "file", "file": setpoint.name}
                 if rate is not None:
                     axis["setpoint"]["rate"] = rate
+                if "routing" in tomllib.loads(model.read_text(encoding="utf-8")):  # which the kind "map" follows
+                    axis["estimator"] = {key: value for key, value in axis["estimator"].items() if key != "kind"}
                 keys = {**axis.get("law", {}), "compensation": compensation, **law}
                 axis["law"] = {key: value for key, value in keys.items() if value is not None}
             else:
                 axis["model"] = str((self._configuration.folder / axis["model"]).resolve())
-                axis["setpoint"] = {"kind": "constant"}
+                other = played.get(axis["name"])
+                axis["setpoint"] = {"kind": "constant"} if other is None else {"kind": "file", "file": other}
                 axis["law"] = {**axis.get("law", {}), "compensation": 0.0}
         text: str = tomlkit.dumps(data)
         return text

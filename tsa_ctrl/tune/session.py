@@ -42,7 +42,17 @@ from tsa_ctrl.tune.excitation import (
     most_torque,
 )
 from tsa_ctrl.tune.mechanics import differ_in_law_alone, law_tuning, moved, with_law
-from tsa_ctrl.tune.procedure import PROBE_SECONDS, Ask, Outcome, Procedure, Progress, Settings, Verification, from_logs
+from tsa_ctrl.tune.procedure import (
+    PROBE_SECONDS,
+    Ask,
+    Outcome,
+    Procedure,
+    Progress,
+    Settings,
+    Verification,
+    from_logs,
+    routing_runs,
+)
 from tsa_ctrl.tune.report import write_page
 from tsa_ctrl.tune.run import Play, RigRunner, longest
 
@@ -125,6 +135,8 @@ def _verification(verification: Verification, file: Path) -> Path:
     part = verification.after.t <= verification.after.t[0] + SHOWN
     torque.plot(verification.after.t[part], verification.after.wanted[part], "k", lw=2.0, label="desired")
     for name, run, colour in runs:
+        if run is None:
+            continue
         part = run.t <= run.t[0] + SHOWN
         torque.plot(run.t[part], run.delivered[part], colour, lw=0.9, label=name)
         shown = f"{name}: RMS {1e3 * run.rms:.1f} mN·m"
@@ -217,6 +229,7 @@ class Plan:
     forms: bool = True
     extended: bool = False
     setpoint: Path | None = None  # file to play as the excitation, in the format that a diagnosis writes
+    joints: tuple[str, ...] = ()  # names of other axes whose joints move as well: they may bend the sheaths
     plant: Path | None = None  # simulated plant to use in virtual time; default: the rig's bus
     allow_simulated: bool = False  # start on hardware from a model file with simulated numbers
 
@@ -243,6 +256,7 @@ class Session:
             extended=plan.extended,
             by_stretch=not self.axis.has_torque_sensor,
             excitation=played,
+            others=self._others(controller, plan.joints),
         )
         self._plant = plan.plant
         self._allow_simulated = plan.allow_simulated
@@ -263,6 +277,20 @@ class Session:
             found = "no --axis" if name is None else f"--axis {name}"
             raise UsageError(f"{controller}: {found}; give one of {', '.join(axes)}")
         return axes[name]
+
+    def _others(self, controller: Path, names: Sequence[str]) -> dict[str, Bounds]:
+        """Return the limits of the other joints that move; raises UsageError for a name that is no other axis."""
+        file = self._configuration.file
+        known = {axis.name: place for place, axis in enumerate(file.axes) if axis.name != self.axis.name}
+        found = {}
+        for name in names:
+            if name not in known:
+                axes = ", ".join(known) or "none"
+                raise UsageError(f"{controller}: --joint {name} is no other axis; the other axes are {axes}")
+            axis, model = file.axes[known[name]], self._configuration.models[known[name]]
+            limits = axis.limits
+            found[name] = Bounds(most_torque(model, limits.torque), limits.joint_speed, limits.travel)
+        return found
 
     def _bounds(self, controller: Path, plan: Plan) -> Bounds:
         limits = self.axis.limits
@@ -332,6 +360,7 @@ class Session:
                 "probe": PROBE_SECONDS,
                 "excitation": settings.seconds,
                 "shake": SHAKE_SECONDS,
+                **({"routing": sum(seconds for _, seconds in routing_runs(settings))} if settings.others else {}),
                 "verification": 3.0 * settings.verification_seconds,
             },
             "compensation": settings.compensation,
@@ -344,6 +373,7 @@ class Session:
             f"at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz" if settings.excitation is None else "of the file given"
         )
         travel = "any" if bounds.travel is None else f"{bounds.travel[0]:g} to {bounds.travel[1]:g} rad"
+        moved = [f"   {seconds:g} s while {what} moves" for what, seconds in routing_runs(settings)]
         return "\n".join(
             (
                 f"axis {self.axis.name}, model file {self.path}",
@@ -352,6 +382,7 @@ class Session:
                 f"2. the motor is shaken a little, {SHAKE_SECONDS:g} s: delay, motor inertia, stiffness of the tendons",
                 f"3. excitation, {settings.seconds:.4g} s {wave}, without compensation, and estimate: friction angle, "
                 "pretension, where the sheath bends; turn, lead and damping with a gain margin of 2",
+                *moved,
                 f"4. verification, 3 x {settings.verification_seconds:g} s at "
                 f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "
                 f"the new file at {settings.compensation:g} of the friction term",
@@ -383,7 +414,7 @@ class Session:
         `ask`: asks the user to move the joint; None if no user is present. Raises UsageError, BusError.
         """
         self.check_ready()
-        runner = self.runner(self._folder)
+        runner = self.runner(self._folder, all_axes=bool(self._settings.others))
         law_of = functools.partial(law_tuning, self._configuration, self.axis)
         folder = self._folder
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()

@@ -1,6 +1,6 @@
 """Estimation of friction angle and pretension from logs, with honest intervals."""
 
-from tsa_ctrl.identify.calibrate.estimate import calibrate, errors_of
+from tsa_ctrl.identify.calibrate.estimate import calibrate, errors_of, routing_of_logs
 from tsa_ctrl.identify.calibrate.result import Calibration
 
-__all__ = ["Calibration", "calibrate", "errors_of"]
+__all__ = ["Calibration", "calibrate", "errors_of", "routing_of_logs"]

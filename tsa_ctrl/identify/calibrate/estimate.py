@@ -302,6 +302,15 @@ def calibrate(
     )
 
 
+def routing_of_logs(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool) -> TendonSheath | None:
+    """Return the model with the routing that the logs show; None if no joint bends its sheaths.
+
+    Raises UsageError as `calibrate`.
+    """
+    found = fit_routing(prepare(logs, model, {}), model, certified_gain)
+    return None if found is None else found.model
+
+
 def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
     """Return the errors of `model` on all samples of the logs; unknown ones without a joint torque in each log."""
     if not all("tau_j" in log for log in logs):
