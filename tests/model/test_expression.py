@@ -23,6 +23,7 @@ NAMES = ("omega_j", "q_j", "tau")
         ("tau/(1 + exp(-omega_j))", 1.5 / (1.0 + math.exp(2.0))),
         ("sign(omega_j)*sqrt(abs(tau))*tanh(q_j)", -math.sqrt(1.5) * math.tanh(0.5)),
         ("cos(0) - +1", 0.0),
+        ("2*inside(q_j, 0, 1)", 1.0 + math.tanh(15.0)),  # in the middle of the range
     ],
 )
 def test_a_formula_has_its_value(text: str, value: float) -> None:
@@ -57,6 +58,9 @@ def test_a_formula_has_its_value(text: str, value: float) -> None:
         ("ring(tau, 5, 1.5)", "d = 1.5; allowed is 1e-06 to 1"),
         ("dahl(tau, 0)", "w = 0; allowed"),
         ("lag(tau, omega_j)", "T is not a constant"),
+        ("inside(q_j, 1, 0)", "two constants, low < high"),
+        ("inside(q_j, tau, 2)", "two constants"),
+        ("inside(q_j, 1)", "two constants"),
         ("lag(tau, True)", "T is not a constant"),
         ("lag(1 + dahl(tau, 1), 1)", "dahl within lag"),
         ("lag", "is neither a signal nor a parameter"),
@@ -82,6 +86,15 @@ def test_where_a_formula_has_no_value_it_is_nan_on_both_machines(text: str) -> N
     program = parse(text, NAMES, {}, "x")
     assert math.isnan(program.value((0.0, 0.0, 0.0)))
     assert np.isnan(program.array([np.zeros(2)] * 3)).all()
+
+
+def test_a_formula_is_kept_in_its_range_and_fades_out_beyond() -> None:
+    """A quarter of the range beyond either end hardly anything of it is left."""
+    program = parse("q_j*inside(q_j, -0.2, 0.6)", NAMES, {}, "x")
+    for q in (-0.2, 0.0, 0.2, 0.6):
+        assert program.value((0.0, q, 0.0)) == pytest.approx(q, rel=0.003, abs=1e-9)
+    for q in (-0.4, 0.8, 5.0):
+        assert abs(program.value((0.0, q, 0.0))) < 0.003 * abs(q)
 
 
 def test_exp_saturates_instead_of_overflowing() -> None:

@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
 from tsa_ctrl.model.effects.custom import NAMES
 from tsa_ctrl.model.effects.specification import Setting, Specification, Stage
-from tsa_ctrl.model.expression import FUNCTIONS, REMEMBERING
+from tsa_ctrl.model.expression import FUNCTIONS, INSIDE, REMEMBERING
 
 CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
@@ -101,7 +101,7 @@ def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
 
 
 def _constant(spec: Specification, key: str, value: object, where: str) -> float:
-    if spec.name == "custom" and (key in NAMES or key in FUNCTIONS or key in REMEMBERING):
+    if spec.name == "custom" and (key in (*NAMES, *FUNCTIONS, *REMEMBERING, INSIDE)):
         raise UsageError(f"{where}: '{key}' is a signal or a function already; give the constant another name")
     allowed = spec.parameter(key)
     if not allowed.accepts(value):

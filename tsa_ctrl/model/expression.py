@@ -2,6 +2,7 @@
 
     expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument, and functions
                  with a memory: lag(x, T), ring(x, f, d), dahl(x, w) of any x without one, and of constants (`filters`)
+                 inside(x, low, high): 1 in that range and 0 far outside, for a formula that was learned there
 
 Python's own grammar reads the text into a tree; only the nodes above are taken from it, everything else is refused. The
 program is data: whoever runs it (model, controller, plant) has a machine of a dozen operations and nothing else.
@@ -52,6 +53,8 @@ class Op(IntEnum):
     DAHL = 17
 
 
+INSIDE = "inside"  # inside(x, low, high) = (1 - tanh(STEEP (|x - middle|/half - FADED)))/2
+FADED, STEEP = 1.25, 12.0  # half widths at which it is 1/2, and its steepness: 0.998 at the ends, 0.002 at 1.5
 FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
 REMEMBERING = {kind: Op[kind.upper()] for kind in KINDS}
 Remember: TypeAlias = Callable[[int, Array], Array]  # the value of a memory by its index and its x
@@ -169,7 +172,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
             case ast.Name(id=name) if name in names:
                 add(Op.NAME, float(names.index(name)))
             case ast.Name(id=name):
-                known = [*names, *constants, *FUNCTIONS, *REMEMBERING]
+                known = [*names, *constants, *FUNCTIONS, *REMEMBERING, INSIDE]
                 near = difflib.get_close_matches(name, known, n=1)
                 advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
                 raise UsageError(f"{where}: '{name}' is neither a signal nor a parameter; {advice}")
@@ -185,6 +188,20 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
             case ast.Call(func=ast.Name(id=function), args=[argument], keywords=[]) if function in FUNCTIONS:
                 read(argument, depth + 1, within)
                 add(FUNCTIONS[function])
+            case ast.Call(func=ast.Name(id=function), args=[argument, *ends], keywords=[]) if function == INSIDE:
+                low, high = _range(ends, constants, f"{where}: '{_source(text, node)}'")
+                add(Op.CONSTANT, 0.5)
+                add(Op.CONSTANT, 0.5)
+                read(argument, depth + 3, within)
+                for number, op in ((0.5 * (low + high), Op.SUBTRACT), (None, Op.ABS), (0.5 * (high - low), Op.DIVIDE)):
+                    if number is not None:
+                        add(Op.CONSTANT, number)
+                    add(op)
+                for number, op in ((FADED, Op.SUBTRACT), (STEEP, Op.MULTIPLY)):
+                    add(Op.CONSTANT, number)
+                    add(op)
+                for op in (Op.TANH, Op.MULTIPLY, Op.SUBTRACT):
+                    add(op)
             case ast.Call(func=ast.Name(id=kind), args=given, keywords=[]) if kind in KINDS:
                 if within:
                     raise UsageError(
@@ -204,6 +221,14 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
     except OverflowError:
         raise UsageError(f"{where}: '{text}' has a number that is too large") from None
     return Program(text, tuple(names), tuple(operations), tuple(arguments), tuple(memories))
+
+
+def _range(given: Sequence[ast.expr], constants: Mapping[str, float], where: str) -> tuple[float, float]:
+    """Return the two ends of inside(x, low, high); raises UsageError."""
+    ends = [_constant(node, constants) for node in given]
+    if len(ends) != 2 or ends[0] is None or ends[1] is None or not ends[0] < ends[1]:
+        raise UsageError(f"{where}: it is {INSIDE}(x, low, high) with two constants, low < high")
+    return ends[0], ends[1]
 
 
 def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float], where: str) -> Memory:
@@ -242,7 +267,7 @@ def _source(text: str, node: ast.expr) -> str:
 def _refused(text: str, node: ast.expr, where: str) -> UsageError:
     return UsageError(
         f"{where}: '{_source(text, node)}' is not allowed; allowed are numbers, names, + - * / **, "
-        f"{' '.join(FUNCTIONS)} of one argument, and {', '.join(map(usage, KINDS))}"
+        f"{' '.join(FUNCTIONS)} of one argument, {INSIDE}(x, low, high), and {', '.join(map(usage, KINDS))}"
     )
 
 

@@ -73,9 +73,10 @@ def test_the_formula_is_a_table_that_a_model_file_takes_and_that_mends_the_simul
     found: Diagnosis, tmp_path: Path
 ) -> None:
     assert found.formula is not None
-    save_model(found.formula.model, tmp_path / "formula.toml")
+    save_model(found.formula.limited, tmp_path / "formula.toml")
     mended = load_model(tmp_path / "formula.toml")
-    assert mended.effects["custom"]["expression"] == found.formula.expression
+    assert mended.effects["custom"]["expression"] == found.formula.ranged
+    assert found.formula.ranged.startswith(f"({found.formula.expression})*inside(")
     columns = log(99)
     signals = Signals(
         t=columns["t"],

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -23,6 +23,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, models_reversals
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
+    CONSTANTS,
     SINGULAR,
     TRIAL,
     Sought,
@@ -35,6 +36,7 @@ from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
 from tsa_ctrl.identify.diagnosis.parameters.terms import FURTHER, Term, terms, time_terms
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
 from tsa_ctrl.identify.quantity import Quantity, half_width
+from tsa_ctrl.model.effects.custom import NAMES
 from tsa_ctrl.model.expression import parse
 from tsa_ctrl.model.filters import KINDS
 from tsa_ctrl.model.functions import Array
@@ -157,6 +159,7 @@ LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: l
 LEAST_GAIN = 0.1  # of the mean square left on held-out data, to be told: less is not seen in a picture of it
 
 
+LIMITED = ("omega_j", "q_j", "q_m", "tau", "temperature")  # signals that have a range; a direction and a time have none
 TIME = re.compile(r"\bt\b")
 
 
@@ -167,7 +170,8 @@ class Formula:
     `model`: with it, and with the other parameters refitted. `gain`: share of the mean square left on
     held-out data that it takes; `rms`: left there before and after, N*m at the logs' own rate; `better`, `logs`:
     held-out logs that it makes better, and how many there are. `terms`: how many things it has, a wave with its phase
-    being one.
+    being one. `ranges`: lowest and highest value of each signal of the formula in these logs; `limited` and `toml`
+    fade the formula out beyond them.
     """
 
     expression: str
@@ -178,6 +182,17 @@ class Formula:
     better: int
     logs: int
     terms: int
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def ranged(self) -> str:
+        """Return the expression with the ranges in which it was learned."""
+        return _within(self.expression, self.ranges)
+
+    @property
+    def limited(self) -> Model:
+        """Return the model with the formula in its range alone."""
+        return with_custom(self.model, {**self.model.effects["custom"], "expression": self.ranged})
 
     @property
     def tells_when(self) -> bool:
@@ -189,10 +204,30 @@ class Formula:
     def toml(self) -> str:
         """The table of a model file."""
         lines = [
-            f'expression = "{self.expression}"',
+            f'expression = "{self.ranged}"',
             *(f"{name} = {_exact(q)}" for name, q in self.constants.items()),
         ]
         return "\n".join(["[effects.custom]", *lines])
+
+
+def _within(expression: str, ranges: Mapping[str, tuple[float, float]]) -> str:
+    factors = [f"inside({name}, {low:.4g}, {high:.4g})" for name, (low, high) in ranges.items()]
+    return "*".join([f"({expression})", *factors]) if factors else expression
+
+
+def _ranges(
+    problem: Problem, expression: str, predicted: Array, mask: NDArray[np.bool_]
+) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest value of each signal of the formula, of the samples of `mask` (n,)."""
+    program = parse(expression, NAMES, dict.fromkeys(CONSTANTS, 1.0), "formula")
+    out = {}
+    for name in LIMITED:
+        if not program.uses(name) or not (name == "tau" or problem.frame.has(name)):
+            continue
+        values = (predicted if name == "tau" else problem.frame.column(name))[mask]
+        if np.ptp(values) > 0.0:
+            out[name] = (float(values.min()), float(values.max()))
+    return out
 
 
 def _exact(q: Quantity) -> str:
@@ -247,6 +282,12 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         return None
     half = half_width(max(int(blocks[-1]), 1)) * spread
     told = zip(sought.names, constants, half, strict=True)
+    ranges = _ranges(problem, sought.expression, simulated, fitting)
+    limited = {**sought.custom(constants), "expression": _within(sought.expression, ranges)}
+    try:
+        with_custom(learned.hypothesis.model(point), limited)
+    except UsageError:  # the formula is too long for its ranges
+        ranges = {}
     return Formula(
         sought.expression,
         {name: Quantity(float(v), float(v - h), float(v + h), "1") for name, v, h in told},
@@ -256,6 +297,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         better=better,
         logs=len(held),
         terms=sum(not set(unit).isdisjoint(chosen) for unit in units),
+        ranges=ranges,
     )
 
 

@@ -79,7 +79,7 @@ def write(
     source = _provenance(result, template, origin)
     save_model(result.model, folder / MODEL, template, source)
     if result.formula is not None:
-        save_model(result.formula.model, folder / FORMULA, template, source)
+        save_model(result.formula.limited, folder / FORMULA, template, source)
     if result.experiment.t:
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures, template))

@@ -224,6 +224,7 @@ def _formula(found: Formula) -> dict[str, Any]:
     return {
         "expression": found.expression,
         "constants": {name: _plain(value) for name, value in found.constants.items()},
+        "ranges": {name: [_rounded(low), _rounded(high)] for name, (low, high) in found.ranges.items()},
         "gain": _rounded(found.gain),
         "rms": {"before": _rounded(found.rms[0]), "after": _rounded(found.rms[1]), "unit": "N*m", "held_out": True},
         "logs": {"better": found.better, "of": found.logs},

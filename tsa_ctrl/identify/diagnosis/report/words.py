@@ -179,6 +179,9 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
             f"The residual follows the formula {found.expression}, which explains {found.gain:.0%} of it on held-out "
             f"data ({found.better} of {found.logs} log{'s' if found.logs > 1 else ''} better)."
         )
+        if found.ranges:
+            told = (f"{name} {low:.3g} to {high:.3g}" for name, (low, high) in found.ranges.items())
+            out.append(f"It was learned for {listed(list(told))}; formula.toml fades it out beyond that range.")
         if found.tells_when:
             out.append("The formula contains the time t of these logs: a controller cannot use it.")
     ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
