@@ -89,7 +89,7 @@ class Designer:
         self._bounds = bounds
         self._noise = max(noise, 1e-9)
         self._rng = np.random.default_rng(seed)
-        self._past = [_thinned(log.signals(), EVERY) for log in logs]
+        self._past = [_thinned(log.completed_for(joint.model).signals(), EVERY) for log in logs]
 
     def best(self, pairs: Sequence[Pair]) -> Experiment:
         """Return the best experiment; without pairs, one that covers speeds, loads and angles evenly."""
