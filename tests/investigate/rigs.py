@@ -35,7 +35,6 @@ ELASTIC = 0.01  # rad, in which the friction of stiff tendons turns over
 LEG, KNEE, GEARED = "leg", "knee", "geared"
 ROUTED = "routing_by_joint"
 DRIVE = geared.Drive(ratio=9.0, efficiency=0.85, coulomb=0.6, viscous=0.15)
-SHORT_STRIDE = 0.4  # of the leg whose routing is hidden
 FINE = 8  # steps of the simulated gear in one sample
 GEAR_NOISE = 0.01  # N*m RMS of the joint torque sensor
 
@@ -215,14 +214,9 @@ def _write_leg(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
     controller, plant = (tomlkit.parse((folder / f"{name}.toml").read_text()) for name in ("controller", "plant"))
     for axis in plant["axis"]:  # type: ignore[union-attr]
         if axis["name"] == KNEE:
-            factors = {name: float(rng.uniform(0.85, 1.2)) for name in ("friction_coefficient", "pretension")}
+            factors = {name: float(rng.uniform(0.9, 1.1)) for name in ("friction_coefficient", "pretension")}
             axis["perturbation"].update(factors)
             axis["effects"] = {name: effect for name, effect in hidden.effects.items() if name != ROUTED}
-        axis["tendon"]["kind"] = "full"
-        if (
-            ROUTED in hidden.effects
-        ):  # with its whole stride, motor and knee move too far apart for a file without routing
-            axis["motion"]["scale"] = SHORT_STRIDE
     if ROUTED in hidden.effects:
         file = tomlkit.parse((folder / f"{KNEE}.toml").read_text())
         del file["routing"]

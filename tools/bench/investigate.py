@@ -83,7 +83,8 @@ def main() -> int:
     rows = command.run_rows(trial, chosen, lambda row: (row["rig"], row["seed"]), options, seen)
 
     def shown() -> list[str]:
-        head = "| hidden | after each motion | motions | s | answer | |\n| --- | --- | --- | --- | --- | --- |"
+        titles = ("hidden", "hypotheses after each motion", "motions", "seconds of motion", "answer", "judged")
+        head = "\n".join(f"| {' | '.join(cells)} |" for cells in (titles, ["---"] * len(titles)))
         right = sum(row["right"] for row in rows)
         return [head, *map(line, rows), f"{right} of {len(rows)} right; seed {options.seed}"]
 

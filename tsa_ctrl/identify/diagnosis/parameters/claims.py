@@ -223,7 +223,7 @@ CLEARLY_BETTER = 0.9  # of the mean square: 5 % of the RMS, which a user sees in
 def alternatives(
     chosen: Selection, catalogue: Catalogue, findings: Sequence[Finding]
 ) -> tuple[Selection, tuple[Group, ...]]:
-    """The causes, those that are no more than a guess left out, and the group of each. `findings`: what they leave."""
+    """Return the causes that are more than a guess, and the group of each. `findings`: structure of their residual."""
     problem = chosen.problem
     structure = error_criterion(problem, chosen.fitted, findings)
     grouped = groups(problem, chosen.fitted, catalogue, structure)
@@ -241,15 +241,15 @@ def alternatives(
 
 
 def _takes_the_place(rival: Rival) -> bool:
-    """Whether a rival is an effect that can be named: no wider recalibration, and nothing made up."""
+    """Return True if an alternative is an effect of the catalogue: no wider recalibration, and no made-up input."""
     return not rival.fitted.hypothesis.wide_prior and rival.fitted.names[-1] == rival.name != UNRECORDED
 
 
 def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
-    """The causes with the simpler effect that one turns into in its place, where the logs do not exclude it.
+    """Return the causes with one of them replaced by its simpler limit, if the logs do not exclude that.
 
-    A spring whose stiffness may as well be none is a constant torque; it is named only where it simulates clearly
-    better. None where no cause has such a twin.
+    A spring whose stiffness may be zero is a constant torque. The spring stays only if it simulates clearly better.
+    Return None if no cause has such a limit.
     """
     reversals = models_reversals(fitted)
     for group in grouped:
@@ -265,9 +265,9 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
 def _less_than_structure(
     problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
 ) -> list[int]:
-    """Causes that stand alone, but explain less than what is left and no cause explains: a name would be a guess.
+    """Return the causes without alternatives that explain less than the unexplained structure.
 
-    Less of the white residual and of the simulation error, for what is left colours the noise that whitens.
+    Both the white residual and the simulation error are compared, because structure colours the noise model.
     """
     shares = [finding.share for finding in findings if finding.found and finding.what != DRIFT]
     left = min(max(shares, default=0.0), 1.0)

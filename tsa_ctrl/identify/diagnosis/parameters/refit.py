@@ -38,9 +38,9 @@ COMBINATIONS = ("slope", "half_loop_torque")  # of x and T_p, which logs of one 
 class Refit:
     """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval.
 
-    structured: whether what is left is not noise alone, so that passes over the same motion are no news.
+    structured: True if the residual is more than noise, so that passes over the same motion add no information.
     learned: coordinates (p,) of least squares where those of `fitted` keep the file's proportion of x and T_p instead
-    (`proportion`): what the logs tell is slope and half loop, and these are told by them.
+    (`proportion`). Slope and half loop are computed from them, because the logs determine only these two.
     """
 
     fitted: Fit
@@ -215,10 +215,10 @@ def states(velocity: Array, angle: Array) -> NDArray[np.int64]:
 
 
 def widened(covariance: Array, influence: Array, residual: Array, cells: NDArray[np.int64]) -> Array:
-    """A covariance (k, k) of coordinates, wider along what the residual (m,) scatters more by cells than it says.
+    """Return the covariance (k, k) of coordinates, widened where the residual (m,) scatters more between cells.
 
-    influence (m, k): d coordinates / d residual. Along some directions only: a sum that the logs know well while its
-    parts trade places stays as sure as the cells have it.
+    influence (m, k): d coordinates / d residual. Only some directions become wider: a sum that the logs determine well
+    keeps its interval, although its parts may replace each other.
     """
     units = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(units, units))
