@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.blind.routed import Gains, routed_case
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
+from tsa_ctrl.identify.calibrate.routing import fit_routing, of_elongation
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from, save_model
 
@@ -46,8 +48,8 @@ def test_right_gains_and_joints_without_effect_stay_as_they_are() -> None:
     assert gains_of(calibrate(logs, model)) == gains.file
 
 
-def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
-    """Friction of the two tendons by the capstan equation, with gains of 0.9 and -0.3 rad/rad and clean sensors."""
+def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]], TendonSheath]:
+    """Return a log of two tendons by the capstan equation, and a file without routing and with wrong friction."""
     rng = np.random.default_rng(5)
     t = np.arange(0.0, 60.0, 0.004)
     q, hip = 0.6 * np.sin(2.1 * t), 0.5 * np.sin(0.7 * t)
@@ -55,16 +57,19 @@ def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
     sigma = np.sign(speed)
     tau_m = 0.5 * np.sin(3.7 * t) + 0.2 * np.sin(0.31 * t)
     mu, theta, pretension, slope, r_m, r_j = 0.1, 3.0, 50.0, 30.0, 0.02, 0.025
-    bent_a, bent_b = theta + 0.9 * hip, theta - 0.3 * hip
+    bent_a, bent_b = theta + gain_a * hip, theta + gain_b * hip
     tension = pretension + slope * (0.5 * (bent_a + bent_b) - theta)
     t1, t3 = tension - tau_m / (2.0 * r_m), tension + tau_m / (2.0 * r_m)
     tau_j = r_j * (t3 * np.exp(-sigma * mu * bent_b) - t1 * np.exp(sigma * mu * bent_a))
-    noise = [0.004 * rng.standard_normal(t.size) for _ in range(2)]
+    stiffness = slope / 0.0006
+    elongation = (tau_m / r_m + tau_j / r_j) / (4.0 * stiffness)  # bends in the middle: the mean of both ends
+    noise = [scale * rng.standard_normal(t.size) for scale in (0.004, 0.004, 1e-6)]
     log = {"t": t, "tau_m": tau_m + noise[0], "tau_j": tau_j + noise[1], "omega_j": speed, "q_j": q, "q_j.hip": hip}
+    log["q_m"] = (r_j * q + elongation + noise[2]) / r_m + 0.1
     model = TendonSheath(
         motor_pulley_radius=r_m,
         joint_pulley_radius=r_j,
-        axial_stiffness=slope / 0.0006,
+        axial_stiffness=stiffness,
         unstrained_length=1.0,
         diameter=0.0006,
         contact_offset=0.0003,
@@ -72,8 +77,26 @@ def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
         bending_angle=theta,
         pretension=46.0,
     )
+    return log, model
+
+
+def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
+    """Gains of 0.9 and -0.3 rad/rad."""
+    log, model = rig_of(0.9, -0.3)
+    del log["q_m"]
     result = calibrate([Dataset.from_arrays(log, "run")], model)
     for tendon, true in (("a", 0.9), ("b", -0.3)):
         found = result.routing[f"gain_{tendon}.hip"]
         assert found.low < true < found.high
         assert found.value == pytest.approx(true, abs=0.05)
+
+
+@pytest.mark.parametrize("gain", [0.7, -0.5])
+def test_the_elongation_shows_the_gain_without_a_joint_torque(gain: float) -> None:
+    """The elongation of tendons bent in the middle is the mean of the tension differences of both ends."""
+    log, model = rig_of(gain, gain)
+    del log["tau_j"]
+    found = fit_routing(of_elongation([Dataset.from_arrays(log, "run")], model), model, False, by_elongation=True)
+    assert found is not None
+    assert found.gains["gain.hip"].low < gain < found.gains["gain.hip"].high
+    assert found.gains["gain.hip"].value == pytest.approx(gain, rel=0.15)

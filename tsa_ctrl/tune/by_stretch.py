@@ -15,12 +15,14 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split
+from tsa_ctrl.identify.calibrate.routing import fit_routing, of_elongation
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch, told
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of, unsupported_reason
+from tsa_ctrl.signals import JOINT_ANGLE
 from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
 _OF_THE_SENSOR = ("tau_j", "theta", "theta_difference")
@@ -48,9 +50,12 @@ def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimat
     """Return stiffness, friction angle and pretension; the form of the transmission stays.
 
     The joint torque by the stretch cannot show how friction changes with the wrap angle, because it contains the
-    model's friction. If other joints bend the sheaths, the estimate is made at the mean wrap angle and then converted.
-    Raises UsageError.
+    model's friction. If other joints bend the sheaths, the elongation itself shows by how much. The estimate is then
+    made at the mean wrap angle and converted. Raises UsageError.
     """
+    routed = fit_routing(of_elongation(logs, model), model, certified_gain=False, by_elongation=True)
+    if routed is not None:
+        model = routed.model
     angles = [log.completed_for(model).signals().theta for log in logs]
     bent = [angle for angle in angles if angle is not None]
     if len(bent) < len(logs):
@@ -69,6 +74,10 @@ def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimat
         half_loop_torque=_scaled(calibration.half_loop_torque, of_loop),
         model=back,
     )
+    if routed is not None:
+        calibration = dataclasses.replace(
+            calibration, routing=routed.quantities, notes=(*calibration.notes, routed.sentence)
+        )
     note = f"friction was measured at the mean wrap angle of {mean:.3g} rad and converted to bending_angle"
     return dataclasses.replace(found, model=back, calibration=calibration, notes=(*found.notes, note))
 
@@ -183,5 +192,9 @@ def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
 
 def without_torque(log: Dataset) -> Dataset:
     """Return a log as it is without the sensor, at one wrap angle."""
-    columns = {name: values for name, values in log.columns.items() if name not in _OF_THE_SENSOR}
+    columns = {
+        name: values
+        for name, values in log.columns.items()
+        if name not in _OF_THE_SENSOR and not name.startswith(JOINT_ANGLE)
+    }
     return dataclasses.replace(Dataset.from_arrays(columns, log.name), sha256=log.sha256)

@@ -5,7 +5,8 @@
 
 Friction torque and slope of the transmission follow x and T_p, so one least-squares fit of the joint torque finds x,
 T_p0, all gains g_ij and k at once (Gauss-Newton on the instrumented normal equations of `regression`). The fit makes no
-assumption on the motion: joints may move alone or together. What the motion does not show has a wide interval.
+assumption on the motion: joints may move alone or together. What the motion does not show has a wide interval. Without
+a joint torque sensor the fit is one of the elongation, with the stiffness in place of the gain of tau_M.
 
 mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which stays. The
 file knows k by the tendon's stiffness and lever. This knowledge enters as an observation with the file's uncertainty.
@@ -21,18 +22,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, offsets, stack
-from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, lagged, solve
+from tsa_ctrl.identify.calibrate.prepared import PreparedLog, admit, instrument_lag, offsets, stack
+from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, block_labels, lagged, solve
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.predict import predict, stretch
 from tsa_ctrl.model.routing import MOST_GAIN, Route, Routing
 from tsa_ctrl.model.signals import Signals
 
 FloatArray = NDArray[np.float64]
 
 MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not sought
-ITERATIONS = 10  # Gauss-Newton steps at most; on simulated rigs 4 to 8
+ITERATIONS = 10  # Gauss-Newton steps at most; on simulated rigs 2 to 7
 LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad: the first step of a wrong file is too long
 SMALLEST_STEP = 1e-5  # at which the steps end: digits that no file is written with
 SETTLED = 0.02  # of a step, below which the instruments stay: they need not be exact
@@ -108,15 +110,24 @@ def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
 
 
 class _Problem:
-    """The parameters ln x, ln T_p0, ln gain of tau_M, ln k, then mean and half difference of both gains by joint."""
+    """The parameters ln x, ln T_p0, ln gain of tau_M, ln k, then mean and half difference of both gains by joint.
 
-    def __init__(self, logs: list[PreparedLog], model: TendonSheath, joints: tuple[str, ...]) -> None:
+    The last ones are the zero of each log and, for the elongation, the error of the radii.
+    """
+
+    def __init__(
+        self, logs: list[PreparedLog], model: TendonSheath, joints: tuple[str, ...], by_elongation: bool
+    ) -> None:
         self.logs, self.model, self.joints = logs, model, joints
+        self.by_elongation = by_elongation
         self.lag = instrument_lag(logs)
         self.zero = offsets(logs)
+        if by_elongation:
+            angles = [log.signals.q_j for log in logs]
+            self.zero = [np.column_stack([own, q]) for own, q in zip(self.zero, angles, strict=True) if q is not None]
         self.labels = np.concatenate([log.labels[log.mask] for log in logs])
         self.size = JOINTS + 2 * len(joints)
-        self.start = np.zeros(self.size + len(logs))
+        self.start = np.zeros(self.size + self.zero[0].shape[1])
         self.start[X], self.start[T] = math.log(model.friction_angle), math.log(model.pretension)
         self.start[SLOPE] = math.log(max(model.pretension_slope, 1e-9))
         deviations = (
@@ -127,6 +138,8 @@ class _Problem:
         )
         self.precision = np.zeros(self.start.size)
         self.precision[:JOINTS] = [1.0 / deviation**2 for deviation in deviations]
+        if by_elongation:
+            self.precision[GAIN] = self.precision[SLOPE]  # of the stiffness
 
     def model_at(self, p: FloatArray) -> TendonSheath:
         """Return the model of the parameters."""
@@ -143,7 +156,10 @@ class _Problem:
     def response(
         self, log: PreparedLog, p: FloatArray, tau_m: FloatArray, more: float = 0.0, apart: float = 0.0
     ) -> FloatArray:
-        """Return the joint torque by the parameters, (n,); `more`, `apart`: rad added to mean and half difference."""
+        """Return the joint torque, or the elongation, by the parameters, (n,).
+
+        `more`, `apart`: rad added to mean and half difference of the wrap angles.
+        """
         signals, variant = log.signals, self.model_at(p)
         if log.tensioner:
             variant = variant.recalibrated(pretension=variant.pretension + log.tensioner)
@@ -153,11 +169,13 @@ class _Problem:
         speed = np.maximum(np.abs(signals.omega_j), 1e-9)
         bent = dataclasses.replace(
             signals,
-            tau_m=tau_m * math.exp(p[GAIN]),
+            tau_m=tau_m if self.by_elongation else tau_m * math.exp(p[GAIN]),
             omega_j=np.where(log.mask, log.admission.direction * speed, signals.omega_j),
             theta=theta + 0.5 * (a + b) + more,
             theta_difference=half + 0.5 * (a - b) + apart,
         )
+        if self.by_elongation:
+            return math.exp(-p[GAIN]) * stretch(variant, bent)
         return predict(variant, bent)
 
     def derivatives(self, log: PreparedLog, p: FloatArray, tau_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -184,10 +202,10 @@ class _Problem:
         instruments, size = np.zeros(0), math.inf
         for _ in range(ITERATIONS):
             x, y = [], []
-            for log, own, offset in zip(logs, self.zero, p[self.size :], strict=True):
+            for log, own in zip(logs, self.zero, strict=True):
                 level, rows = self.derivatives(log, p, log.signals.tau_m)
                 x.append(np.column_stack([rows, own])[log.mask][:, free])
-                y.append((log.tau_j - level - offset)[log.mask])
+                y.append((log.tau_j - level - own @ p[self.size :])[log.mask])
             if size > SETTLED:  # instruments need not be exact
                 lag = [self.derivatives(log, p, lagged(log.signals.tau_m, self.lag))[1] for log in logs]
                 pairs = zip(logs, lag, self.zero, strict=True)
@@ -208,17 +226,32 @@ class _Problem:
         return p, dataclasses.replace(found, value=p[free]), free
 
 
-def fit_routing(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool) -> RoutingFit | None:
+def of_elongation(logs: Sequence[Dataset], model: TendonSheath) -> list[PreparedLog]:
+    """Return logs without a joint torque for `fit_routing`: what it fits is r_M q_M - r_J q_J, m."""
+    prepared = []
+    for log, labels in zip(logs, block_labels([len(log) for log in logs]), strict=True):
+        signals = log.completed_for(model).signals()
+        length = model.motor_pulley_radius * log["q_m"] - model.joint_pulley_radius * log["q_j"]
+        everything = np.ones(len(log), dtype=np.bool_)
+        admission = admit(signals.t, signals.omega_j)
+        prepared.append(PreparedLog(log.name, signals, length, None, admission, labels, 0.0, everything))
+    return [log for log in prepared if log.mask.any()]
+
+
+def fit_routing(
+    logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, by_elongation: bool = False
+) -> RoutingFit | None:
     """Return the gains of all joints that move in the logs, and what goes with them.
 
-    The result is None if no joint bends a sheath, and for logs with a measured wrap angle (column theta).
+    `by_elongation`: the logs are those of `of_elongation`. The result is None if no joint bends a sheath, and for logs
+    with a measured wrap angle (column theta).
     """
-    moved = moving_joints(logs)
+    moved = moving_joints(logs) if logs else {}
     measured = model.routing is None and any(log.signals.theta is not None for log in logs)
     if not moved or measured or model.bending_angle <= 0.0:
         return None
-    problem = _Problem(logs, model, tuple(moved))
-    fixed = {GAIN} if certified_gain else set[int]()
+    problem = _Problem(logs, model, tuple(moved), by_elongation)
+    fixed = {GAIN} if certified_gain and not by_elongation else set[int]()
     found = None
     halves = set(range(JOINTS + 1, problem.size, 2))
     while True:  # remove what the logs do not show, the least first
