@@ -64,6 +64,26 @@ class TestRig:
         assert found.pretension.value == pytest.approx(pair.pretension, rel=3e-3)
         assert found.rms_after < 6e-3
 
+    @pytest.mark.parametrize("gain", [0.96, 1.0, 1.04])
+    def test_much_friction_is_split_by_the_slope(self, gain: float) -> None:
+        """The file's proportion is wrong by 40 %. The torque constant is known within a few percent only."""
+        pair, _ = RIGS["motor end, much friction"]
+        table = record(pair, 3)
+        table["tau_m"] = table["tau_m"] * gain
+        file = nominal(pair, False, 1.0).recalibrated(1.18 * pair.x, pair.pretension / 1.18)
+        found = calibrate([Dataset.from_arrays(table, "a")], file)
+        assert found.split
+        assert found.friction_angle.low <= pair.x <= found.friction_angle.high
+        assert abs(found.friction_angle.value / pair.x - 1.0) < 0.07
+
+    @pytest.mark.parametrize(("rig", "bends"), [("S", S_BENT), ("motor end, much friction", ((0.0, 0.0), (1.0, 1.0)))])
+    def test_a_slope_that_shows_nothing_or_contradicts_the_file_splits_nothing(self, rig: str, bends: Points) -> None:
+        """Little friction does not change the slope, and another course of the bends makes it impossible."""
+        pair, _ = RIGS[rig]
+        file = ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": bends}})
+        found = calibrate([Dataset.from_arrays(record(pair, 4), "a")], file.recalibrated(pair.x, pair.pretension))
+        assert not found.split
+
     @pytest.mark.slow
     @TENSIONED
     def test_split_by_the_tensioner(self, rig: str) -> None:

@@ -132,13 +132,13 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     """`found` by a joint torque sensor, with the stretch's half loop where it contradicts the regression's.
 
     A limb that creeps between its strokes moves while its tendons slide only in part: regressed there, friction comes
-    out too small. The tendons led through the log know better. The file's value stays if the elongation does not
-    determine it, if x and T_p0 were separated, or if effects take torque, which the elongation does not show.
+    out too small. The tendons led through the log know better. `found` stays if the elongation does not determine it,
+    if several configurations separated x and T_p0, or if effects take torque, which the elongation does not show.
 
     The two models may describe the bends differently, and x then has another value for the same torques. So their half
     loops at the joint are compared, each by its own form of the transmission.
     """
-    if found.calibration.split or set(model.effects) - {COUPLING}:
+    if (found.calibration.split and not found.calibration.by_slope) or set(model.effects) - {COUPLING}:
         return found
     bare = model.with_effects({})
     try:

@@ -1,12 +1,13 @@
 """Estimate friction angle x = mu Theta and pretension T_p0 from logs, (3.55)-(3.56), as far as the data identify them.
 
 One configuration identifies only two combinations: slope = r_J/r_M cosh x and friction torque = 2 T_p r_J sinh x. The
-slope identifies x only with a certified torque gain, and even then poorly. The two parameters are therefore estimated
-separately only in one of these cases:
+slope identifies x only as well as the gain of the torque channels is known, and poorly with little friction. The two
+parameters are therefore estimated separately only in one of these cases:
 
 * The bending angle or the pretension varied and is known.
 * The motor-side tensions were measured.
-* The gain is certified, and the resulting interval is narrower than the interval of the nominal file.
+* The gain is certified, or known within a few percent, and the resulting interval is narrower than the interval of the
+  nominal file.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ FloatArray = NDArray[np.float64]
 
 ITERATIONS = 8  # Gauss-Newton steps; it ends earlier when a step is below TOLERANCE
 TOLERANCE = 1e-7  # of ln x and ln T_p: digits that no file is written with; a step there is rounding
+MOST_LOG = 50.0  # of ln x and ln T_p: the end of an interval of data that do not determine it
+GAIN_UNCERTAIN = 0.05  # 95 %, of the gain from motor torque to joint torque: a torque constant and a sensor of 3 % each
 STEP = 1e-4  # relative step of numerical derivatives: its errors are far below an interval
 
 
@@ -53,10 +56,15 @@ class JointFit:
     gain_free: bool
 
 
-def joint_fit(logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool) -> JointFit | None:
-    """Gauss-Newton on the instrumented normal equations; None when the data do not determine it."""
+def joint_fit(
+    logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool, gain: float = 1.0
+) -> JointFit | None:
+    """Gauss-Newton on the instrumented normal equations; None when the data do not determine it.
+
+    `gain` (1): true motor torque over measured one, where the fit starts; a certified gain stays there.
+    """
     gain_free = not certified_gain
-    p = np.array([math.log(model.friction_angle), math.log(model.pretension), 0.0, *np.zeros(len(logs))])
+    p = np.array([math.log(model.friction_angle), math.log(model.pretension), math.log(gain), *np.zeros(len(logs))])
     free = [0, 1, *([2] if gain_free else []), *range(3, p.size)]
     zero = offsets(logs)
     estimate = None
@@ -114,9 +122,32 @@ def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
     """Friction angle (1) and pretension (N) with their intervals."""
     made = []
     for index, unit in ((0, "1"), (1, "N")):
-        low, high = joint.estimate.interval(index)
+        low, high = (min(MOST_LOG, max(-MOST_LOG, end)) for end in joint.estimate.interval(index))
         made.append(Quantity(math.exp(float(joint.estimate.value[index])), math.exp(low), math.exp(high), unit))
     return made[0], made[1]
+
+
+def by_slope(
+    logs: list[PreparedLog], model: TendonSheath, lag: int
+) -> tuple[tuple[Quantity, Quantity], JointFit] | None:
+    """Return x (1) and T_p (N) of one configuration from slope and half loop, and their fit.
+
+    The gain of the torque channels is known within `GAIN_UNCERTAIN` only. The intervals contain this error. With much
+    friction, or bends near the motor, the slope still determines x better than the file does. None where it does not,
+    or where the result contradicts the file's [uncertainty]: then the form of the transmission or a gain is wrong.
+    """
+    joint = joint_fit(logs, model, lag, True)
+    if joint is None or not narrower(quantities(joint), model):
+        return None
+    other = joint_fit(logs, model, lag, True, 1.0 + GAIN_UNCERTAIN)
+    if other is None:
+        return None
+    x, tension = (
+        _widened(one, math.log(two.value / one.value))
+        for one, two in zip(quantities(joint), quantities(other), strict=True)
+    )
+    inside = all(low <= one.value <= high for one, (low, high) in zip((x, tension), bounds(model), strict=True))
+    return ((x, tension), joint) if inside and narrower((x, tension), model) else None
 
 
 def _with_stiffness(
@@ -342,6 +373,10 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         found, condition = (routed.friction_angle, routed.pretension), math.inf if joint is None else joint.condition
     elif joint is not None:
         found, condition = _with_stiffness(quantities(joint), logs, model, lag, certified_gain), joint.condition
+    sloped = by_slope(logs, model, lag) if found is None and split == "keep" else None
+    if sloped is not None:
+        found, joint = sloped
+        condition, (slope, half_loop) = joint.condition, combinations_of(joint, model)
     is_split = found is not None and (routed is not None or narrower(found, model))
     ratio = model.joint_pulley_radius / model.motor_pulley_radius
     impossible = slope.high < (1.0 - GAIN) * ratio and not model.effects
@@ -367,6 +402,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         slope=slope,
         half_loop_torque=half_loop,
         split=is_split,
+        by_slope=sloped is not None,
         condition_number=condition,
         admitted_seconds=sum(log.admission.seconds for log in logs),
         refused=tuple(sorted({name for log in logs for name in log.admission.refused})),

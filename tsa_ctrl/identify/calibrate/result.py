@@ -30,7 +30,8 @@ class Calibration(Displayed):
     `slope` (1) is d tau_J / d tau_M and `half_loop_torque` (N*m) half the distance between the two branches, both at
     the model's own bending angle and pretension: for the simplified model r_J/r_M cosh x and 2 T_p r_J sinh x.
     `split`: the data part the product into x and T_p; otherwise `friction_angle` and `pretension` keep the nominal
-    file's proportion and their intervals are what [uncertainty] and the half loop leave open.
+    file's proportion and their intervals are what [uncertainty] and the half loop leave open. `by_slope`: the slope of
+    one configuration separated them.
 
     `routing`: gains of other joints by "gain.JOINT" (rad/rad; "gain_a.JOINT", "gain_b.JOINT" where the tendons differ)
     and "pretension_per_wrap_angle" (N/rad); empty where no other joint bends the sheath.
@@ -58,6 +59,7 @@ class Calibration(Displayed):
     model: TendonSheath
     errors: ThreeErrors = field(default_factory=ThreeErrors)
     routing: Mapping[str, Quantity] = field(default_factory=dict)
+    by_slope: bool = False
     sliding_before: float = math.nan
     sliding_after: float = math.nan
     sliding_given: float = math.nan
