@@ -44,6 +44,7 @@ ITERATIONS = 8  # Gauss-Newton steps; it ends earlier when a step is below TOLER
 TOLERANCE = 1e-7  # of ln x and ln T_p: digits that no file is written with; a step there is rounding
 MOST_LOG = 50.0  # of ln x and ln T_p: the end of an interval of data that do not determine it
 GAIN_UNCERTAIN = 0.05  # 95 %, of the gain from motor torque to joint torque: a torque constant and a sensor of 3 % each
+BY_SLOPE = 0.5  # of the file's uncertainty: at x = 0.7 in (3.55) a gain that is off by 5 % leaves 0.6 of it
 STEP = 1e-4  # relative step of numerical derivatives: its errors are far below an interval
 
 
@@ -133,8 +134,8 @@ def by_slope(
     """Return x (1) and T_p (N) of one configuration from slope and half loop, and their fit.
 
     The gain of the torque channels is known within `GAIN_UNCERTAIN` only. The intervals contain this error. With much
-    friction, or bends near the motor, the slope still determines x better than the file does. None where it does not,
-    or where the result contradicts the file's [uncertainty]: then the form of the transmission or a gain is wrong.
+    friction, or bends near the motor, the slope still determines x much better than the file does. None where it does
+    not, or where the result contradicts the file's [uncertainty]: then the form of the transmission or a gain is wrong.
     """
     joint = joint_fit(logs, model, lag, True)
     if joint is None or not narrower(quantities(joint), model):
@@ -147,7 +148,7 @@ def by_slope(
         for one, two in zip(quantities(joint), quantities(other), strict=True)
     )
     inside = all(low <= one.value <= high for one, (low, high) in zip((x, tension), bounds(model), strict=True))
-    return ((x, tension), joint) if inside and narrower((x, tension), model) else None
+    return ((x, tension), joint) if inside and narrower((x, tension), model, BY_SLOPE) else None
 
 
 def _with_stiffness(

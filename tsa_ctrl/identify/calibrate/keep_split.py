@@ -23,12 +23,12 @@ def bounds(model: TendonSheath) -> tuple[tuple[float, float], tuple[float, float
     return (x / fx, x * fx), (tension / ft, tension * ft)
 
 
-def narrower(found: tuple[Quantity, Quantity], model: TendonSheath) -> bool:
-    """Return True if both intervals from the data are narrower than the uncertainty of the nominal file."""
+def narrower(found: tuple[Quantity, Quantity], model: TendonSheath, share: float = 1.0) -> bool:
+    """Return True if both intervals from the data are narrower than `share` of the uncertainty of the nominal file."""
     for quantity, (low, high) in zip(found, bounds(model), strict=True):
         if not (quantity.low > 0.0 and math.isfinite(quantity.high)):
             return False
-        if quantity.high / quantity.low >= high / low:
+        if quantity.high / quantity.low >= (high / low) ** share:
             return False
     return True
 
