@@ -34,6 +34,7 @@ LONG = {
     "bench/diagnose --short --families none:1 --jobs 1 --out {out}/rows.jsonl": "none",
     "bench/hour --seconds 60 --kinds csv": "MB",
     "bench/measured --list": "above its limit",
+    "bench/leg --only runaway": "free, encoder",
     "bench/rigs --rigs 1 --seed 1": "0 of 1 tunings failed",
     "bench/stretch --rigs 1": "intervals hold the truth",
     "bench/two_encoders --draws 1 --names nothing:joint": "groups became single names",

@@ -5,6 +5,7 @@ Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [
 One run, one bus, and one process that answers each SYNC (as in `tsa bench`). The variants take turns in blocks:
 
   raw socket        SYNC out, TPDOs in, RPDOs out: the minimum in Python
+  raw socket, C     the same in C; without a C compiler this row is left out
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
   ours, all         the same with the work after the RPDO: estimate, record for the log, a command of the local socket
 
@@ -51,6 +52,9 @@ def main() -> int:
                 "ours": lambda: ways.ours(configuration),
                 "ours, all": lambda: ways.ours_all(configuration),
             }
+            library = ways.floor_library(folder)
+            if library is not None:
+                table["raw socket, C"] = lambda: ways.raw_socket_in_c(configuration, library)
             found = measure(table, configuration.file.controller.rate, options.rounds, options.cycles)
     if options.json:
         rate = configuration.file.controller.rate

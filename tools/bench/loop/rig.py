@@ -15,27 +15,41 @@ model = "actuator.toml"
 [axis.drive]
 node_id = {drive}
 max_torque = 3.0
+{drive_more}
 [axis.encoder]
 node_id = {encoder}
+{more}
 [axis.torque_sensor]
 node_id = {sensor}
+{more}
 [axis.setpoint]
 kind = "sine"
 amplitude = 0.3
 frequency = 0.5
 [axis.limits]
 torque = 2.0
+{each}
 """
+PATIENT = ("rpdo_timeout = 1.0\nhost_timeout = 2.0\nheartbeat_timeout = 2.0", "heartbeat_timeout = 2.0")  # s
+TOLERANT = "[bus.supervision]\ntolerated_misses = 100\nlost_share = 1.0"
 
 
-def controller_text(folder: str | Path, interface: str, axes: int, rate: float = 0.0) -> str:
-    """Return the TOML of a controller whose files are in `folder`; `rate` 0 is the highest that the bus carries."""
+def controller_text(
+    folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False, each: str = ""
+) -> str:
+    """TOML of a controller whose files lie in `folder`; `rate` 0 is the highest that the bit rate carries.
+
+    `patient`: the machine's stalls shall be measured, not end the run. `each`: TOML that every axis gets besides.
+    """
     shutil.copy(CONFIG / "actuator.toml", folder)
+    drive_more, more = PATIENT if patient else ("", "")
     text = f"""
 [controller]
 rate = {rate or RATES[axes]}
+{"collect = 0.8" if patient else ""}
 [bus]
 channel = "{interface}"
+{TOLERANT if patient else ""}
 [realtime]
 allow_without = true
 [log]
@@ -43,4 +57,20 @@ folder = "logs"
 [socket]
 path = "{folder}/tsa.sock"
 """
-    return text + "".join(AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n) for n in range(axes))
+    return text + "".join(
+        AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n, drive_more=drive_more, more=more, each=each)
+        for n in range(axes)
+    )
+
+
+def plant_text(interface: str, axes: int) -> str:
+    """TOML of the plant to it: its axes follow a gait, and their truth is not the controller's model."""
+    axis = """
+[[axis]]
+name = "axis{n}"
+actuator = "actuator.toml"
+[axis.perturbation]
+friction_coefficient = 1.08
+pretension = 0.95
+"""
+    return f'[bus]\nchannel = "{interface}"\n' + "".join(axis.format(n=n) for n in range(axes))
