@@ -1,1 +1,1 @@
-"""Forward selection of causes: what may enter, what must leave, and how small an effect would have been seen."""
+"""Select causes forward: entry tests, removal, and the detection limit of each effect."""

@@ -1,4 +1,4 @@
-"""How small an effect these logs would still have shown: per effect, the size found with probability 0.9."""
+"""Compute the detection limit of each effect in these logs: the size that is detected with probability 0.9."""
 
 from __future__ import annotations
 
@@ -22,16 +22,20 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, torque
 from tsa_ctrl.model.functions import Array
 
-POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9: a normal law's
-SPREAD = 1.15  # a block-robust deviation exceeds the nominal one by so much now and then
-INVISIBLE = 1e-6  # of the largest response: an effect that changes nothing here
+# standard deviations above a threshold at which it is exceeded with probability 0.9 (normal distribution)
+POWER = 1.2816
+SPREAD = 1.15  # factor by which a block-robust deviation now and then exceeds the nominal one
+INVISIBLE = 1e-6  # share of the largest response: a smaller effect changes nothing in these logs
 
 
 @dataclass(frozen=True)
 class DetectionLimits:
-    """`sizes` in N*m by effect, the median over its grid; `invisible`: effects that change nothing in these logs.
+    """Detection limits of the effects in these logs.
 
-    `hidden`: effects that these logs show only where they are larger than the torque itself, and how large, N*m.
+    Attributes:
+        sizes: detection limit in N*m by effect, the median over the effect's grid.
+        invisible: effects that have no influence on these logs, or none that differs from a recalibration.
+        hidden: detection limit in N*m of the effects whose limit exceeds the torque itself.
     """
 
     sizes: Mapping[str, float]
@@ -40,11 +44,16 @@ class DetectionLimits:
 
 
 def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
-    """What the first round of a selection, beside the base alone, would have seen.
+    """Return the detection limits in the first round of a selection, when the model has only its base.
 
-    structure: share of what is left that is no noise; a cause that explains less than that would be a guess, and is
-    not named (`rivals.alternatives`). What these logs hold of an effect without its being named, because it is too
-    little or another cause looks like it, an effect of the other sign must first make up for.
+    A cause that explains less than the remaining structure would be a guess and is not reported
+    (`claims.alternatives`). An effect may be present in the logs but not identified, because it is too small or
+    resembles another cause. A further effect of opposite sign must first compensate for it, so this part is added to
+    the limit.
+
+    Args:
+        chosen: the selection with its rounds.
+        structure: share of the residual's mean square that is not noise.
     """
     problem, first = chosen.problem, chosen.rounds[0]
     scored = scores(problem, first.fitted, first.responses)
@@ -53,7 +62,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
     noise = noise_rms(problem, chosen.fitted)
     needed = max(first.threshold, SMALLEST_GAIN * problem.count)
     white_size = max(np.sqrt(needed), SPREAD * BLOCK_T) + POWER
-    # However sure it is, a cause must take so much off the simulation error, of which reversals show little
+    # Even a certain cause must reduce the simulation error by this amount, to which reversals contribute little.
     plain = on_simulation_error(problem, models_reversals(chosen.fitted) or not problem.nuisance.moments)
     left = min(structure, 1.0) * simulation_error(problem, chosen.fitted) / problem.count
     error = max(LEAST_ERROR_REDUCTION, float(np.sqrt(left)) / problem.noise.rms)  # in units of the noise
@@ -65,7 +74,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
             continue
         raw = response.columns[problem.mask]
         raw = raw - recalibration @ (recalibration.T @ raw)
-        if not raw.any():  # a recalibration is all of it
+        if not raw.any():  # The effect is equivalent to a recalibration.
             continue
         shown = plain.whiten(response.columns)
         shown = shown - known @ (known.T @ shown)
@@ -83,13 +92,13 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
 
 
 def _held(fitted: Fit, score: Score) -> float:
-    """What the logs hold of an effect, of either sign, beyond what noise shows of it, white units."""
+    """Return the size of an effect of either sign that the logs contain beyond the noise level, white units."""
     shown = orthonormal(score.columns).T @ fitted.residual
     return float(np.sqrt(max(np.sum(shown**2) - BY_NOISE, 0.0)))
 
 
 def _tangents(problem: Problem, fitted: Fit) -> Array:
-    """d prediction / d base coordinates that no bound holds, (n, p) in N*m, not whitened."""
+    """Return d prediction / d base coordinates that no bound holds, (n, p) in N*m, not whitened."""
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
     columns = []
     for i, free in enumerate(fitted.free[: len(fitted.hypothesis.base.coordinates())]):

@@ -1,7 +1,7 @@
-"""Whether a cause may enter: family-wise threshold, block-robust test, cross-validation, size, simulation error.
+"""Decide whether a cause enters: family-wise threshold, block-robust test, cross-validation, size, simulation error.
 
-With the effects' own columns thousands of samples make any trifle significant in white noise; so an entry must also
-hold between about 24 blocks, predict blocks that it was not fitted on, and be large enough to matter.
+With thousands of samples of white noise, even a negligible effect is statistically significant. A cause must therefore
+also be consistent between about 24 blocks, predict blocks that it was not fitted on, and be large enough to matter.
 """
 
 from __future__ import annotations
@@ -26,52 +26,58 @@ from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 
-DRAWS = 300  # of the best of all candidates: its tail is a Gumbel law of their mean and spread, known to 6 %
-# Chance that the best candidate passes on noise alone: 1 % of logs in all may name something, in five rounds
+DRAWS = 300  # random trials of the gain of the best candidate: they determine the spread of its Gumbel tail to 6 %
+# Probability that the best candidate passes on noise alone: over five rounds, 1 % of all logs may yield a false cause
 FAMILY_LEVEL = 0.002
-FOLDS = 6  # parts left out: each is a sixth, so that what is learned from the others is hardly less than all
-BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
-LATE_T = 3.0  # the same of what is late beside moments that are free, before it is asked whether they show it: 0.6 %
-# Share of the gain that holds on blocks not fitted on: fitted noise keeps none, a cause all but its own
+FOLDS = 6  # parts for cross-validation: without one sixth of the data, a fit learns hardly less than from all of it
+BLOCK_T = 4.0  # t with 23 degrees of freedom: 0.06 % two-sided
+LATE_T = 3.0  # t of a lag or a delay with free reversal times, before it is tested with fixed times: 0.6 % two-sided
+# Least share of the gain that remains on blocks not used in the fit. Fitted noise keeps nothing; a true cause loses
+# only what it gained by fitting noise.
 LEAST_CROSS_VALIDATED = 0.4
-LEAST_OUTSIDE = 0.12  # share of the gain left without the best block: an even one of 24 leaves 0.96, a burst none
-# Times the threshold, of the gain outside the best block: so it would enter without it, and as much again
+# Least share of the gain without the best block: a gain spread evenly over 24 blocks keeps 0.96, a single burst keeps
+# nothing
+LEAST_OUTSIDE = 0.12
+# Least ratio of the gain outside the best block to the threshold: the cause would enter without that block by a factor
+# of two
 TIMES_OUTSIDE = 2.0
-SMALLEST = 0.2  # of the noise RMS: smaller effects change the error by 2 %, which nobody would see
-# Of the noise RMS at the score rate, that the simulation error must lose: a sixth of the noise's mean square
+SMALLEST = 0.2  # share of the noise RMS: a smaller effect changes the error by 2 %, which is not visible
+# Least reduction of the simulation error as a share of the noise RMS at the score rate: a sixth of the noise's mean
+# square
 LEAST_ERROR_REDUCTION = 0.4
-# Logs, each of which must lose more than half of its error by a cause fitted on the others alone: a cause that means
-# nothing makes a log better about as often as worse, and halves the error of four hardly ever; fewer logs must lose so
-# much more of it that their shares multiply to no more than those of four
+# Each log must lose more than half of its error by a cause fitted only on the other logs. A meaningless cause improves
+# a log about as often as it makes it worse, and hardly ever halves the error of four logs. With fewer logs, each must
+# lose more, so that the product of the remaining shares is not larger than with four.
 ENOUGH_LOGS, FEWEST_LOGS, MOST_LEFT = 4, 2, 0.5
-SMALLEST_GAIN = 0.008  # of the number of samples
+SMALLEST_GAIN = 0.008  # least gain as a share of the number of samples: significant but smaller gains are negligible
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of one effect beside the others."""
+    """Evidence for one effect in addition to the other effects of a fit."""
 
     gain: float  # decrease of the sum of squares, white units
-    block_t: float  # block-robust t of its strength
-    cross_validated: float  # decrease on blocks not fitted on, white units
-    outside_best_block: float  # share of the gain that is left without the block that gains most
-    size: float  # RMS of what it adds, N*m at the score rate
+    block_t: float  # block-robust t statistic of the effect
+    cross_validated: float  # decrease of the sum of squares on blocks not used in the fit, white units
+    outside_best_block: float  # share of the gain that remains without the block with the largest gain
+    size: float  # RMS change of the prediction, N*m at the score rate
 
     @property
     def cross_validated_share(self) -> float:
-        """Share of the gain that holds on blocks not fitted on."""
+        """Return the share of the gain that remains on blocks not used in the fit; 0 without a gain."""
         return self.cross_validated / self.gain if self.gain > 0.0 else 0.0
 
     @property
     def holds(self) -> bool:
-        """Whether it holds between blocks, and on blocks not fitted on."""
+        """Return True if the effect is consistent between blocks and predicts blocks not used in the fit."""
         return self.block_t > BLOCK_T and self.cross_validated_share > LEAST_CROSS_VALIDATED
 
 
 def entry_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
-    """Decrease of the sum of squares that the best candidate exceeds on noise with probability FAMILY_LEVEL.
+    """Return the decrease of the sum of squares that the best candidate exceeds on noise with probability FAMILY_LEVEL.
 
-    Parametric bootstrap: white noise projected on every candidate's response; the maximum's tail by a Gumbel law.
+    The threshold is computed by a parametric bootstrap: white noise is projected on the response of every candidate.
+    The tail of the maximum is modelled by a Gumbel distribution. The threshold is 0 if there is no candidate.
     """
     bases = [basis for basis in (orthonormal(score.columns) for score in found) if basis.shape[1]]
     if not bases:
@@ -90,7 +96,7 @@ def entry_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
 
 
 def evidence(problem: Problem, smaller: Fit, larger: Fit) -> Evidence:
-    """What `larger` has over `smaller`, to which it adds one effect."""
+    """Return the evidence for the effect that `larger` has in addition to those of `smaller`."""
     difference = smaller.residual - larger.residual
     basis = orthonormal(smaller.jacobian)
     difference = difference - basis @ (basis.T @ difference)
@@ -114,12 +120,15 @@ def evidence(problem: Problem, smaller: Fit, larger: Fit) -> Evidence:
 
 
 def cross_validated(fitted: Fit, blocks: NDArray[np.int64]) -> float:
-    """Sum of squares over blocks that the coordinates were not fitted on (one Gauss-Newton step from the full fit)."""
+    """Return the sum of squares over blocks that were not used to fit the coordinates, white units.
+
+    Each fold takes one Gauss-Newton step from the fit on all samples.
+    """
     jacobian = fitted.jacobian
     if jacobian.shape[1] == 0:
         return fitted.rss
     width = 0.5 * (fitted.hypothesis.high - fitted.hypothesis.low)[fitted.free]
-    prior = np.diag(1.0 / width**2)  # a coordinate moves within its bounds, however little one fold knows of it
+    prior = np.diag(1.0 / width**2)  # keeps coordinates in their bounds if a fold shows little of them
     gram = jacobian.T @ jacobian + prior
     total = 0.0
     for fold in range(FOLDS):
@@ -133,9 +142,21 @@ def cross_validated(fitted: Fit, blocks: NDArray[np.int64]) -> float:
 
 
 def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
-    """Whether the last effect of `found` is to be named beside those of `before`.
+    """Return True if the last effect of `found` is accepted in addition to the effects of `before`.
 
-    threshold: of the decrease of the sum of squares, for the family of candidates (white units).
+    An effect whose parameters are not meaningful never enters. Any other effect enters in one of three cases:
+
+    1. It passes all tests.
+    2. It is a lag or a delay, is the first cause, and passes all tests with fixed reversal times. With free reversal
+        times
+       only its gain and a lower t are tested.
+    3. Its evidence is too weak, but it transfers to other logs.
+
+    Args:
+        problem: the logs with the noise model.
+        before: the fit without the effect.
+        found: the fit with the effect, which is its last one.
+        threshold: least decrease of the sum of squares for the family of candidates, white units.
     """
     if meaningless(problem, found):
         return False
@@ -151,9 +172,9 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
 
 
 def _in_all_reversals(problem: Problem, before: Fit, found: Fit, needed: float) -> bool:
-    """Whether a lateness shows where the moments of reversals are not free.
+    """Return True if a lag or a delay passes all tests when the times of the reversals are not free.
 
-    Few reversals show one of a sample or two beside moments that are; all do when they are not.
+    With free reversal times, only few reversals show a delay of one or two samples. With fixed times, all of them do.
     """
     bare = dataclasses.replace(problem, nuisance=Nuisance(problem.nuisance.smooth))
     smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (before, found))
@@ -162,10 +183,11 @@ def _in_all_reversals(problem: Problem, before: Fit, found: Fit, needed: float) 
 
 
 def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
-    """Whether the last effect of `found` takes most of the simulation error of every log that it was not fitted on.
+    """Return True if the last effect of `found` removes most of the simulation error of each log not used in the fit.
 
-    Of short logs a noise model cannot tell a large cause from slow noise, for each shows one swing of it; but slow
-    noise of one log does not foretell another one's.
+    In short logs a noise model cannot distinguish a large cause from slow noise, because each log shows only one period
+    of it. Slow noise of one log, however, does not predict that of another log. Return False for fewer than FEWEST_LOGS
+    logs.
     """
     logs = [part for part in problem.frame.slices if problem.mask[part].any()]
     if len(logs) < FEWEST_LOGS:
@@ -173,7 +195,7 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
     reversals = models_reversals(found) or not problem.nuisance.moments
     plain = on_simulation_error(problem, reversals)
     if fit(plain, found.hypothesis, found.point).rss > MOST_LEFT * fit(plain, before.hypothesis, before.point).rss:
-        return False  # cheap, and most candidates end here
+        return False  # This test is cheap and rejects most candidates.
     share = 1.0
     for part in logs:
         inside = np.zeros(len(problem.frame), dtype=np.bool_)
@@ -190,7 +212,11 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
 
 
 def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
-    """More than a burst in one block (without a parameter there is nothing to fit one with), and large enough."""
+    """Return True if the gain is spread over several blocks and the effect is large enough.
+
+    An effect without parameters is exempt from the limit LEAST_OUTSIDE, because it cannot be fitted to a burst in one
+    block.
+    """
     return (
         (proof.outside_best_block > LEAST_OUTSIDE or not found.hypothesis.variants[-1].coordinates)
         and proof.outside_best_block * proof.gain > TIMES_OUTSIDE * needed
@@ -200,9 +226,10 @@ def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Eviden
 
 
 def _reduces_simulation_error(problem: Problem, smaller: Fit, larger: Fit) -> bool:
-    """Whether the simulation error loses enough: what noise of an input feigns gains next to nothing.
+    """Return True if the simulation error decreases enough from `smaller` to `larger`.
 
-    Measured by the noise, or by all that is left where a noise model that holds structure exceeds it.
+    An effect that only fits the noise of an input hardly reduces the simulation error. The limit is a share of the
+    noise, or of the residual of `larger` if that is smaller because the noise model contains structure.
     """
     reversals = models_reversals(larger) or not problem.nuisance.moments
     before, after = (fit_on_simulation_error(problem, fitted, reversals).rss for fitted in (smaller, larger))

@@ -1,4 +1,4 @@
-"""Forward and backward selection of causes (stepwise regression); `entry` says what may enter."""
+"""Select causes forward and backward (stepwise regression); `entry` decides which causes may enter."""
 
 from __future__ import annotations
 
@@ -40,26 +40,26 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     step_with_late_reversals,
 )
 
-MOST_CAUSES = 4  # beyond which a list of causes is a fit of functions: targets and tests hide two
+MOST_CAUSES = 4  # a longer list of causes merely fits functions to the data; targets and tests hide two causes
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
-# Of the number of samples, of the sum of squares (white units): 5 % are three deviations of 7,000 samples
+# Ratio of the sum of squares (white units) to the number of samples: 5 % are three standard deviations of 7,000 samples
 MORE_THAN_NOISE = 1.05
 
 
 @dataclass(frozen=True)
 class Round:
-    """One round of forward selection: what could be added to `fitted`, best first, and the threshold it must pass."""
+    """One round of forward selection: the effects that can be added to `fitted`, best first, and the threshold."""
 
     fitted: Fit
-    steps: tuple[Fit, ...]  # with one effect more
-    scores: tuple[Score, ...]  # of each effect, the best
-    responses: tuple[Response, ...]  # of each start of each variant
+    steps: tuple[Fit, ...]  # fits with one more effect
+    scores: tuple[Score, ...]  # the best score of each effect
+    responses: tuple[Response, ...]  # one for each start of each variant
     threshold: float
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The causes found, in the order of their entry; `rounds` is how it came to them."""
+    """Causes in the order of their entry, with their evidence; `rounds` records the rounds of the selection."""
 
     problem: Problem
     fitted: Fit
@@ -67,11 +67,11 @@ class Selection:
     rounds: tuple[Round, ...]
 
     def with_fit(self, fitted: Fit) -> Selection:
-        """The selection with these causes, under the same noise model."""
+        """Return the selection with the causes of `fitted` under the same noise model."""
         return dataclasses.replace(self, fitted=fitted, evidence=_evidence(self.problem, fitted))
 
     def without(self, indices: Sequence[int]) -> Selection:
-        """The selection without these causes, under the same noise model."""
+        """Return the selection without the causes at these indices, under the same noise model."""
         fitted = self.fitted
         for index in sorted(indices, reverse=True):
             fitted = backward_step(self.problem, fitted, index)
@@ -79,9 +79,10 @@ class Selection:
 
 
 def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Selection:
-    """Causes that the data demand beside those of `start`, which is the recalibrated base.
+    """Return the causes that the data require in addition to those of `start`.
 
-    An entry that pruning takes back to causes already looked at is none: it would enter and go again without end.
+    `start` is the recalibrated base, or a fit that already has causes. A new cause is ignored if pruning then leads
+    back to a set of causes that was already reached. Otherwise the same cause would enter and leave endlessly.
     """
     fitted = start
     rounds: list[Round] = []
@@ -105,7 +106,10 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
 
 
 def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Noise model and causes with a new one among them, which may make others unnecessary or be so itself."""
+    """Return the problem under the new noise model, and the causes after one of them was added.
+
+    The new cause may make others unnecessary, or may itself be unnecessary, so the causes are pruned.
+    """
     problem, fitted = _under_new_noise(problem, entry, catalogue)
     return _pruned(problem, _best_variants(problem, fitted, catalogue), catalogue)
 
@@ -119,7 +123,7 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     steps = [forward_step(problem, fitted, score) for score in promising]
     for variant in variants:
         late = variant.effect in LATE_REVERSALS
-        hidden = late and not fitted.names  # what these do then may be hidden without a trace
+        hidden = late and not fitted.names  # Free reversal times may hide a lag or a delay completely.
         if hidden or fitted.rss > MORE_THAN_NOISE * problem.count:
             tried = step_with_late_reversals if late else step_from_nominal
             steps += [tried(problem, fitted, variant, start) for start in variant.full_strength]
@@ -129,7 +133,10 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
 
 
 def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
-    """The same, an effect behind the simpler one that it turns into, where noise alone may explain the difference."""
+    """Return the same fits, with the simpler effect before the other where noise alone may explain the difference.
+
+    `SIMPLER` lists the effects that have a simpler limit.
+    """
     out: list[Fit] = []
     for found in ranked:
         name = SIMPLER.get(found.names[-1])
@@ -141,7 +148,10 @@ def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
 
 
 def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
-    """Effects without a parameter that recalibration may have made up for: tried when nothing else enters."""
+    """Yield fits with one more effect without parameters, started from the nominal base.
+
+    Recalibration may have compensated for such an effect. These fits are tried if no other effect enters.
+    """
     if fitted.rss > MORE_THAN_NOISE * problem.count:
         variants = all_but(fitted.names, catalogue)
         found = [step_from_nominal(problem, fitted, v) for v in variants if not v.coordinates]
@@ -149,9 +159,10 @@ def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Itera
 
 
 def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
-    """Effects by what they take off the simulation error of several logs: tried when nothing else enters.
+    """Yield fits with one more effect that halves the simulation error of several logs.
 
-    What is as slow as the noise of short logs scores little where that noise is whitened, but may transfer.
+    These fits are tried if no other effect enters. An effect that is as slow as the noise of short logs scores little
+    after whitening, but may transfer to other logs.
     """
     if sum(bool(problem.mask[part].any()) for part in problem.frame.slices) < FEWEST_LOGS:
         return
@@ -163,9 +174,10 @@ def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterato
 
 
 def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> Selection | None:
-    """The causes with one more that takes more off the simulation error than it leaves; None where none does.
+    """Return the selection with one more cause that removes more of the simulation error than remains, or None.
 
-    For what is mostly structure, which colours the noise that whitens until it hides whatever is as slow.
+    This step is for a residual that is mostly structure. Structure colours the noise model, so whitening hides effects
+    that are as slow as the structure.
     """
     problem, fitted = selection.problem, selection.fitted
     if len(fitted.names) >= MOST_CAUSES:
@@ -183,12 +195,13 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
 
 
 def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Nuisance and noise model as the causes found so far leave them, and the fit under them.
+    """Return the problem with nuisance columns and noise model for the present causes, and the fit under them.
 
-    The moments follow the causes unless the fit becomes worse. A moment hides when a gap closes, so the fitted gap may
-    be wrong by some samples. The moment that follows it then no longer covers the reversal.
+    The moments of the reversals follow the causes unless the fit becomes worse. A moment hides the time at which a gap
+    closes, so the fitted gap may be wrong by some samples. The moment that follows it then no longer covers the
+    reversal.
     """
-    for _ in range(2):  # a delay moves the moments of unknown direction, and they bias the delay
+    for _ in range(2):  # A delay moves the moments of unknown direction, which bias the delay.
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
         moved = dataclasses.replace(problem, nuisance=columns)
         refitted = fit(moved, fitted.hypothesis, fitted.point)
@@ -199,7 +212,11 @@ def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tup
 
 
 def _best_variants(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
-    """The same causes, each in the variant that fits best now; scores under the first noise model may mistake it."""
+    """Return the same causes, each in the variant that now fits best.
+
+    Only variants with coordinates but without an amplitude are tried. The scores under the first noise model may have
+    preferred another variant.
+    """
     for effect in fitted.names:
         index = fitted.names.index(effect)
         own = fitted.hypothesis.variants[index]
@@ -216,14 +233,18 @@ def _best_variants(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
 
 
 def _pruned(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Causes that the others make unnecessary are dropped."""
+    """Return the problem and the fit after all causes that the others make unnecessary were removed."""
     while len(fitted.names) > 1 and (smaller := _backward(problem, fitted)) is not None:
         problem, fitted = _under_new_noise(problem, smaller, catalogue)
     return problem, fitted
 
 
 def _backward(problem: Problem, fitted: Fit) -> Fit | None:
-    """Without a cause that says nothing, or that neither stands out of the noise nor transfers; None: all stay."""
+    """Return the fit without the first cause that is not needed; None if all causes stay.
+
+    A cause is not needed if its parameters are not meaningful, or if it neither exceeds the noise nor transfers to
+    other logs.
+    """
     unfounded = meaningless(problem, fitted)
     for index in range(len(fitted.names)):
         smaller = backward_step(problem, fitted, index)

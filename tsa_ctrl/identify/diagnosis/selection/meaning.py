@@ -1,7 +1,8 @@
-"""Whether the numbers of a fit mean anything: a claim is a part of the torque, and its number lies inside its bounds.
+"""Check that the parameters of a fit are meaningful.
 
-Two causes that look alike can be given any size as long as their difference fits; and a number that a bound holds says
-where the search ended, not what the drive does.
+An effect is meaningful if its contribution is a part of the torque and its parameters lie inside their bounds. Two
+similar effects can have any size as long as their difference fits the data. A parameter at a bound shows where the
+search ended, not a property of the drive.
 """
 
 from __future__ import annotations
@@ -18,19 +19,25 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     on_simulation_error,
 )
 
-# Largest contribution of an effect over the torque: other contributions cancel eight ninths of the square of one that
-# is three times as large, so that its parameter is the difference of two guesses.
+# Largest ratio of an effect's contribution to the torque. Other contributions cancel eight ninths of the square of a
+# contribution that is three times the torque, so its parameter would depend on the difference of two uncertain values.
 MOST_PART = 3.0
-FAR = 10.0  # half ranges of the motion, to the rest angle: the torque of such a spring varies by a tenth
-AT_BOUND = 1e-6  # of the range between two bounds: a fit that is held there stands on it, but for rounding
-# Decrease of the sum of squares (white units) by noise alone: 3.7 deviations; one test in 5,000 has more
+FAR = 10.0  # distance to the rest angle in half ranges of the motion: the torque of such a spring varies by a tenth
+# share of the range between two bounds: a coordinate that a bound holds lies on it, except for rounding
+AT_BOUND = 1e-6
+# Decrease of the sum of squares (white units) that noise alone can cause: 3.7 standard deviations, exceeded in one test
+# of 5,000
 BY_NOISE = 14.0
-# Effects, and the one that each turns into where the joint hardly turns or where the spring rests far away
+# Effects and their simpler limit: the joint hardly moves, or the spring rests far outside the motion
 SIMPLER: Mapping[str, str] = {"joint_stiffness": "torque_offset", "gravity_load": "torque_offset"}
 
 
 def meaningless(problem: Problem, found: Fit) -> list[int]:
-    """Numbers of the effects of `found` that are no claims: at a bound, or several times the torque itself."""
+    """Return the indices of the effects of `found` that are not meaningful.
+
+    An effect is not meaningful if a bound holds its parameter, if its contribution is more than MOST_PART times the
+    torque, or if it is a spring whose rest angle is far outside the motion.
+    """
     return [
         index
         for index, part in enumerate(_parts(problem, found))
@@ -41,21 +48,26 @@ def meaningless(problem: Problem, found: Fit) -> list[int]:
 
 
 def meaningless_by_error(problem: Problem, found: Fit) -> list[int]:
-    """The same where structure decides: of the numbers that the simulation error wants, which are those reported.
+    """Return the indices of the effects that are not meaningful when fitted on the simulation error.
 
-    What structure colours whitens away what is as slow, and drives a number to a bound that the error never asks for.
+    This check applies if the residual has structure, because the reported parameters are then fitted on the simulation
+    error. Structure colours the noise model, so whitening also removes effects that are as slow as the structure. The
+    whitened fit then drives a parameter to a bound that the simulation error does not require.
     """
     return meaningless(on_simulation_error(problem, models_reversals(found)), fit_on_simulation_error(problem, found))
 
 
 def torque(problem: Problem) -> float:
-    """RMS of the torque that counts, N*m: the measured one, or the simulated one where it is larger."""
+    """Return the RMS torque in N*m: the larger of the measured torque and the torque of the nominal model."""
     given = problem.predicted(problem.base.given)[problem.mask]
     return max(_rms(problem.frame.target[problem.mask]), _rms(given))
 
 
 def _parts(problem: Problem, found: Fit) -> list[float]:
-    """RMS of what each effect adds to the prediction beside the others as they are, N*m."""
+    """Return the RMS contribution of each effect to the prediction, N*m.
+
+    The contribution is the change of the prediction when the effect is removed and all other parameters are kept.
+    """
     hypothesis = found.hypothesis
     base, own = len(hypothesis.base.coordinates()), hypothesis.own(found.point)
     whole = problem.predicted(hypothesis.model(found.point))
@@ -68,7 +80,7 @@ def _parts(problem: Problem, found: Fit) -> list[float]:
 
 
 def _rests_far_away(problem: Problem, found: Fit, index: int) -> bool:
-    """Return True for a spring that rests so far outside the motion that it is a constant torque."""
+    """Return True if the effect is a spring that rests so far outside the motion that its torque is nearly constant."""
     variant, frame = found.hypothesis.variants[index], problem.frame
     if variant.effect != "joint_stiffness":
         return False
@@ -79,10 +91,12 @@ def _rests_far_away(problem: Problem, found: Fit, index: int) -> bool:
 
 
 def _at_bound(problem: Problem, found: Fit, index: int) -> bool:
-    """Whether a bound holds the size of an effect, or the width of one that has no size, against the data.
+    """Return True if a bound holds an effect's amplitude and a value beyond the bound would fit clearly better.
 
-    One that noise may have brought to its bound is a claim: beyond it the fit would gain no more than noise gains.
-    Bounds at 0 are where a size ends by nature; there the effect gains nothing and goes for that reason.
+    For an effect without an amplitude, all its coordinates are checked. "Clearly better" means that the sum of squares
+    would decrease by more than BY_NOISE, because noise alone may also move a coordinate to its bound. A lower bound of
+    0 is not checked: it is the natural limit of an amplitude, and an effect of amplitude 0 is removed because it has no
+    gain.
     """
     variant = found.hypothesis.variants[index]
     at = found.hypothesis.places[index].start

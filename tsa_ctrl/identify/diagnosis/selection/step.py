@@ -1,4 +1,4 @@
-"""One step of the selection, an effect more or one less: where its fit may start, so that the effect is not missed."""
+"""Add or remove one effect in a step of the selection, with start values from which the effect is not missed."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.functions import Array
 
-# Effects by which reversals come later than the log's velocity
+# Effects that delay friction reversals relative to the velocity in the log
 LATE_REVERSALS = tuple(name for name, spec in CATALOGUE.items() if spec.stage in (Stage.VELOCITY, Stage.DELAY))
-FITTED = 5  # best candidates that are refined, and fitted in full: one of them enters, and the others are asked again
-NEAR_BEST = 0.25  # of the best gain: candidates below are not fitted
-# Golden section: the interval that is left by each step has one of its two points already
+FITTED = 5  # best candidates that are refined and fully fitted: one of them enters, and the others are tested again
+NEAR_BEST = 0.25  # share of the best gain: candidates below are not fitted
+# Golden section: the interval that remains after each step already contains one of its two points
 SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)
-STEPS = 9  # of the golden section: 1 % of the first interval is left
+STEPS = 9  # golden-section steps: 1 % of the first interval remains
 
 
 def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
-    """`fitted` with an effect more, from full strength `start` and from the base model's numbers in the file.
+    """Return the fit with one more effect, or None if it cannot be computed.
 
-    Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
+    The fit starts from the nominal coordinates of the base and from the coordinates `start` of the effect.
+    Recalibration may have compensated for the effect, which then has no influence any more: a high pretension hides
+    slack.
     """
     base = fitted.hypothesis.base.start()
     begin = np.concatenate([base, fitted.point[len(base) :], np.array(start)])
@@ -37,9 +39,10 @@ def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Se
 
 
 def step_with_late_reversals(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
-    """`fitted` with a lag or a delay more, under moments of unknown direction that move with the reversals.
+    """Return the fit with one more lag or delay, or None if it cannot be computed.
 
-    As many as before, so that the sums of squares compare; where they stay they hide a lateness of a sample or two.
+    The moments of unknown direction move with the reversals. If they stayed, they would hide a delay of one or two
+    samples. Their number is kept, so that the sums of squares can be compared.
     """
     hypothesis, point = fitted.hypothesis.plus(variant), np.concatenate([fitted.point, np.array(start)])
     found = None
@@ -53,7 +56,10 @@ def step_with_late_reversals(problem: Problem, fitted: Fit, variant: Variant, st
 
 
 def forward_step(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
-    """The fit with one effect more, from where the score begins; if that goes astray, from no effect at all."""
+    """Return the fit with one more effect, started from the score's estimate; None if it cannot be computed.
+
+    If that fit fails or achieves less than half of the expected gain, it is repeated from the amplitude of no effect.
+    """
     hypothesis = fitted.hypothesis.plus(score.variant)
     found = fit_or_none(problem, hypothesis, np.concatenate([fitted.point, score.start]))
     if score.variant.amplitude and (found is None or found.rss > fitted.rss - 0.5 * score.gain):
@@ -73,9 +79,10 @@ def best_steps(
     most: int,
     always: Collection[str] = (),
 ) -> list[Fit]:
-    """The best forward steps from `smaller` by effects but those of these names, best first, at most so many.
+    """Return the fits with one more effect, the best first.
 
-    `always`: effects that are fitted however they score.
+    Effects in `names` are excluded. At most `most` effects are fitted, those with the best scores, plus those in
+    `always`.
     """
     variants = all_but(names, catalogue)
     found = responses(problem, smaller, variants)
@@ -88,9 +95,10 @@ def best_steps(
 def best_scores(
     problem: Problem, fitted: Fit, scored: list[Score], found: list[Response], each: bool = False
 ) -> list[Score]:
-    """The best score of each effect, best first, each variant of the leading ones refined on its own.
+    """Return the best score of each effect, the best first.
 
-    `each`: of each variant.
+    Each variant of the leading effects is refined separately. With `each`, return the refined score of each of these
+    variants instead, in no particular order.
     """
     if not scored:
         return []
@@ -107,7 +115,7 @@ def best_scores(
 
 
 def backward_step(problem: Problem, fitted: Fit, index: int) -> Fit:
-    """The fit with one effect taken out."""
+    """Return the fit without the effect at this index."""
     hypothesis = fitted.hypothesis.without(index)
     base = len(hypothesis.base.coordinates())
     own = fitted.hypothesis.own(fitted.point)
@@ -115,10 +123,11 @@ def backward_step(problem: Problem, fitted: Fit, index: int) -> Fit:
 
 
 def _refined(problem: Problem, fitted: Fit, score: Score, found: list[Response]) -> Score:
-    """`score` moved to the best value between its neighbours on the grid; unchanged for other kinds of variants.
+    """Return the score moved to the best value between its neighbours on the grid.
 
-    Play, presliding, delays and lags have no amplitude, and their sum of squares is neither smooth nor convex in their
-    one coordinate; so its exact profile (everything else solved for linearly) is searched, not descended.
+    Only variants with a single coordinate and no amplitude are refined: backlash, presliding, delays and lags. Their
+    sum of squares is neither smooth nor convex in that coordinate, so a golden-section search of the exact profile
+    replaces a descent. All other coordinates are solved for linearly. Other variants are returned unchanged.
     """
     variant = score.variant
     if variant.amplitude or len(variant.coordinates) != 1:
