@@ -1,4 +1,4 @@
-"""`diagnose`, from top to bottom: one line for each stage, a function from data to data in the stage's own folder."""
+"""Run a diagnosis from top to bottom: one line for each stage, which is a function in the stage's own folder."""
 
 from __future__ import annotations
 
@@ -40,22 +40,31 @@ from tsa_ctrl.model.parameters import Model
 Progress = Callable[[str], None]
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what is not finite is dropped, or refused below
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # Values that are not finite are dropped or rejected.
 def diagnose(
     logs: Logs, model: Model, *, hold_out: str | None = None, seed: int = 0, progress: Progress | None = None
 ) -> Diagnosis:
-    """What the simulation with `model` gets wrong on these logs, why, and what it gains to know.
+    """Find and explain the errors of the simulation with `model` on these logs, and quantify the improvement.
 
-    logs: datasets, or mappings from column name to an array of shape (n,), SI units (several: a list, or
-    name: columns).
-    hold_out: pattern of the logs that nothing is fitted on; default every third by name, or stretches of one or two
-    logs. seed fixes every draw. progress is called with the name of each stage.
+    Logs without enough information lead to the verdict `insufficient`, not to an error.
 
-    Raises UsageError for logs that cannot be right, one line that names log and column. Logs that say nothing give the
-    verdict `insufficient`, not an error.
+    Args:
+        logs: datasets, or mappings from column name to an array of shape (n,), SI units. Several logs are a list, or a
+            mapping from name to columns.
+        model: the nominal model.
+        hold_out: pattern of the names of the logs that are held out from fitting. By default every third log by name is
+            held out; of one or two logs, stretches are held out.
+        seed: seed of the random generator.
+        progress: called with the name of each stage.
+
+    Returns:
+        The diagnosis.
+
+    Raises:
+        UsageError: a log cannot be correct; the message of one line names the log and the column.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # libraries warn of values that are not finite
+        warnings.simplefilter("ignore", RuntimeWarning)  # Libraries warn about values that are not finite.
         return _diagnose(logs, model, hold_out, seed, progress or (lambda _: None))
 
 
@@ -86,11 +95,11 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
         limits = detection_limits(selection, share)
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
-        if formula is not None:  # what follows a formula is no noise
+        if formula is not None:  # The part that a formula describes is not noise.
             errors = dataclasses.replace(errors, refitted=min(errors.refitted, formula.rms[1]))
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
-    except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # numbers beyond anything
+    except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # The values exceed any physical range.
         return insufficient(model, audited, UNSUITED, testable.not_testable)
     return conclude(
         model,

@@ -1,4 +1,4 @@
-"""Why a diagnosis refuses: logs that show nothing, and logs or models that cannot belong together."""
+"""Reject logs with too little information, and logs or models that cannot belong together."""
 
 from __future__ import annotations
 
@@ -16,20 +16,27 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.identify.torque_scale import drive_scale
 from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 
-WIDEST_FRICTION = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
-MOST_ERROR = (
-    5.0  # times the torque's own variation: a simulation so far off is of another log; (3.55) may miss by twice
-)
+# largest relative half width of the friction's interval: friction that is less certain does not show
+WIDEST_FRICTION = 0.35
+# largest error as a multiple of the torque's variation: a larger error means another drive's log; (3.55) may miss by a
+# factor of two
+MOST_ERROR = 5.0
 UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
 )
-# Of its mean: a torque that rests on one level shows neither the slope nor, beside sensors' zeros, the half loop
+# Least variation of the torque as a share of its mean: at an almost constant torque neither the slope nor, with unknown
+# sensor zeros, the friction torque can be identified
 LEAST_CHANGE = 0.25
-LEAST_FRICTION = 0.01  # of a plain drive's friction in the file: less is a sign that the torque does not follow at all
-FOLLOWED = 0.5  # of the change of such a torque: a simulation further off has not followed three quarters of its square
-UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
-LEAST_IMPROVEMENT = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
+# share of a plain drive's friction in the file: with less, the torque does not follow the motion at all
+LEAST_FRICTION = 0.01
+# Largest error as a share of the variation of an almost constant torque: with a larger error, three quarters of the
+# variance are not explained
+FOLLOWED = 0.5
+# share of the RMS torque: a larger error that is not noise remains with every cause only in unrelated logs
+UNRELATED = 0.6
+# share of the recalibrated model's error: causes that reduce the error below it belong to this drive
+LEAST_IMPROVEMENT = 0.5
 SIMPLER = {
     "recalibrated": "the recalibrated model",
     "as_given": "the model as given",
@@ -43,17 +50,20 @@ STRANGE = (
 
 
 class InsufficientError(Exception):
-    """These logs cannot tell, for the reason that is the message. Leads to a verdict, not to an error."""
+    """Logs from which no diagnosis can be made, for the reason in the message.
+
+    The exception leads to the verdict `insufficient`, not to an error.
+    """
 
 
 def refuse_unexciting(found: Audit) -> None:
-    """Logs in which the audit sees too little."""
+    """Raise InsufficientError if the audit found too little excitation in the logs."""
     if found.insufficient:
         raise InsufficientError(found.insufficient)
 
 
 def refuse_foreign(frame: Frame, model: Model) -> None:
-    """Reject logs whose torques cannot belong to their motion or to the model."""
+    """Raise InsufficientError if the torques of a log cannot belong to its motion or to the model."""
     for run in frame.runs:
         reason = foreign_torque(run.raw, model)
         if reason:
@@ -61,7 +71,11 @@ def refuse_foreign(frame: Frame, model: Model) -> None:
 
 
 def refuse_unsuited(problem: Problem, base: Fit) -> None:
-    """A simulation that has nothing of the measured torque; and tendons whose friction does not show."""
+    """Raise InsufficientError if the simulation does not follow the measured torque, or friction does not show.
+
+    The check of friction applies to tendon-sheath drives only. A rigid drive is also rejected if `drive_scale` finds a
+    reason.
+    """
     given, found = problem.base.given, base.hypothesis.model(base.point)
     if isinstance(given, RigidDrive) and isinstance(found, RigidDrive) and drive_scale(given, found):
         raise InsufficientError(drive_scale(given, found))
@@ -83,7 +97,10 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
 
 
 def refuse_without_friction(problem: Problem, base: Fit, named: bool) -> None:
-    """A plain drive whose friction does not show though nothing is `named` that could hide it."""
+    """Raise InsufficientError if the friction of a plain drive does not show.
+
+    If a cause is identified (`named`), it may hide the friction, so the check is skipped.
+    """
     if problem.base.target == "tau_m" and not named:
         _refuse_unseen_friction(problem, base)
 
@@ -91,11 +108,18 @@ def refuse_without_friction(problem: Problem, base: Fit, named: bool) -> None:
 def refuse_unrelated(
     problem: Problem, held: NDArray[np.bool_], errors: HeldOut, structure: float, formula: Formula | None
 ) -> None:
-    """Tendons where causes, if any, hardly help a simulation that has hardly anything of the measured torque.
+    """Raise InsufficientError if neither the model nor its causes explain the torque of a tendon-sheath drive.
 
-    held (n): samples that no fit has seen; structure: share of what is left that is no noise. What a formula in the
-    logs' own signals brings near on held-out data is of this drive, however far off it is without (a sensor with a wide
-    dead zone); not what one brings near by the clock, which follows whatever swings.
+    Logs are accepted if the error on held-out data is small enough with the causes, or with a formula of the logged
+    signals (for example for a sensor with a wide dead zone). A formula of time does not count, because it follows any
+    periodic change.
+
+    Args:
+        problem: the logs with the noise model.
+        held: held-out samples, (n,).
+        errors: errors on the held-out samples.
+        structure: share of the residual's mean square that is not noise. If it is 0, the logs are accepted.
+        formula: formula of the residual, if there is one.
     """
     if not isinstance(problem.base.given, TendonSheath) or structure <= 0.0:
         return
@@ -103,16 +127,20 @@ def refuse_unrelated(
     enough = LEAST_IMPROVEMENT * errors.recalibrated
     described = (
         formula is not None and not formula.tells_when and formula.rms[1] <= enough
-    )  # some of it a formula takes of strange columns, too
+    )  # A formula explains some of the error even for unrelated columns.
     if errors.extended > UNRELATED * torque and errors.extended > enough and not described:
         raise InsufficientError(STRANGE)
 
 
 def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
-    """Causes with which the held-out torque is predicted no better than by what needs none of them."""
+    """Raise InsufficientError if the identified causes predict held-out torque no better than a simpler model.
+
+    The simpler models are the recalibrated model, the nominal model, a constant and a straight line. The straight line
+    does not count for a geared drive.
+    """
     best, error = errors.simplest
     if best == "line" and isinstance(problem.base.given, GearedDrive):
-        return  # except for the losses, a gear is a straight line
+        return  # Except for its losses, a gear is a straight line.
     if named and errors.extended >= error:
         driver = "velocity" if problem.base.target == "tau_m" else "motor torque"
         raise InsufficientError(
