@@ -16,9 +16,9 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.identify.torque_scale import drive_scale
 from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 
-# largest relative half width of the friction's interval: friction that is less certain does not show
+# Largest relative half width of the friction's interval: friction that is less certain does not show
 WIDEST_FRICTION = 0.35
-# largest error as a multiple of the torque's variation: a larger error means another drive's log; (3.55) may miss by a
+# Largest error as a multiple of the torque's variation: a larger error means another drive's log; (3.55) may miss by a
 # factor of two
 MOST_ERROR = 5.0
 UNSUITED = (
@@ -28,14 +28,14 @@ UNSUITED = (
 # Least variation of the torque as a share of its mean: at an almost constant torque neither the slope nor, with unknown
 # sensor zeros, the friction torque can be identified
 LEAST_CHANGE = 0.25
-# share of a plain drive's friction in the file: with less, the torque does not follow the motion at all
+# Share of a plain drive's friction in the file: with less, the torque does not follow the motion at all
 LEAST_FRICTION = 0.01
 # Largest error as a share of the variation of an almost constant torque: with a larger error, three quarters of the
 # variance are not explained
 FOLLOWED = 0.5
-# share of the RMS torque: a larger error that is not noise remains with every cause only in unrelated logs
+# Share of the RMS torque: a larger error that is not noise remains with every cause only in unrelated logs
 UNRELATED = 0.6
-# share of the recalibrated model's error: causes that reduce the error below it belong to this drive
+# Share of the recalibrated model's error: causes that reduce the error below it belong to this drive
 LEAST_IMPROVEMENT = 0.5
 SIMPLER = {
     "recalibrated": "the recalibrated model",

@@ -40,25 +40,26 @@ from tsa_ctrl.model.parameters import Model
 # Causes that a formula explains clearly better: the true cause is outside the catalogue.
 #
 # Examples: sheaths that differ are fitted to a torque sensor with two gains, an offset to a zero that follows the
-# temperature, and a spring to a tendon that creeps. The rest would be reported as structure. The formula replaces the
-# cause if, on held-out data, its error is clearly smaller than that of the cause with its own formula, or equal with
-# fewer terms. No formula describes an effect of the catalogue better, or with fewer terms, than the effect itself.
+# temperature, and a spring to a tendon that creeps. The rest would be reported as structure. The formula is compared on
+# held-out data with the cause and the cause's own formula. It replaces the cause if its error is clearly smaller, or if
+# it has an equal error and fewer terms. No formula describes an effect of the catalogue better, or with fewer terms, than
+# the effect itself.
 
-# Ratio of the mean square residuals of identified cause and formula, from which the formula replaces the cause: half of
-# the RMS. A cause from the catalogue leaves noise, and no formula removes half of that.
+# Ratio of the mean square residuals of cause and formula from which on the formula replaces the cause: half of the RMS.
+# A cause from the catalogue leaves only noise, and no formula removes half of that.
 FAR = 4.0
-SAME = 0.99  # correlation of formula and cause, from which on they are one: the rest is 2 % of the mean square
-BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is taken from
+SAME = 0.99  # correlation of formula and cause from which on they are the same: the rest is 2 % of the mean square
+BLOCKS = 24  # blocks of the held-out samples: as many as for the evidence of a cause
 
 
 def stand_in(
     problem: Problem, found: Fit, groups: Sequence[Group], split: Split, formula: Formula | None
 ) -> int | None:
-    """Return the number of the cause that a formula replaces; None if no formula is clearly better.
+    """Return the index of the cause that a formula replaces, or None if no formula is clearly better.
 
-    `formula` describes the residual of `found` and is reported with it. A cause with alternatives claims less, so only
-    a formula with a single term that is better than each alternative replaces it. Logs of one program share the moments
-    of their events without a physical reason, so a formula of time needs an improvement of `FAR`.
+    `formula` describes the residual of `found` and is reported with it. A cause with alternatives is less specific, so
+    only a formula with a single term that is better than each alternative replaces it. Logs of one program share the
+    times of their events without a physical reason, so a formula of time needs an improvement by the factor `FAR`.
     """
     held = with_direction(problem, found, split.held)
     model = _described(problem, found, formula, split)
@@ -75,7 +76,7 @@ def stand_in(
         if error.error >= least or not _does_better(described, error, terms, present):
             continue
         if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
-            continue  # a delay shows only in the reversals, where the direction is unknown
+            continue  # A delay shows only in the reversals, where the direction is unknown.
         others = (rival.fitted for rival in group.alternatives if not made_up(problem, rival.name))
         twins = (_described(problem, other, None, split) for other in others)
         if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
@@ -84,7 +85,7 @@ def stand_in(
 
 
 def _is_written_by(problem: Problem, formula: Formula, found: Fit, index: int, held: NDArray[np.bool_]) -> bool:
-    """Return True if the formula is nothing but the cause with this number, written as an expression."""
+    """Return True if the formula is merely the cause with this index, written as an expression."""
     with_it = problem.predicted(found.hypothesis.model(found.point))
     smaller = found.hypothesis.without(index)
     rest = np.delete(found.point, found.hypothesis.places[index])
@@ -104,9 +105,10 @@ def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewher
 def keeps_its_promise(
     problem: Problem, split: Split, named: tuple[Fit, Formula | None], instead: tuple[Fit, Formula | None]
 ) -> bool:
-    """Return True if the result `instead` of the named cause has no larger error than the result with it.
+    """Return True if the error of the result `instead` is not clearly larger than that of the result `named`.
 
-    Without this cause the selection runs again, and another cause may be dropped.
+    `instead` is the result without one cause of `named`. Without that cause the selection runs again, and another cause
+    may be dropped.
     """
     held = with_direction(problem, named[0], split.held)
     before, after = (_squares(problem, _described(problem, *told, split), held) for told in (named, instead))
@@ -114,7 +116,7 @@ def keeps_its_promise(
 
 
 def _described(problem: Problem, found: Fit, formula: Formula | None, split: Split) -> Model:
-    """Return the model of the causes, with its formula; without one fitted on the samples that are learned from."""
+    """Return the model of `formula`; without a formula, the model with the causes fitted on `split.fit`."""
     if formula is not None:
         return formula.model
     learned = fit_on_simulation_error(problem, found, mask=split.fit)
@@ -122,7 +124,7 @@ def _described(problem: Problem, found: Fit, formula: Formula | None, split: Spl
 
 
 def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhere:
-    """Squares of the simulation error over the held-out samples, in blocks of time."""
+    """Return the squares of the simulation error over the held-out samples, in BLOCKS blocks of time."""
     left = (problem.frame.target - problem.predicted(model))[held]
     blocks = np.arange(len(left)) * BLOCKS // max(len(left), 1)
     return Elsewhere(np.bincount(blocks, left**2, BLOCKS).astype(np.float64))
@@ -130,23 +132,23 @@ def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhe
 
 @dataclass(frozen=True)
 class Claims:
-    """The reported causes, each with its group; `base`: the recalibration under the same noise."""
+    """Reported causes with their groups of alternatives; `base` is the recalibration under the same noise model."""
 
     selection: Selection
     base: Fit
-    findings: tuple[Finding, ...]  # the structure that the causes leave
+    findings: tuple[Finding, ...]  # structure of the residual
     groups: tuple[Group, ...]
     errors: HeldOut
-    formula: Formula | None  # of that structure
+    formula: Formula | None  # formula of that structure
 
     @property
     def share(self) -> float:
-        """Share of the remaining mean square that is no noise."""
+        """Return the share of the residual's mean square that is not noise."""
         return structure_share(self.findings)
 
 
 def claims(problem: Problem, base: Fit, catalogue: Catalogue, split: Split, rng: np.random.Generator) -> Claims:
-    """Return the causes that the data demand, mean something, and gain on held-out data."""
+    """Return the causes that the data require, that are meaningful, and that reduce the error on held-out data."""
     return _without(problem, base, base, catalogue, (), split, rng)
 
 
@@ -159,10 +161,10 @@ def _without(
     split: Split,
     rng: np.random.Generator,
 ) -> Claims:
-    """Return the claims from the causes of `start` on, without the effects of these names.
+    """Return the claims of a selection that starts from the causes of `start`, without the effects in `names`.
 
-    A cause that is dropped may have hidden another one, so the selection goes on from the others without its name. Each
-    time there is one name less, so it ends.
+    A dropped cause may have hidden another one, so the selection is repeated without the dropped effect. Each
+    repetition excludes one more effect, so the search ends.
     """
     left = {name: variants for name, variants in catalogue.items() if name not in names}
     rounds: tuple[Round, ...] = ()
@@ -202,7 +204,10 @@ def _without(
 
 
 def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:
-    """Return the signal that the sliding error of the best fit of these causes depends on; None where it is flat."""
+    """Return the signal on which the sliding error depends after the best fit of these causes, or None.
+
+    None means that the error is flat.
+    """
     best = fit_on_simulation_error(problem, found, mask=split.shipped)
     residuals = full_residuals(problem.frame, best.hypothesis.model(best.point))
     learned = [bool(split.shipped[part].any()) for part in problem.frame.slices]
@@ -211,19 +216,22 @@ def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Findi
 
 
 def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:
-    """Names that are gone without another one in their place."""
+    """Return the names that are missing in `after`; an empty list if `after` is not shorter than `before`."""
     return [name for name in before if name not in after] if len(after) < len(before) else []
 
 
 # The alternatives of each cause, and the causes that these logs do not support.
 
-CLEARLY_BETTER = 0.9  # of the mean square: 5 % of the RMS, which a user sees in a picture of both
+CLEARLY_BETTER = 0.9  # ratio of the mean squares: 5 % of the RMS, which is visible in a plot of both
 
 
 def alternatives(
     chosen: Selection, catalogue: Catalogue, findings: Sequence[Finding]
 ) -> tuple[Selection, tuple[Group, ...]]:
-    """Return the causes that are more than a guess, and the group of each. `findings`: structure of their residual."""
+    """Return the selection with the causes that are more than a guess, and the group of each cause.
+
+    `findings` is the structure of the residual.
+    """
     problem = chosen.problem
     structure = error_criterion(problem, chosen.fitted, findings)
     grouped = groups(problem, chosen.fitted, catalogue, structure)
@@ -241,15 +249,18 @@ def alternatives(
 
 
 def _takes_the_place(rival: Rival) -> bool:
-    """Return True if an alternative is an effect of the catalogue: no wider recalibration, and no made-up input."""
+    """Return True if an alternative is an effect of the catalogue.
+
+    A wider recalibration or an unrecorded input is not.
+    """
     return not rival.fitted.hypothesis.wide_prior and rival.fitted.names[-1] == rival.name != UNRECORDED
 
 
 def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
-    """Return the causes with one of them replaced by its simpler limit, if the logs do not exclude that.
+    """Return the fit with one cause replaced by its simpler limit, if the logs do not exclude that.
 
-    A spring whose stiffness may be zero is a constant torque. The spring stays only if it simulates clearly better.
-    Return None if no cause has such a limit.
+    For example, a spring whose stiffness may be zero is a constant torque. The spring stays only if its simulation
+    error is clearly smaller. Return None if no cause has such a limit.
     """
     reversals = models_reversals(fitted)
     for group in grouped:
@@ -265,9 +276,10 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
 def _less_than_structure(
     problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
 ) -> list[int]:
-    """Return the causes without alternatives that explain less than the unexplained structure.
+    """Return the indices of the causes without alternatives that explain less than the unexplained structure.
 
-    Both the white residual and the simulation error are compared, because structure colours the noise model.
+    The cause must explain less both of the white residual and of the simulation error, because structure distorts the
+    noise model.
     """
     shares = [finding.share for finding in findings if finding.found and finding.what != DRIFT]
     left = min(max(shares, default=0.0), 1.0)

@@ -1,9 +1,10 @@
 """Describe the residual by a formula of the log's signals, for `[effects.custom]` of a model file.
 
-Sparse regression (forward selection of terms; Brunton, Proctor, Kutz, PNAS 2016, ask the same of a whole model): the
-causes stay as they are, and each term (`terms`; `memory_terms`) must take its part of the simulation error on logs or
-blocks that it was not fitted on. The chosen terms are fitted with their inner constants, such as the place of a bump,
-the width of a dead zone or the time of a lag. A formula is a description, no name.
+The method is sparse regression by forward selection of terms (Brunton, Proctor, Kutz, PNAS 2016, use it for a whole
+model). The causes stay as they are. Each term (`terms`; `memory_terms`) must remove a minimum share of the simulation
+error on logs or blocks that it was not fitted on. The selected terms are fitted with their inner constants, such as the
+position of a bump, the width of a dead zone or the time constant of a lag. A formula describes the residual but does
+not identify a cause.
 """
 
 from __future__ import annotations
@@ -43,27 +44,39 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict_each
 
-# Terms of the load with a memory that a formula of the residual may have: searched on a grid, then refined.
+# Terms of the load with memory that a formula of the residual may have: searched on a grid, then refined.
 #
-# They describe a tendon that creeps or a slow torque sensor (`LAG`), a sensor that rings on its mount (`RING`), and a
-# sensor with hysteresis (`DAHL`). One term of each kind is tried, with the numbers at which it explains most. Here the
-# effect of a term on the prediction is linear in the load; the fit that follows uses the model itself.
+# They describe a tendon that creeps or a slow torque sensor (`LAG`), a sensor that oscillates on its mount (`RING`),
+# and a sensor with hysteresis (`DAHL`). One term of each kind is tried, with the constants at which it explains most.
+# In this search the effect of a term on the prediction is linear in the load. The subsequent fit uses the model itself.
 
 LAG, RING, DAHL = "(tau - lag(tau, {0}))", "(tau - ring(tau, {0}, {1}))", "dahl(tau, {0})"
-TIMES = (0.02, 5.0, 9)  # s of a lag: a filter of a sensor to a creep that a log of a minute still shows; and how many
-LONGER = 3.0  # times T that a log must last
-FREQUENCIES = (2.0, 25.0)  # Hz: slower is the motion itself, faster is gone in the denoised signals
-FINE = 1.06  # ratio of two frequencies: within half of it the swings of a damping of 0.03 still go along
-DAMPINGS = (0.03, 0.1, 0.3)  # of what rings: steel on a soft mount to what hardly overshoots; between them it is moved
-FEWEST = 4.0  # score samples in a period of what rings
-WIDTHS = (0.05, 1.6, 6)  # of a hysteresis, of the RMS torque; wider is a straight line, narrower a dead zone
-TWINS = 1e-6  # of a column's square: a column with less left after projection on the others repeats them
-HALVINGS = 6  # of the way between two of the grid, to find the best place: a hundredth of it
+# Shortest and longest time constant of a lag (s), and their number: from a sensor filter to creep that a log of a
+# minute still shows
+TIMES = (0.02, 5.0, 9)
+LONGER = 3.0  # least duration of a log as a multiple of the time constant
+FREQUENCIES = (2.0, 25.0)  # Hz: slower changes are the motion itself, and faster ones are removed by denoising
+FINE = 1.06  # ratio of two frequencies: within half of it, oscillations with a damping of 0.03 are still correlated
+# Damping ratios: steel on a soft mount up to hardly any overshoot; values in between are found by refinement
+DAMPINGS = (0.03, 0.1, 0.3)
+FEWEST = 4.0  # score samples in a period of an oscillation
+# Shares of the RMS torque for a hysteresis: a wider one is a straight line, a narrower one a dead zone
+WIDTHS = (0.05, 1.6, 6)
+# Share of a column's square: a column of which less remains after projection on the others duplicates them
+TWINS = 1e-6
+HALVINGS = 6  # halvings of the distance between two grid points: the best point is then known to a hundredth of it
 
 
 @dataclass(frozen=True)
 class Grid:
-    """One kind: its text, the numbers of each place, and the ratio of two neighbours, by number."""
+    """Search grid of one kind of term.
+
+    Attributes:
+        kind: key of the filter's parameter bounds.
+        text: template of the expression.
+        places: grid points, each with the values of all inner constants.
+        apart: ratio of two neighbouring values, one for each inner constant.
+    """
 
     kind: str
     text: str
@@ -76,7 +89,7 @@ class Grid:
         return tuple(min(max(number, bound.low), bound.high / (1.0 + 2.0 * TRIAL)) for number, bound in bounds)
 
     def term(self, place: tuple[float, ...]) -> Term:
-        """A term that begins there."""
+        """Return a term whose inner constants start at this grid point."""
         ends = (self.inside(np.array(place) * factor) for factor in (1.0 / FURTHER, FURTHER))
         return Term((self.text,), place, *ends)
 
@@ -84,7 +97,17 @@ class Grid:
 def memory_terms(
     problem: Problem, model: Model, fitting: NDArray[np.bool_], residual: Array, others: Array
 ) -> list[Term]:
-    """Return, for each kind, the term that explains most of `residual` (n,) in addition to `others` (n, k)."""
+    """Return the term of each kind that explains most of the residual in addition to other columns.
+
+    A kind without a grid point that explains anything has no term.
+
+    Args:
+        problem: the logs with the noise model.
+        model: the model whose residual is described.
+        fitting: samples to fit on, (n,).
+        residual: residual of the model, (n,) N*m.
+        others: columns that are fitted together with the term, (n, k).
+    """
     column = _columns(problem, model)
     basis = orthonormal(others[fitting])
     left = residual[fitting] - basis @ (basis.T @ residual[fitting])
@@ -93,7 +116,7 @@ def memory_terms(
         """Return the part of the sum of squares that the term explains, (N*m)^2."""
         own = column(text.format(*place))[fitting]
         whole = float(own @ own)
-        beside = whole - float(np.sum(np.square(basis.T @ own)))  # of it, that the others do not have
+        beside = whole - float(np.sum(np.square(basis.T @ own)))  # the part of `whole` that is orthogonal to the others
         return float((own @ left) ** 2 / beside) if beside > TWINS * whole else 0.0
 
     out = []
@@ -154,9 +177,11 @@ def _around(grid: Grid, place: tuple[float, ...], steps: Array) -> Iterator[tupl
         yield grid.inside(np.array(place) * factors)
 
 
-MOST_TERMS = 3  # that a person still reads as a law; a wave with its phase is one
-LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: less is not worth a line in a file
-LEAST_GAIN = 0.1  # of the mean square left on held-out data, to be told: less is not seen in a picture of it
+MOST_TERMS = 3  # terms that a reader still recognises as a law; a wave with its phase is one
+# Share of the remaining mean square that a term must remove on other folds: less is not worth a line in a file
+LEAST_PART = 0.05
+# Share of the mean square on held-out data for a formula to be reported: less is not visible in a plot
+LEAST_GAIN = 0.1
 
 
 LIMITED = ("omega_j", "q_j", "q_m", "tau", "temperature")  # signals that have a range; a direction and a time have none
@@ -165,13 +190,20 @@ TIME = re.compile(r"\bt\b")
 
 @dataclass(frozen=True)
 class Formula:
-    """tau_J -= f (of a plain drive tau_M += f) with f = `expression`; `constants` with their 95 % intervals.
+    """Formula f = `expression`: tau_J -= f, or tau_M += f for a plain drive.
 
-    `model`: with it, and with the other parameters refitted. `gain`: share of the mean square left on
-    held-out data that it takes; `rms`: left there before and after, N*m at the logs' own rate; `better`, `logs`:
-    held-out logs that it makes better, and how many there are. `terms`: how many things it has, a wave with its phase
-    being one. `ranges`: lowest and highest value of each signal of the formula in these logs; `limited` and `toml`
-    fade the formula out beyond them.
+    Attributes:
+        expression: the formula without the ranges of its signals.
+        constants: constants of the formula with their 95 % intervals.
+        model: the model with the formula, all other parameters refitted.
+        gain: share of the residual's mean square on held-out data that the formula removes.
+        rms: RMS error on held-out data without and with the formula, N*m at the logs' own rate.
+        better: number of held-out logs that the formula improves.
+        logs: number of held-out logs.
+        terms: number of terms; a wave with its phase is one term.
+        ranges: lowest and highest value of each signal of the formula in these logs. Beyond them `limited` and `toml`
+            fade
+            the formula out.
     """
 
     expression: str
@@ -186,23 +218,24 @@ class Formula:
 
     @property
     def ranged(self) -> str:
-        """Return the expression with the ranges in which it was learned."""
+        """Return the expression limited to the signal ranges in which it was learned."""
         return _within(self.expression, self.ranges)
 
     @property
     def limited(self) -> Model:
-        """Return the model with the formula in its range alone."""
+        """Return the model in which the formula applies only within its ranges."""
         return with_custom(self.model, {**self.model.effects["custom"], "expression": self.ranged})
 
     @property
     def tells_when(self) -> bool:
-        """Return True if it contains the time of the logs: it shows when something happened, and is not a law of the
-        drive.
+        """Return True if the formula contains the time of the logs.
+
+        It then describes when something happened in these logs and is not a law of the drive.
         """
         return TIME.search(self.expression) is not None
 
     def toml(self) -> str:
-        """The table of a model file."""
+        """Return the formula as the table `[effects.custom]` of a model file."""
         lines = [
             f'expression = "{self.ranged}"',
             *(f"{name} = {_exact(q)}" for name, q in self.constants.items()),
@@ -218,7 +251,10 @@ def _within(expression: str, ranges: Mapping[str, tuple[float, float]]) -> str:
 def _ranges(
     problem: Problem, expression: str, predicted: Array, mask: NDArray[np.bool_]
 ) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest value of each signal of the formula, of the samples of `mask` (n,)."""
+    """Return the lowest and highest value of each signal of the formula over the samples of `mask` (n,).
+
+    Constant signals and signals that the logs lack are omitted.
+    """
     program = parse(expression, NAMES, dict.fromkeys(CONSTANTS, 1.0), "formula")
     out = {}
     for name in LIMITED:
@@ -231,14 +267,20 @@ def _ranges(
 
 
 def _exact(q: Quantity) -> str:
-    """The number with digits down to a hundredth of its interval: a moment of a clock needs more than six."""
+    """Return the value as text, with digits down to a hundredth of its interval, and at least six digits.
+
+    A time on a clock needs more than six.
+    """
     span = q.high - q.low
     digits = math.ceil(math.log10(abs(q.value) / span)) + 3 if span > 0.0 and q.value != 0.0 else 6
     return f"{q.value:.{max(6, min(digits, 15))}g}"
 
 
 def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formula | None:
-    """The formula that what `found` leaves follows also on held-out data; None if no short formula does."""
+    """Return a formula that describes the residual of `found`, also on held-out data.
+
+    Return None if no short formula does, or if the model already has a formula.
+    """
     learned = fit_on_simulation_error(problem, found, mask=split.fit)
     model = learned.hypothesis.model(learned.point)
     if "custom" in model.effects:
@@ -262,7 +304,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         sure = (np.abs(values) / np.maximum(deviations, 1e-300))[tangents.shape[1] :]
         if np.all(sure >= BLOCK_T):
             break
-        del chosen[int(np.argmin(sure))]  # such as the half of a wave that its phase does not need
+        del chosen[int(np.argmin(sure))]  # for example the sine or cosine that a wave's phase does not need
     if not chosen:
         return None
     sought = Sought.of([parts[i] for i in chosen], values[tangents.shape[1] :])
@@ -286,7 +328,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     limited = {**sought.custom(constants), "expression": _within(sought.expression, ranges)}
     try:
         with_custom(learned.hypothesis.model(point), limited)
-    except UsageError:  # the formula is too long for its ranges
+    except UsageError:  # The formula is too long with its ranges.
         ranges = {}
     return Formula(
         sought.expression,
@@ -302,9 +344,10 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
 
 
 def with_direction(problem: Problem, found: Fit, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Of the samples of `mask`, (n,), those of which the log tells the direction, as long as most of them are such.
+    """Return the samples of `mask` (n,) at which the direction of motion is known.
 
-    One sample of a wrong direction leaves twice the friction, hundreds of times what a formula takes.
+    Return `mask` unchanged if these are not more than half of its samples. With the wrong sign, one sample has an error
+    of twice the friction, which is hundreds of times the contribution of a formula.
     """
     known = mask if models_reversals(found) else mask & problem.nuisance.told(len(mask))
     return known if 2 * int(known.sum()) > int(mask.sum()) else mask
@@ -313,9 +356,11 @@ def with_direction(problem: Problem, found: Fit, mask: NDArray[np.bool_]) -> NDA
 def _responses(
     problem: Problem, model: Model, asked: Sequence[Term], predicted: Array
 ) -> tuple[list[tuple[Term, int]], Array, list[tuple[int, ...]]]:
-    """Parts of the terms, and what each adds to the prediction per unit of its coefficient: (n, parts) N*m.
+    """Return the parts of all terms, their responses, and the numbers of the parts of each term.
 
-    At the score rate; each part with its term and its place there; and the numbers of the parts of each term.
+    A part is given by its term and its index in that term. A response is the change of the prediction per unit of the
+    part's coefficient, (n, parts) in N*m at the score rate. Parts that cannot be computed or have no effect are
+    omitted.
     """
     parts: list[tuple[Term, int]] = []
     columns, units = [], []
@@ -337,7 +382,10 @@ def _responses(
 
 
 def _folds(problem: Problem, fitting: NDArray[np.bool_], blocks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of the part that each sample is left out with: whole logs where there are enough of them."""
+    """Return the fold of each sample of `fitting`, for cross-validation.
+
+    The folds are whole logs if there are at least FOLDS of them, otherwise blocks of time.
+    """
     own = problem.frame.logs(fitting)
     return own if own[-1] + 1 >= FOLDS else blocks % FOLDS
 
@@ -345,10 +393,17 @@ def _folds(problem: Problem, fitting: NDArray[np.bool_], blocks: NDArray[np.int6
 def _selected(
     columns: Array, residual: Array, folds: NDArray[np.int64], always: Array, units: Sequence[tuple[int, ...]]
 ) -> list[int]:
-    """Numbers of the parts of terms, best first, as long as the next takes LEAST_PART of what is left on other folds.
+    """Return the numbers of the parts of the selected terms, the best term first.
 
-    columns (m, parts), always (m, p): what is fitted beside them, so that a term is not what other numbers can do;
-    `units`: the parts of each term.
+    Terms are added as long as the next one removes LEAST_PART of the remaining squares on folds that it was not fitted
+    on, up to MOST_TERMS.
+
+    Args:
+        columns: responses of the parts, (m, parts).
+        residual: residual, (m,).
+        folds: fold of each sample, (m,).
+        always: columns that are always fitted, (m, p), so that a term does not replace other parameters.
+        units: numbers of the parts of each term.
     """
     both = np.column_stack([always, columns])
     both = both / np.maximum(np.linalg.norm(both, axis=0), 1e-300)
@@ -370,7 +425,7 @@ def _selected(
 
 
 def _cross_validated(grams: Array, slopes: Array, chosen: Sequence[int]) -> float:
-    """Decrease of the sum of squares on folds that the coefficients were not fitted on."""
+    """Return the decrease of the sum of squares on folds that the coefficients were not fitted on."""
     if not len(chosen):
         return 0.0
     gram, slope = grams[:, chosen][:, :, chosen], slopes[:, chosen]

@@ -1,4 +1,4 @@
-"""The numbers of a formula that was chosen, fitted together with all else, and how well the logs know them."""
+"""Fit the constants of a selected formula together with all other parameters, and compute their uncertainty."""
 
 from __future__ import annotations
 
@@ -16,19 +16,29 @@ from tsa_ctrl.model.effects.specification import Setting
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-TRIAL = 1e-3  # coefficient at which a term's response is computed; it is linear but for a load's friction
-SINGULAR = 1e-9  # of a column's square, added to the normal equations: twins among the terms
-# Times all numbers are solved for anew, each from the last: a base that has taken up much of the formula is far from
-# where it belongs, and not linear in friction and pretension; steps of Gauss and Newton double the digits
+# Coefficient at which a term's response is computed; the response is linear except for friction of the load
+TRIAL = 1e-3
+SINGULAR = 1e-9  # share of a column's square, added to the normal equations because terms may be nearly identical
+# Largest number of steps for all constants, each from the last result. A base that has absorbed much of the formula is
+# far from its final values and is not linear in friction and pretension. Gauss-Newton steps double the number of
+# correct digits
 REFITS = 8
-HALVINGS = 4  # of a step that goes too far: a sixteenth of it still gains, or the numbers stay
-SETTLED = 1e-4  # of the squares: a step that gains less ends the search
-CONSTANTS = "abcdefghijkl"  # two coefficients and two numbers inside, of each term
+HALVINGS = 4  # halvings of a step that is too long: if a sixteenth of it gains nothing, the constants stay
+SETTLED = 1e-4  # share of the squares: a step that gains less ends the search
+CONSTANTS = "abcdefghijkl"  # names for two coefficients and two inner constants of each term
 
 
 @dataclass(frozen=True)
 class Sought:
-    """A formula whose numbers are sought: its names, where they begin, and how far they may go, (constants,)."""
+    """Formula whose constants are to be fitted.
+
+    Attributes:
+        expression: the formula.
+        names: names of the constants.
+        start: start values, (constants,).
+        low: lower bounds, (constants,).
+        high: upper bounds, (constants,).
+    """
 
     expression: str
     names: tuple[str, ...]
@@ -38,7 +48,7 @@ class Sought:
 
     @classmethod
     def of(cls, parts: Sequence[tuple[Term, int]], values: Array) -> Sought:
-        """The sum of these parts of terms, with coefficients that begin at `values`."""
+        """Return the sum of these parts of terms, with coefficients that start at `values`."""
         names, texts = iter(CONSTANTS), []
         numbers: list[tuple[str, float, float, float]] = []
         inside: dict[int, list[str]] = {}
@@ -53,7 +63,7 @@ class Sought:
         return cls(" + ".join(texts), told, *(np.array(end) for end in ends))
 
     def custom(self, constants: Array) -> dict[str, Setting]:
-        """The effect of a model with these numbers."""
+        """Return the settings of `[effects.custom]` with these constants."""
         return {
             "expression": self.expression,
             "stage": "joint",
@@ -61,9 +71,9 @@ class Sought:
         }
 
     def tangents(self, problem: Problem, model: Model, constants: Array, predicted: Array) -> Array:
-        """d prediction / d constant, (n, constants): `predicted` with the formula."""
+        """Return d prediction / d constant, (n, constants); `predicted` is the prediction with the formula, (n,)."""
         columns = []
-        reach = self.high - self.low  # within a term: no moment of a clock is moved by a share of it
+        reach = self.high - self.low  # The step is relative to the bounds, not to a time on a clock.
         for i, value in enumerate(constants):
             there = constants.copy()
             there[i] += (step := TRIAL * (reach[i] if np.isfinite(reach[i]) else max(abs(value), TRIAL)))
@@ -72,9 +82,9 @@ class Sought:
 
 
 def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The coordinates and the formula's constants of least error on the samples of `fitting`, sought together.
+    """Return the coordinates and the constants of the formula with the least error on the samples of `fitting`.
 
-    A coordinate that a bound held before may be free with the formula.
+    Both are fitted together. With the formula, a coordinate may leave the bound that held it before.
     """
     hypothesis, target = learned.hypothesis, problem.frame.target[fitting]
     at, split = np.concatenate([learned.point, sought.start]), len(learned.point)
@@ -105,19 +115,20 @@ def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np
 
 
 def with_custom(model: Model, custom: Mapping[str, Setting]) -> Model:
-    """The model with these settings of `[effects.custom]`."""
+    """Return the model with these settings of `[effects.custom]`."""
     return dataclasses.replace(model, effects={**model.effects, "custom": custom})
 
 
 def tangents_of(problem: Problem, learned: Fit, point: Array, custom: Mapping[str, Setting], predicted: Array) -> Array:
-    """d prediction / d coordinate, (n, coordinates): what other numbers can do about the rest.
+    """Return d prediction / d coordinate, (n, coordinates), at `point`.
 
-    At `point`, with the formula in the model where there is one; `predicted` there.
+    These columns span the changes of the prediction that the other parameters can cause. If `custom` has settings, the
+    model contains the formula. `predicted` is the prediction at `point`, (n,).
     """
     columns = [np.zeros((len(predicted), 0))]
     for i in range(len(point)):
         step = learned.hypothesis.steps[i]
-        step = step if point[i] + step <= learned.hypothesis.high[i] else -step  # beyond a bound there is no model
+        step = step if point[i] + step <= learned.hypothesis.high[i] else -step  # The model ends at the bound.
         there = point.copy()
         there[i] += step
         model = learned.hypothesis.model(there)
@@ -127,11 +138,15 @@ def tangents_of(problem: Problem, learned: Fit, point: Array, custom: Mapping[st
 
 
 def regressed(columns: Array, residual: Array, blocks: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Least squares with standard deviations from the scatter between blocks."""
+    """Return the least-squares coefficients and their standard deviations, (k,) each.
+
+    `columns` has the shape (m, k) and `residual` (m,). The standard deviations come from the scatter between `blocks`,
+    (m,).
+    """
     bread = np.linalg.pinv(columns.T @ columns)
     values = bread @ columns.T @ residual
     number = int(blocks[-1]) + 1
     scores = np.zeros((number, columns.shape[1]))
     np.add.at(scores, blocks, columns * (residual - columns @ values)[:, None])
-    moved = scores @ bread  # what each block does to the values
+    moved = scores @ bread  # influence of each block on the coefficients
     return values, np.sqrt(np.sum(moved**2, axis=0) * number / max(number - 1, 1))

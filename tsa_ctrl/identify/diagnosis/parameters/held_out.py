@@ -1,9 +1,11 @@
-"""Errors on data that no fit has seen: as given, recalibrated, extended, the floor, and of what knows no drive at all.
+"""Compute the errors of the models on held-out data, and of references that use no model of the drive.
 
-A constant and a straight line know nothing of the drive. A cause that is not better than they are, or than the nominal
-model, is not an explanation: logs of another quantity (PWM for torque) leave most of the torque to any model.
-A constant or a line counts only if it holds in both directions, fitted on one part and tested on the other and vice
-versa: the mean of four loads is that of the fifth one by chance if it lies in their middle.
+The models are the nominal, the recalibrated and the extended model; the noise floor is computed as well. The references
+are a constant and a straight line. A cause that does not beat them and the nominal model is not an explanation: logs of
+another quantity (PWM instead of torque) leave most of the torque unexplained by any model.
+
+A constant or a line is fitted on one part and tested on the other, and vice versa, and the larger error counts. For
+example, the mean of four loads equals the fifth load by chance if that load lies in the middle.
 """
 
 from __future__ import annotations
@@ -29,42 +31,50 @@ from tsa_ctrl.identify.three_errors import known_direction, pooled, sensor_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-ROUNDING = 1e-9  # of the gain: the loss that rounding leaves of a cause without any; 4e-15 was seen
-MOST_STRUCTURE = 0.95  # of the mean square: some of what is left is noise
-# Of what a cause changes of the torque where it was learned, in mean square: held-out logs in which it changes less
-# say little of it (at the middle one of five loads recalibration does what friction that grows with the load does), and
-# with half of it a cause that is there would still lose nothing by chance only if what is left is as large and alike
+ROUNDING = 1e-9  # share of the gain: rounding causes such a loss for a cause without any; 4e-15 was observed
+MOST_STRUCTURE = 0.95  # share of the mean square: some of the residual is noise
+# Mean square change of the torque by a cause in the held-out samples, relative to the fitted ones. Below half, held-out
+# logs contain little information about the cause. At the middle one of five loads, for example, recalibration has the
+# same effect as friction that grows with the load. With half or more, a true cause shows no loss by chance only if the
+# residual is as large as the cause and similar to it.
 HARDLY_SHOWN = 0.5
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """RMS in N*m over the held-out samples at the logs' own rate; `lost` without each cause, as a share of the gain.
+    """Errors over the held-out samples at the logs' own rate, RMS in N*m.
 
-    Of a cause that the held-out samples hardly show, or beside one that moves the reversals, `lost` is that on the
-    others, each part left out in its turn.
+    Attributes:
+        as_given: error of the nominal model.
+        recalibrated: error of the recalibrated model.
+        extended: error of the model with all causes.
+        lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause. If the held-out
+            samples
+            show no loss because they hardly show the cause or a cause moves the reversals, the loss is computed by
+            cross-validation on the other samples.
     """
 
     as_given: float
     recalibrated: float
     extended: float
-    noise_floor: float  # the sensor's noise
-    refitted: float  # of the extended model fitted on the held-out samples themselves, without the structure it leaves
-    sliding: tuple[float, float]  # the simplest and the extended, where the direction is known
+    noise_floor: float  # noise of the sensor, at most `extended`
+    refitted: float  # error of the extended model fitted on the held-out samples, without the remaining structure
+    # Errors where the direction is known: the better of nominal and recalibrated, and extended
+    sliding: tuple[float, float]
     lost: tuple[float, ...]
-    constant: float  # the mean of the samples that were fitted on; what it is worse at, this or the other way round
-    line: float  # a straight line in the motor torque, of a plain drive in the velocity, alike
+    constant: float  # error of the mean of one part on the other part, the larger of both directions
+    line: float  # the same for a straight line in the motor torque, or in the velocity for a plain drive
 
     @property
     def simplest(self) -> tuple[str, float]:
-        """The best of what needs no cause, and its error: as given, recalibrated, a constant, a straight line."""
+        """Return the name and the error of the best reference: recalibrated, nominal, constant or straight line."""
         names = ("recalibrated", "as_given", "constant", "line")
         best = min(names, key=lambda name: float(getattr(self, name)))
         return best, float(getattr(self, best))
 
     @property
     def gain(self) -> float:
-        """(simplest^2 - extended^2) / (simplest^2 - floor^2); 0 where there is nothing to gain."""
+        """Return (simplest^2 - extended^2) / (simplest^2 - floor^2); 0 if no gain is possible."""
         simplest = self.simplest[1]
         possible = simplest**2 - self.noise_floor**2
         won = simplest**2 - self.extended**2
@@ -72,21 +82,35 @@ class HeldOut:
 
     @property
     def sliding_gain(self) -> float:
-        """`gain` over the samples whose direction is known."""
+        """Return the gain over the samples with a known direction; 0 if no gain is possible.
+
+        The reference is the better of the nominal and the recalibrated model.
+        """
         simplest, extended = self.sliding
         possible = simplest**2 - self.noise_floor**2
         return float((simplest**2 - extended**2) / possible) if possible > 0.0 else 0.0
 
     @property
     def worthless(self) -> int | None:
-        """Number of a cause without which nothing is lost on data that no fit has seen; None without one."""
+        """Return the index of a cause that can be removed without loss on data not used in the fit, or None.
+
+        A single cause is worthless if the extended model is not better than the recalibrated one.
+        """
         if len(self.lost) == 1:
             return None if self.extended < self.recalibrated else 0
         return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
 
 
 def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_share: float) -> HeldOut:
-    """Fit on the fit samples, measure on the held ones. `leftover_share`: of the mean square that is no noise."""
+    """Fit on the samples `split.fit`, and return the errors on the samples `split.held`.
+
+    Args:
+        problem: the logs with the noise model.
+        base: the recalibrated base.
+        found: the fit with all causes.
+        split: the samples to fit on and to test on.
+        structure_share: share of the residual's mean square that is not noise.
+    """
     frame = split.frame
     recalibrated = fit_on_simulation_error(problem, base, mask=split.fit)
     extended = fit_on_simulation_error(problem, found, mask=split.fit) if found.names else recalibrated
@@ -132,14 +156,15 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
 
 
 def _whole_bins(run: Run, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Score samples all of whose samples at the log's own rate are in `mask`."""
+    """Return the score samples for which `mask` contains all samples at the log's own rate."""
     return np.asarray(mask[: run.count * run.full_bin].reshape(run.count, run.full_bin).all(axis=1))
 
 
 def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Split) -> Fit:
-    """The fit without a cause, begun where all samples have it; begun at `extended` where that is better.
+    """Return the fit without a cause on the samples `split.fit`.
 
-    Without the moments of reversals little holds a lag: a fit may move far along it and gain nothing.
+    The fit starts from the fit on all samples. A start at `extended` replaces it if it leads to a better fit. If the
+    moments of reversals do not count, the data hardly constrain a lag, and a fit may move far along it without a gain.
     """
     starts = (backward_step(problem, each, index) for each in (found, extended))
     own, other = (fit_on_simulation_error(problem, start, mask=split.fit) for start in starts)
@@ -154,18 +179,18 @@ def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -
 
 
 def _is_late(found: Fit) -> bool:
-    """Return True if a lag, a delay or backlash moves the reversals: one that is missed by a sample or two is most of
-    the error.
+    """Return True if a lag, a delay or backlash moves the reversals.
 
-    Then a cause that is worth less than that is judged where the moments of the reversals do not count.
+    If a reversal is missed by one or two samples, this is most of the error. A cause that reduces the error by less is
+    then judged where the moments of the reversals do not count.
     """
     return not models_reversals(found) and any(name in (*LATE_REVERSALS, "backlash") for name in found.names)
 
 
 def _among_the_learned(problem: Problem, base: Fit, found: Fit, index: int) -> float:
-    """Share of the gain that is lost without a cause on the samples learned from, each part left out in its turn.
+    """Return the share of the gain that is lost without a cause, by cross-validation on the problem's samples.
 
-    0 where nothing is lost beyond their scatter.
+    Return 0 if the loss is not clearly larger than its scatter between blocks.
     """
     reversals = models_reversals(found)
     none, less, more = (
@@ -175,7 +200,10 @@ def _among_the_learned(problem: Problem, base: Fit, found: Fit, index: int) -> f
 
 
 def straight(split: Split, drivers: Sequence[str]) -> float:
-    """Error of a constant and multiples of these signals, over the held samples or the other way round: the larger."""
+    """Return the error of a constant plus multiples of these signals, RMS in N*m.
+
+    The model is fitted on `split.fit` and tested on `split.held`, and vice versa. The larger error is returned.
+    """
     frame = split.frame
     columns = np.column_stack([np.ones(len(frame)), *(frame.column(name) for name in drivers)])
 
@@ -193,12 +221,12 @@ def straight(split: Split, drivers: Sequence[str]) -> float:
 
 
 def rms_over(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:
-    """RMS error of a model over the full-rate samples behind the masked score samples (n), N*m."""
+    """Return the RMS error of a model over the full-rate samples behind the masked score samples (n), N*m."""
     return _over(frame, full_residuals(frame, model), mask)
 
 
 def _over(frame: Frame, residuals: Sequence[Array], mask: NDArray[np.bool_]) -> float:
-    """RMS over the full-rate samples behind the masked score samples."""
+    """Return the RMS of full-rate residuals over the samples behind the masked score samples (n,)."""
     total, count = 0.0, 0
     for part, run, residual in zip(frame.slices, frame.runs, residuals, strict=True):
         inside = np.repeat(mask[part], run.full_bin)

@@ -1,10 +1,12 @@
-"""Parameters that are a moment or a width (lag, delay, play, presliding): best value and interval from their profile.
+"""Refine parameters that are a time or a width (lag, delay, backlash, presliding) on their profile.
 
-Along them a prediction jumps at every reversal, so a gradient says neither where the best value is nor how sure it is,
-and the columns that free each reversal's own moment take out the very pulses that tell it. So without these columns
-the sum of squares is followed along the coordinate, block by block, everything else solved for linearly; blocks drawn
-with replacement then spread the best value (a block bootstrap, Efron and Tibshirani 1993); where structure is left,
-states of motion are drawn as well, and the wider spread counts (`refit`).
+Along such a parameter the prediction jumps at every reversal, so a gradient determines neither the best value nor its
+uncertainty. The columns that free the time of each reversal remove exactly the pulses that determine the parameter.
+These columns are therefore omitted here. The sum of squares of each block is computed along the parameter, and all
+other parameters are solved for linearly.
+
+The interval comes from blocks drawn with replacement (a block bootstrap, Efron and Tibshirani 1993). If the residual
+has structure, states of motion are drawn as well, and the wider spread counts (`refit`).
 """
 
 from __future__ import annotations
@@ -22,19 +24,24 @@ from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, states_of
 from tsa_ctrl.model.functions import Array
 
-POINTS = 41  # of a profile: steps of a twentieth of its half, between which a parabola places the lowest point
-FIRST_SPAN = 2.0  # steps of the coordinate, to either side: doubled where that is too near
-DOUBLINGS = 6  # of the span: 64 times the first, beyond which nothing is known of it
-HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end: 7 standard deviations
-DRAWS = 400  # a standard deviation is then known to 4 %
-REACH = 4.0  # standard deviations that a profile spans where they are known: of 400 draws hardly one lies beyond
-# Of the sum of squares of the fit, of the refined one: a best moment that costs the others more is theirs, not its own
+# Points of a profile: the step is a twentieth of its half width, and a parabola finds the minimum between points
+POINTS = 41
+FIRST_SPAN = 2.0  # steps of the coordinate to either side; the span is doubled if this is too narrow
+DOUBLINGS = 6  # spans that are tried, each twice the last: beyond 32 times the first one, the parameter is unknown
+HIGH_ENOUGH = 60.0  # rise above the minimum at which a profile may end, white units: 7 standard deviations
+DRAWS = 400  # resamples: they determine a standard deviation to 4 %
+# Least half span of a profile in standard deviations, if these are known: hardly one of 400 resamples lies beyond
+REACH = 4.0
+# Largest ratio of the sum of squares after and before refinement: a larger one belongs to other parameters
 MOST_RSS = 1.1
-UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
+UNEVEN = 0.5  # share of a grid step: jumps of single samples limit the smoothness of a profile
 
 
 def profile_refined(problem: Problem, reported: Refit) -> Refit:
-    """`reported` with those coordinates at the best of their profiles, their variances from resampled blocks."""
+    """Return `reported` with the parameters that are a time or a width at the best of their profiles.
+
+    Their variances come from resampled blocks.
+    """
     found = reported.fitted
     nonsmooth = np.flatnonzero(found.hypothesis.nonsmooth & found.free)
     if not nonsmooth.size:
@@ -56,7 +63,10 @@ def profile_refined(problem: Problem, reported: Refit) -> Refit:
 def _resampled(
     problem: Problem, found: Fit, index: int, clusters: Sequence[NDArray[np.int64]], reach: float
 ) -> tuple[float, float]:
-    """Best value of one coordinate and its standard deviation, in its own scale; the profile spans `reach` at least."""
+    """Return the best value of one coordinate and its standard deviation, in the coordinate's scale.
+
+    The profile extends at least `reach` to either side of the present value, within its bounds.
+    """
     present = dataclasses.replace(found, residual=_residual(problem, found, found.point))
     others = orthonormal(np.delete(gradients(problem, present), index, axis=1))
 
@@ -80,9 +90,10 @@ def _resampled(
 
 
 def _grid(found: Fit, index: int, total: Callable[[float], float], reach: float) -> Array:
-    """Values about the present one, so far to either side that the sum of squares has risen well above the noise.
+    """Return POINTS values around the present one, (POINTS,), in the coordinate's scale.
 
-    And `reach`, in the coordinate's scale, at least.
+    They extend to either side at least by `reach`, and until the sum of squares has risen well above the noise. The
+    bounds and DOUBLINGS limit the range.
     """
     coordinate = found.hypothesis.coordinates[index]
     middle = float(found.point[index])
@@ -101,7 +112,7 @@ def _residual(problem: Problem, found: Fit, point: Array) -> Array:
 
 
 def _lowest(grid: Array, profiles: Array) -> Array:
-    """Where each of the profiles (points, k) is lowest, between grid points by a parabola: (k,)."""
+    """Return the position of the minimum of each profile (points, k), by a parabola between grid points: (k,)."""
     at = np.clip(np.argmin(profiles, axis=0), 1, len(grid) - 2)
     column = np.arange(profiles.shape[1])
     before, here, after = profiles[at - 1, column], profiles[at, column], profiles[at + 1, column]
@@ -111,7 +122,10 @@ def _lowest(grid: Array, profiles: Array) -> Array:
 
 
 def _with_coordinate(problem: Problem, found: Fit, index: int, value: float) -> Fit:
-    """The fit with one coordinate put at `value`, the others following by one step; unchanged if it is not a fit."""
+    """Return the fit with one coordinate set to `value`, and with the others adjusted by one step.
+
+    The adjusted fit is used only if it is better. Return `found` if the sum of squares grows by more than MOST_RSS.
+    """
     point = found.point.copy()
     point[index] = value
     alone = _at(problem, found, point)

@@ -1,8 +1,9 @@
-"""x and T_p where the logs know only their product: the file's proportion is kept, and an active bound is reported.
+"""Keep x and T_p together if the logs determine only their product, and report active bounds.
 
-In one configuration friction shows 2 T_p r_J sinh x; what parts the two is the slope cosh x, a per cent, which anything
-that the model lacks bends. Least squares then runs along the product until [uncertainty] holds it: a pretension of
-exactly its bound, which no log has shown. `tsa calibrate` keeps the proportion in that case, and so is it kept here.
+In one configuration friction determines only 2 T_p r_J sinh x. The two are separated by the slope cosh x, which is an
+effect of one per cent that any model error disturbs. Least squares then moves along the product until [uncertainty]
+limits it, which gives a pretension exactly at its bound. No log supports that value. In that case `tsa calibrate` moves
+x and T_p together from the file's values, in proportion to their uncertainties (`keep_split`), and so does this module.
 """
 
 from __future__ import annotations
@@ -21,17 +22,22 @@ from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 
-BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
-PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
-MOST_COST = (
-    0.05  # of the RMS error: a slope that is worth more tells something; the demo's, bent by shake, is worth 3 %
-)
-AT_BOUND = 1e-6  # of ln: a fit that a bound holds stands on it
+BENDING_VARIED = 0.05  # share of the wrap angle: with a smaller variation there is only one configuration
+PARTED = 0.5  # share of [uncertainty]: x and T_p are reported separately if their intervals are narrower
+# Share of the RMS error: a slope that reduces the error by more contains information; that in the demo, bent by shake,
+# is worth 3 %
+MOST_COST = 0.05
+AT_BOUND = 1e-6  # distance in ln: a fit that a bound holds lies on the bound
 SPLIT = ("friction_angle", "pretension")
 
 
 def in_proportion(frame: Frame, reported: Refit) -> Refit:
-    """`reported` with its half loop, x and T_p in the file's proportion, unless the logs part the two."""
+    """Return `reported` with x and T_p moved together from the file's values to the fitted friction torque.
+
+    They move in proportion to their uncertainties in the file, within [uncertainty]. `reported` is returned unchanged
+    in three cases: the model is not a tendon-sheath drive with both parameters free, the logs identify one of them
+    separately (`parted`), or the move increases the RMS error by more than MOST_COST.
+    """
     fitted, base = reported.fitted, reported.fitted.hypothesis.base
     model = base.given
     if not isinstance(model, TendonSheath) or len(base.coordinates()) < len(SPLIT) or parted(frame, reported):
@@ -49,8 +55,10 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
 
 
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
-    """Return which of x and T_p the logs identify separately: the bending angle varies, the interval is narrower than
-    the file's.
+    """Return the names of those of x and T_p that the logs identify separately.
+
+    The wrap angle must vary in the logs, and the half width of the parameter's interval must be at most PARTED times
+    the uncertainty in the file.
     """
     model = reported.fitted.hypothesis.base.given
     if not isinstance(model, TendonSheath):
@@ -68,7 +76,7 @@ def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
 
 
 def at_bounds(reported: Refit) -> Mapping[str, tuple[float, float, float, str]]:
-    """name: (value, low, high, unit) of x or T_p where [uncertainty] holds it; SI units."""
+    """Return (value, low, high, unit) of x and T_p by name, if a bound of [uncertainty] holds them; SI units."""
     fitted = reported.fitted
     model = fitted.hypothesis.base.given
     if not isinstance(model, TendonSheath):
@@ -89,7 +97,7 @@ def _half_width(quantity: Quantity) -> float:
 
 
 def _error(frame: Frame, fitted: Fit, point: np.ndarray) -> float:
-    """RMS of the simulation error over all samples, N*m."""
+    """Return the RMS simulation error over all samples, N*m."""
     residuals = full_residuals(frame, fitted.hypothesis.model(point))
-    total = sum(float(residual @ residual) for residual in residuals)  # an hour of it is not held twice
+    total = sum(float(residual @ residual) for residual in residuals)  # An hour of data is not stored twice.
     return float(np.sqrt(total / sum(map(len, residuals))))

@@ -1,7 +1,8 @@
-"""The parameters that are reported: least squares on the simulation error, with intervals.
+"""Fit the reported parameters by least squares on the simulation error, with intervals.
 
-Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of the error that a user
-sees: reported as they are, they cost up to the whole gain. So the causes are refitted on the simulation error.
+Whitened fits are the more sensitive test, but they weight the frequencies of the noise, not those of the error that a
+user sees. Parameters from a whitened fit can lose the whole gain. The causes are therefore refitted on the simulation
+error.
 """
 
 from __future__ import annotations
@@ -23,24 +24,30 @@ from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.effects.specification import Parameter
 from tsa_ctrl.model.functions import Array
 
-# How much blocks may widen an interval: 24 of noise alone reach 1.4; one burst, which is told apart, would reach any
+# Largest factor by which blocks widen an interval: 24 blocks of noise alone reach 1.4, and a single burst, which is
+# detected separately, could reach any value
 WIDEST = 3.0
-# Of a coordinate of the base, where nothing is known of it: a tenth of x or T_p, within which they are still lines
+# Largest step of a base coordinate, if nothing is known about it: a tenth of x or T_p, within which quantities are
+# still linear
 WIDEST_STEP = 0.1
-STEP = 0.05  # of a standard deviation, for derivatives of parameters
+STEP = 0.05  # share of a standard deviation, for derivatives of parameters
 # Largest half interval of the logarithm of a positive number: with a factor of 150 either way, not even its order of
 # magnitude is known.
 WIDEST_RATIO = 5.0
-COMBINATIONS = ("slope", "half_loop_torque")  # of x and T_p, which logs of one configuration know
+COMBINATIONS = ("slope", "half_loop_torque")  # combinations of x and T_p that logs of one configuration determine
 
 
 @dataclass(frozen=True)
 class Refit:
-    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval.
+    """Fit on the simulation error with the covariance of its coordinates.
 
-    structured: True if the residual is more than noise, so that passes over the same motion add no information.
-    learned: coordinates (p,) of least squares where those of `fitted` keep the file's proportion of x and T_p instead
-    (`proportion`). Slope and half loop are computed from them, because the logs determine only these two.
+    Attributes:
+        fitted: the fit.
+        covariance: covariance of the coordinates, (p, p). It is 0 for coordinates of effects that a bound holds.
+        factor: ratio of an interval's half width to the standard deviation (Student's t).
+        structured: True if the residual is more than noise, so that passes over the same motion add no information.
+        learned: coordinates by least squares, (p,), if those of `fitted` keep x and T_p in the file's proportion
+            (`proportion`). Slope and friction torque are computed from them, because the logs determine only these two.
     """
 
     fitted: Fit
@@ -50,7 +57,10 @@ class Refit:
     learned: Array | None = None
 
     def quantity(self, value: float, variance: float, unit: str, low: float, high: float) -> Quantity:
-        """Interval of a derived number; a positive one with a wide interval is taken as log-normal."""
+        """Return a derived value with its interval, limited to `low` .. `high`.
+
+        A positive value with a wide interval is treated as log-normal.
+        """
         half = self.factor * math.sqrt(max(variance, 0.0))
         if low >= 0.0 and value > 0.0 and half > 0.2 * value:
             ratio = math.exp(min(half / value, WIDEST_RATIO))
@@ -59,13 +69,16 @@ class Refit:
 
 
 def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
-    """Fit of the same hypothesis on the simulation error, started at `found`; `structured` as of `Refit`."""
+    """Return the fit of the same hypothesis on the simulation error, started at `found`.
+
+    `structured` has the same meaning as in `Refit`.
+    """
     plain = on_simulation_error(problem, models_reversals(found))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
     base = len(best.hypothesis.base.coordinates())
-    index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
+    index = np.flatnonzero(best.free | (np.arange(count) < base))  # A bound gives no interval of x and T_p.
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(
             problem, plain, best, gradients(plain, best)[:, index], structured
@@ -74,10 +87,11 @@ def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
 
 
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, structured: bool) -> Array:
-    """Of the coordinates of `jacobian` (m, k): what noise of that colour spreads, or blocks if they differ by more.
+    """Return the covariance (k, k) of the coordinates of `jacobian` (m, k) under coloured noise.
 
-    A log has few blocks that are longer than its slow noise, so blocks alone come out too sure. Where structure is left
-    states of motion are blocks as well.
+    The standard deviations are widened if blocks differ by more than that noise, by a factor of at most WIDEST. A log
+    has few blocks that are longer than its slow noise, so blocks alone would underestimate the uncertainty. With
+    `structured`, states of motion are clusters as well.
     """
     bread = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10), dtype=np.float64)
     columns = np.zeros((len(plain.frame), jacobian.shape[1]))
@@ -94,7 +108,10 @@ def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, st
 
 
 def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
-    """Parameters of each effect with intervals, in the units of model files; infinite if these logs determine none."""
+    """Return the parameters of each effect with intervals, in the units of model files.
+
+    The interval is infinite if these logs do not determine the parameter.
+    """
     out: dict[str, dict[str, Quantity | str]] = {}
     hypothesis, point = result.fitted.hypothesis, result.fitted.point
     for variant, place in zip(hypothesis.variants, hypothesis.places, strict=True):
@@ -127,7 +144,11 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
 
 
 def _told(found: Quantity, parameter: Parameter) -> bool:
-    """Whether an interval leaves out anything that the number could be: a part of its range, of a turn, or of sizes."""
+    """Return True if the interval excludes a possible value of the parameter.
+
+    The interval must be narrower than a full turn for a phase, than the range of the parameter, and than the widest
+    ratio WIDEST_RATIO for a positive value.
+    """
     if parameter.name == "phase":
         return found.high - found.low < 2.0 * math.pi
     if found.low <= parameter.low and found.high >= parameter.high:
@@ -138,7 +159,10 @@ def _told(found: Quantity, parameter: Parameter) -> bool:
 def _gradients(
     result: Refit, parameters: Callable[[Array], dict[str, Value]], point: Array, index: NDArray[np.int64]
 ) -> dict[str, Array]:
-    """d parameter / d coordinate by central differences of a fraction of a standard deviation."""
+    """Return d parameter / d coordinate, (k,) by name of the parameter.
+
+    Central differences with a step of a fraction of a standard deviation are used.
+    """
     deviations = np.sqrt(np.maximum(np.diag(result.covariance)[index], 0.0))
     out: dict[str, Array] = {}
     for i, deviation in enumerate(deviations):
@@ -158,7 +182,7 @@ def _gradients(
 
 
 def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
-    """name: (nominal, quantity) of the base model's parameters and combinations."""
+    """Return the nominal value and the quantity of each parameter and combination of the base model, by name."""
     base = result.fitted.hypothesis.base
     count = len(base.coordinates())
     spread = result.covariance[:count, :count]
@@ -173,7 +197,7 @@ def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
 
 
 def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, float, str, Array]]:
-    """name: (nominal, value, unit, gradient (k,)) of the base model's numbers at these coordinates (k,)."""
+    """Return nominal value, value, unit and gradient (k,) of the base model's quantities at `point` (k,), by name."""
     central = base.quantities(point)
     gradients = {name: np.zeros(len(point)) for name in central}
     for i in range(len(point)):
@@ -189,27 +213,33 @@ def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, fl
 
 # Intervals with a structured residual: a model error repeats in every pass over the same state of motion.
 #
-# Stretches of time hold the same motion, so such an error does not scatter between them, and resampling by stretches
-# widens no interval, however long the log. Samples at the same velocity and angle are therefore one cluster as well
-# (clusters in several directions: Cameron, Gelbach, Miller, J. Bus. Econ. Stat. 29, 2011). The interval has as many
-# degrees of freedom as clusters that determine the number (Bell, McCaffrey, Surv. Methodol. 28, 2002).
+# Stretches of time contain the same motion, so such an error does not scatter between them. Resampling by stretches
+# therefore widens no interval, even in a long log. For this reason samples at the same velocity and angle are one
+# cluster as well (clusters in several directions: Cameron, Gelbach, Miller, J. Bus. Econ. Stat. 29, 2011). The interval
+# has as many degrees of freedom as clusters that determine the parameter (Bell, McCaffrey, Surv. Methodol. 28, 2002).
 
-# Halves of the velocity and quarters of the angle: an error is smooth over the motion, so that cells cut finer stand
-# for each other's. Of 150 drawn errors of a spring, friction and drag (tests/identify/diagnosis/parameters/test_passes)
-# intervals over 8 cells hold 92 to 94 %, over 16 87, over 24 80 to 83, and 12 without any; 6 cells hold no more
+# Halves of the velocity and quarters of the angle. An error varies smoothly over the motion, so smaller cells would
+# duplicate each other. In 150 random trials with errors of a spring, friction and drag
+# (tests/identify/diagnosis/parameters/test_passes), intervals over 8 cells contain the value in 92 to 94 % of cases,
+# over 16 cells in 87 %, over 24 in 80 to 83 %, and in 12 % without cells. 6 cells are not better than 8
 VELOCITIES, ANGLES = 2, 4
-LEAST_FREEDOM = 2.0  # t of one cluster is 12.7 and says nothing; of two it is 4.3
-SINGULAR = 1e-12  # of the largest variance, in units of each coordinate's own: what rounding leaves of none
+LEAST_FREEDOM = 2.0  # degrees of freedom: t with one cluster is 12.7, which is of no use; with two it is 4.3
+# Share of the largest variance, in units of each coordinate's standard deviation: rounding leaves this of a zero
+# variance
+SINGULAR = 1e-12
 
 
 def states_of(problem: Problem) -> NDArray[np.int64]:
-    """Number of the state of motion of each sample that counts, (m,)."""
+    """Return the number of the state of motion of each sample that the fit uses, (m,)."""
     frame, used = problem.frame, problem.mask
     return states(frame.column("omega_j")[used], frame.stack([run.angle for run in frame.runs])[used])
 
 
 def states(velocity: Array, angle: Array) -> NDArray[np.int64]:
-    """Numbers of the cells of velocity and angle, (m,) each, that samples lie in: about as many samples in each."""
+    """Return the number of the cell of velocity and angle of each sample, (m,).
+
+    `velocity` and `angle` have the shape (m,). The edges of the cells are quantiles of each signal.
+    """
     cells = _quantile(velocity, VELOCITIES) * ANGLES + _quantile(angle, ANGLES)
     return np.asarray(np.unique(cells, return_inverse=True)[1], dtype=np.int64)
 
@@ -223,12 +253,12 @@ def widened(covariance: Array, influence: Array, residual: Array, cells: NDArray
     units = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(units, units))
     values = np.maximum(values, SINGULAR * values[-1])
-    own = influence / units @ (vectors / np.sqrt(values))  # of directions in which the covariance is 1
+    own = influence / units @ (vectors / np.sqrt(values))  # influence on the directions in which the covariance is 1
     number = int(cells.max(initial=0)) + 1
     scores = _summed(own * residual[:, None], cells, number)
     spread, turned = np.linalg.eigh(scores.T @ scores * number / max(number - 1, 1))
     told = _summed(np.square(own @ turned), cells, number)
-    told /= np.maximum(np.max(told, axis=0, initial=0.0), 1e-300)  # of a direction that is all but singular it is huge
+    told /= np.maximum(np.max(told, axis=0, initial=0.0), 1e-300)  # This sum is huge for a nearly singular direction.
     freedom = np.sum(told, axis=0) ** 2 / np.maximum(np.sum(told**2, axis=0), 1e-300)
     wider = np.array([half_width(max(float(each), LEAST_FREEDOM)) / half_width(NOISE) for each in freedom])
     root = units[:, None] * (vectors * np.sqrt(values)) @ turned
@@ -236,12 +266,12 @@ def widened(covariance: Array, influence: Array, residual: Array, cells: NDArray
 
 
 def _summed(columns: Array, cells: NDArray[np.int64], number: int) -> Array:
-    """Sums over cells, (number, k) from (m, k)."""
+    """Return the sums over cells, (number, k), of columns (m, k)."""
     total = np.zeros((number, columns.shape[1]))
     np.add.at(total, cells, columns)
     return total
 
 
 def _quantile(y: Array, parts: int) -> NDArray[np.int64]:
-    """Number of the part of equal numbers of samples that each lies in, (m,)."""
+    """Return the number of the quantile group of each sample, (m,); all `parts` groups have about equal size."""
     return np.asarray(np.searchsorted(np.quantile(y, np.arange(1, parts) / parts), y), dtype=np.int64)

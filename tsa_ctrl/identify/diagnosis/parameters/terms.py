@@ -1,9 +1,9 @@
-"""The terms that a formula of what is left may have: what transmissions are known to have and the catalogue lacks.
+"""List the terms that a formula of the residual may have: known effects of transmissions that the catalogue lacks.
 
-A lever arm, an eccentric pulley or a friction that changes with the angle (products of the load or the direction with
-harmonics of q_j or q_m) or at one place in the sheath, losses that grow with speed and load, sensors that saturate or
-have a dead zone, and zeros or losses that follow the temperature. What is one thing is one term of one or more parts: a
-wave with its phase, a zero with the temperature at which it is right.
+They are lever arms, eccentric pulleys and friction that changes with the angle (products of the load or the direction
+with harmonics of q_j or q_m); friction at one place in the sheath; losses that grow with speed and load; sensors that
+saturate or have a dead zone; and zeros or losses that depend on temperature. One physical effect is one term of one or
+more parts. Examples are a wave with its phase, and a zero with the temperature at which it is correct.
 """
 
 from __future__ import annotations
@@ -22,33 +22,36 @@ from tsa_ctrl.identify.diagnosis.residual.features import direction_and_load
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 
-# Of an angle: waves of any phase once and twice a turn, a straight line, a parabola
+# Functions of an angle: waves of any phase once and twice per turn
 WAVES: tuple[tuple[str, ...], ...] = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"))
+# Functions of an angle: the waves, a straight line and a parabola
 COURSES: tuple[tuple[str, ...], ...] = (*WAVES, ("{0}",), ("{0}**2",))
 FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
-# What a dead zone takes of a torque: all of it up to a limit, and no more beyond
+# Effect of a dead zone on a torque: it removes the whole torque up to a limit, and a constant beyond
 DEAD_ZONE = "(abs(tau + {0}) - abs(tau - {0}))"
-DEAD_ZONES = (
-    0.1,
-    0.3,
-)  # of the RMS torque, limits: below a tenth it is an offset of either sign, above most is cut off
-# What is cut off a torque beyond a limit
-CUT = "sign(tau)*(abs(tau) - {0} + abs(abs(tau) - {0}))"
-CUTS = (0.05, 0.2)  # of the samples, that lie beyond it: of fewer no law shows, and more are no limit of a sensor
-# Friction at one place: a bump as wide as the way between two of so many places over the range of the angle
+# Limits as shares of the RMS torque: a narrower dead zone is an offset of either sign, a wider one removes most of the
+# torque
+DEAD_ZONES = (0.1, 0.3)
+CUT = "sign(tau)*(abs(tau) - {0} + abs(abs(tau) - {0}))"  # Torque beyond a limit, which saturation removes
+CUTS = (0.05, 0.2)  # shares of the samples beyond the limit: fewer show no law, and more are not the limit of a sensor
+# Friction at one place: a bump as wide as the distance between two of PLACES positions over the range of the angle
 PLACES, RUB = 9, "sigma*exp(-((q_j - {0})/{1})**2)"
 SPEEDS = ("omega_j", "abs(omega_j)", "omega_j*abs(omega_j)", "omega_j*abs(tau)", "tau*abs(omega_j)")
 WARMTH = ("*sigma", "*omega_j", "*tau")
 ONE = "1"
-FURTHER = 3.0  # times narrower or wider than at the beginning that a width may come out: beyond is another term
+FURTHER = 3.0  # factor by which a width may become narrower or wider than its start value: beyond, it is another term
 
 
 @dataclass(frozen=True)
 class Term:
-    """What enters a formula as one: parts with a coefficient each, and numbers within them.
+    """One term of a formula: its parts, each with a coefficient, and its inner constants.
 
-    `inside` are those numbers to begin with, `low` and `high` how far they may go; a part has {0}, {1} for them.
+    Attributes:
+        parts: templates of the parts, with {0}, {1} for the inner constants.
+        inside: start values of the inner constants.
+        low: lower bounds of the inner constants.
+        high: upper bounds of the inner constants.
     """
 
     parts: tuple[str, ...]
@@ -57,16 +60,16 @@ class Term:
     high: tuple[float, ...] = ()
 
     def texts(self, numbers: Sequence[object]) -> tuple[str, ...]:
-        """The parts with these numbers, or names of them, inside."""
+        """Return the parts with these values or names of the inner constants."""
         return tuple(part.format(*numbers) for part in self.parts)
 
 
 def terms(problem: Problem, model: Model, predicted: Array) -> list[Term]:
-    """The terms that these logs have the signals for. predicted: N*m, (n).
+    """Return the terms for which these logs have the signals. `predicted`: predicted torque, (n,) N*m.
 
-    Of both angles the joint's is taken, and the motor's as it would be on stiff tendons: their difference is the
-    tendons' stretch, a second measurement of the torque that is to be explained, and a wave of one against a wave of
-    the other takes up any cause.
+    If a tendon-sheath drive has both angles, the joint's angle is used, together with the motor's angle as it would be
+    with stiff tendons. The difference of the measured angles is the tendon elongation, which is a second measurement of
+    the torque to be explained. With both angles, the difference of two waves could replace any cause.
     """
     frame = problem.frame
     rigid = isinstance(model, RigidDrive)
@@ -106,15 +109,17 @@ def _wide(text: str, number: float) -> Term:
 # because other logs have other moments.
 
 STEP = "(1 + tanh((t - {{0}})/{0:g}))"
-WIDTH = 0.05  # s, of a step: shorter than a reversal, and long enough for its moment to be found by its slope
-MOMENTS = 200  # of a log, at which a step is looked for: of 20 s every tenth of a second, twice the step's width
-END = 0.1  # of a log, at either end: with less on one side of it a step is the fit of one stretch
+WIDTH = 0.05  # s, of a step: shorter than a reversal, and long enough to find the time of the step by its slope
+# Times in a log at which a step is tried: in a log of 20 s every tenth of a second, twice the width of the step
+MOMENTS = 200
+END = 0.1  # share of a log at either end: a step with less data on one side fits only that stretch
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
-CYCLES = 3.0  # that a wave must have in a log: fewer are a drift
-FASTEST = 3.0  # Hz: faster are ripples and ringing, which have terms of their own
-MOST_OF_RATE = 0.4  # of the rate at which a long log is averaged: above half of it a wave has a slower alias
-FINER = 5  # times that the way between two frequencies is halved: the phase at a log's end is then right to 3 degrees
-PER_LINE = 4  # frequencies tried within the width of a line, so that the best one loses a twentieth at most
+CYCLES = 3.0  # least number of periods of a wave in a log: fewer are drift
+FASTEST = 3.0  # Hz: faster oscillations are ripple and ringing, which have separate terms
+# Share of the rate to which a long log is averaged: above half of that rate a wave has a slower alias
+MOST_OF_RATE = 0.4
+FINER = 5  # halvings of the distance between two frequencies: the phase at a log's end is then correct to 3 degrees
+PER_LINE = 4  # frequencies tried within the width of a line: the best one loses a twentieth at most
 # Frequencies kept after the Fourier transform, which ignores the other terms: five lines with their neighbours
 LIKELY = 40
 
@@ -122,7 +127,18 @@ LIKELY = 40
 def time_terms(
     problem: Problem, predicted: Array, fitting: NDArray[np.bool_], residual: Array, others: Array
 ) -> list[Term]:
-    """Return the steps and waves that explain most of `residual` (n,) besides `others` (n, k); `predicted`: N*m."""
+    """Return the steps and waves that explain most of the residual in addition to other columns.
+
+    For each of torque, friction and gain, one step and one wave are returned. The wave is omitted if the logs are too
+    short for it.
+
+    Args:
+        problem: the logs with the noise model.
+        predicted: predicted torque, (n,) N*m.
+        fitting: samples to fit on, (n,).
+        residual: residual of the model, (n,) N*m.
+        others: columns that are fitted together with the terms, (n, k).
+    """
     frame = problem.frame
     sigma, load = direction_and_load(frame, predicted)
     t = frame.stack([run.signals.t for run in frame.runs])
@@ -178,6 +194,6 @@ def _likely(frequencies: Array, y: Array, t: Array, slices: Sequence[slice], per
 
 
 def _wave(signal: Array, t: Array, frequency: float) -> Array:
-    """A wave of any phase as a factor of the signal, (n, 2)."""
+    """Return sine and cosine of a frequency (Hz) times the signal, (n, 2)."""
     phase = 2.0 * math.pi * frequency * t
     return np.column_stack([signal * np.sin(phase), signal * np.cos(phase)])

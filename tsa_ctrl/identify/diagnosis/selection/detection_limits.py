@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, torque
 from tsa_ctrl.model.functions import Array
 
-# standard deviations above a threshold at which it is exceeded with probability 0.9 (normal distribution)
+# Standard deviations above a threshold at which it is exceeded with probability 0.9 (normal distribution)
 POWER = 1.2816
 SPREAD = 1.15  # factor by which a block-robust deviation now and then exceeds the nominal one
 INVISIBLE = 1e-6  # share of the largest response: a smaller effect changes nothing in these logs

@@ -23,7 +23,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 # contribution that is three times the torque, so its parameter would depend on the difference of two uncertain values.
 MOST_PART = 3.0
 FAR = 10.0  # distance to the rest angle in half ranges of the motion: the torque of such a spring varies by a tenth
-# share of the range between two bounds: a coordinate that a bound holds lies on it, except for rounding
+# Share of the range between two bounds: a coordinate that a bound holds lies on it, except for rounding
 AT_BOUND = 1e-6
 # Decrease of the sum of squares (white units) that noise alone can cause: 3.7 standard deviations, exceeded in one test
 # of 5,000
