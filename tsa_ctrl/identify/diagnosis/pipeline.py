@@ -52,8 +52,10 @@ def diagnose(
         logs: datasets, or mappings from column name to an array of shape (n,), SI units. Several logs are a list, or a
             mapping from name to columns.
         model: the nominal model.
-        hold_out: pattern of the names of the logs that are held out from fitting. By default every third log by name is
-            held out; of one or two logs, stretches are held out.
+        hold_out: pattern of the names of the held-out logs, which are not used to find or fit causes. By default every
+            third log by name is held out. With one or two logs, stretches of them are held out instead; only the
+                held-out
+            errors are computed without these stretches.
         seed: seed of the random generator.
         progress: called with the name of each stage.
 
@@ -99,7 +101,7 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
             errors = dataclasses.replace(errors, refitted=min(errors.refitted, formula.rms[1]))
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
-    except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # The values exceed any physical range.
+    except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # Numbers overflow, or a matrix is singular.
         return insufficient(model, audited, UNSUITED, testable.not_testable)
     return conclude(
         model,

@@ -18,8 +18,8 @@ from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonShea
 
 # Largest relative half width of the friction's interval: friction that is less certain does not show
 WIDEST_FRICTION = 0.35
-# Largest error as a multiple of the torque's variation: a larger error means another drive's log; (3.55) may miss by a
-# factor of two
+# Largest error as a multiple of the torque's variation: a larger error means another drive's log; equation (3.55) may
+# be wrong by a factor of two
 MOST_ERROR = 5.0
 UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "

@@ -42,8 +42,8 @@ from tsa_ctrl.model.parameters import Model
 # Examples: sheaths that differ are fitted to a torque sensor with two gains, an offset to a zero that follows the
 # temperature, and a spring to a tendon that creeps. The rest would be reported as structure. The formula is compared on
 # held-out data with the cause and the cause's own formula. It replaces the cause if its error is clearly smaller, or if
-# it has an equal error and fewer terms. No formula describes an effect of the catalogue better, or with fewer terms, than
-# the effect itself.
+# it has an equal error and fewer terms. No formula describes an effect of the catalogue better, or with fewer terms,
+# than the effect itself.
 
 # Ratio of the mean square residuals of cause and formula from which on the formula replaces the cause: half of the RMS.
 # A cause from the catalogue leaves only noise, and no formula removes half of that.

@@ -202,8 +202,7 @@ class Formula:
         logs: number of held-out logs.
         terms: number of terms; a wave with its phase is one term.
         ranges: lowest and highest value of each signal of the formula in these logs. Beyond them `limited` and `toml`
-            fade
-            the formula out.
+            fade the formula out.
     """
 
     expression: str

@@ -73,7 +73,7 @@ class Sought:
     def tangents(self, problem: Problem, model: Model, constants: Array, predicted: Array) -> Array:
         """Return d prediction / d constant, (n, constants); `predicted` is the prediction with the formula, (n,)."""
         columns = []
-        reach = self.high - self.low  # The step is relative to the bounds, not to a time on a clock.
+        reach = self.high - self.low  # A step relative to a time on a clock would be too long.
         for i, value in enumerate(constants):
             there = constants.copy()
             there[i] += (step := TRIAL * (reach[i] if np.isfinite(reach[i]) else max(abs(value), TRIAL)))

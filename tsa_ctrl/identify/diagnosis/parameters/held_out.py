@@ -48,10 +48,10 @@ class HeldOut:
         as_given: error of the nominal model.
         recalibrated: error of the recalibrated model.
         extended: error of the model with all causes.
-        lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause. If the held-out
-            samples
-            show no loss because they hardly show the cause or a cause moves the reversals, the loss is computed by
-            cross-validation on the other samples.
+        lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause.
+
+    The held-out samples may show no loss because they hardly show the cause, or because a cause moves the reversals.
+    `lost` is then computed by cross-validation on the other samples.
     """
 
     as_given: float
@@ -172,7 +172,7 @@ def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Spl
 
 
 def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -> bool:
-    """Return True if a cause changes much less of the torque in the held-out samples than in the fitted ones."""
+    """Return True if a cause changes the torque much less in the held-out samples than in the fitted ones."""
     with_it, without = (problem.predicted(each.hypothesis.model(each.point)) for each in (extended, smaller))
     change = np.square(with_it - without)
     return bool(np.mean(change[split.held]) < HARDLY_SHOWN * np.mean(change[split.fit]))

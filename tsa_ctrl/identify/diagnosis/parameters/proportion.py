@@ -24,8 +24,8 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 BENDING_VARIED = 0.05  # share of the wrap angle: with a smaller variation there is only one configuration
 PARTED = 0.5  # share of [uncertainty]: x and T_p are reported separately if their intervals are narrower
-# Share of the RMS error: a slope that reduces the error by more contains information; that in the demo, bent by shake,
-# is worth 3 %
+# Largest increase of the RMS error: a slope that reduces the error by more contains information. The slope in the demo,
+# which shaking distorts, is worth 3 %
 MOST_COST = 0.05
 AT_BOUND = 1e-6  # distance in ln: a fit that a bound holds lies on the bound
 SPLIT = ("friction_angle", "pretension")

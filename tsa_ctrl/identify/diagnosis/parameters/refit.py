@@ -46,8 +46,9 @@ class Refit:
         covariance: covariance of the coordinates, (p, p). It is 0 for coordinates of effects that a bound holds.
         factor: ratio of an interval's half width to the standard deviation (Student's t).
         structured: True if the residual is more than noise, so that passes over the same motion add no information.
-        learned: coordinates by least squares, (p,), if those of `fitted` keep x and T_p in the file's proportion
-            (`proportion`). Slope and friction torque are computed from them, because the logs determine only these two.
+        learned: coordinates by least squares, (p,), if `fitted` moves x and T_p together from the file's values
+            (`proportion`); otherwise None. Slope and friction torque are computed from them, because the logs determine
+            only these two.
     """
 
     fitted: Fit

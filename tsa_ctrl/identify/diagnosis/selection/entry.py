@@ -148,8 +148,7 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
 
     1. It passes all tests.
     2. It is a lag or a delay, is the first cause, and passes all tests with fixed reversal times. With free reversal
-        times
-       only its gain and a lower t are tested.
+       times, only its gain and a lower t are tested.
     3. Its evidence is too weak, but it transfers to other logs.
 
     Args:

@@ -150,7 +150,8 @@ def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
 def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
     """Yield fits with one more effect without parameters, started from the nominal base.
 
-    Recalibration may have compensated for such an effect. These fits are tried if no other effect enters.
+    Recalibration may have compensated for such an effect. These fits are tried if no other effect enters and
+    the residual is more than noise.
     """
     if fitted.rss > MORE_THAN_NOISE * problem.count:
         variants = all_but(fitted.names, catalogue)

@@ -50,9 +50,9 @@ def meaningless(problem: Problem, found: Fit) -> list[int]:
 def meaningless_by_error(problem: Problem, found: Fit) -> list[int]:
     """Return the indices of the effects that are not meaningful when fitted on the simulation error.
 
-    This check applies if the residual has structure, because the reported parameters are then fitted on the simulation
-    error. Structure colours the noise model, so whitening also removes effects that are as slow as the structure. The
-    whitened fit then drives a parameter to a bound that the simulation error does not require.
+    This check applies if most of the residual is structure. Structure colours the noise model, so whitening also
+    removes effects that are as slow as the structure. The whitened fit may then drive a parameter to a bound that the
+    simulation error does not require. The reported parameters are those fitted on the simulation error.
     """
     return meaningless(on_simulation_error(problem, models_reversals(found)), fit_on_simulation_error(problem, found))
 
