@@ -1,1 +1,1 @@
-"""Which other names these logs cannot exclude, by the noise or by the simulation error."""
+"""Competing hypotheses: the other effects that the logs cannot exclude in place of an identified cause."""

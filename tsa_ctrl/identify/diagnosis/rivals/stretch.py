@@ -1,4 +1,4 @@
-"""The tendons' stretch as the angles of both pulleys measure it, and what the model file knows of how it follows.
+"""Tendon elongation, measured by the angles of both pulleys, and the compliances that the model file implies.
 
 s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
 """
@@ -19,22 +19,22 @@ from tsa_ctrl.model.stretch import compliances
 
 SHAPE = "elongation_coupling"
 ALL_AT_JOINT = "joint_end"
-INEXACT = 0.02  # 1, of stiffness: what lines of first order in the friction are off by
-LIKELY = 1.96  # standard deviations of the 95 % that [uncertainty] is
-MOST_ALIKE = 0.98  # 1, correlation of neighbouring residuals
+INEXACT = 0.02  # 1, relative error of the stiffness: the error of a first-order model of the friction
+LIKELY = 1.96  # standard deviations in half a 95 % interval, which is what [uncertainty] states
+MOST_ALIKE = 0.98  # 1, largest correlation of neighbouring residuals: at 1 the deviation would be infinite
 
 
 @dataclass(frozen=True)
 class Seen:
-    """The measured stretch at the samples that count: s (m,) in m, zero, drift and radius as columns (m, k)."""
+    """Measured tendon elongation at the m samples that count."""
 
-    stretch: Array
-    slow: Array
-    blocks: NDArray[np.int64]
+    stretch: Array  # (m,) in m
+    slow: Array  # (m, k), columns of the zero and the drift of each log, and q_J for an error of the pulley radius
+    blocks: NDArray[np.int64]  # (m,), block number of each sample
 
 
 def seen_of(problem: Problem) -> Seen | None:
-    """What the logs measured of it; None where one of them lacks an angle, and for a drive without tendons."""
+    """Return the measured elongation, or None if a log lacks an angle or the drive has no tendons."""
     frame = problem.frame
     if not (isinstance(problem.base.given, TendonSheath) and frame.has("q_m") and frame.has("q_j")):
         return None
@@ -50,7 +50,7 @@ def seen_of(problem: Problem) -> Seen | None:
 
 
 def ends_of(problem: Problem, fitted: Fit, point: Array) -> tuple[Array, TendonSheath]:
-    """T3 - T1 and T4 - T2 under a hypothesis at the samples that count, (m, 2) in N, and its model."""
+    """Return T3 - T1 and T4 - T2 under a hypothesis at the samples that count, (m, 2) in N, and its model."""
     model = fitted.hypothesis.model(point)
     assert isinstance(model, TendonSheath)
     pairs = [stretching(model, run.signals) for run in problem.frame.runs]
@@ -59,10 +59,14 @@ def ends_of(problem: Problem, fitted: Fit, point: Array) -> tuple[Array, TendonS
 
 
 def of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
-    """What is known of (c_M, c_J): `told` @ (c_M, c_J) is `wanted`, each row in its own standard deviations.
+    """Return the prior knowledge of the compliances: right side (rows,) and matrix (rows, 2) of linear equations.
 
-    Their sum by the stiffness; their ratio where a file or the hypothesis says where the sheath bends. In a group that
-    is about the shape, who does not couple the elongation has all bends at the joint.
+    matrix @ (c_M, c_J) = right side, with each row scaled to a standard deviation of 1. The first row is the sum of the
+    compliances, which follows from the axial stiffness. The second row is their ratio. It is present if the model
+    states the curvature profile, or if `shaped` is True.
+
+    shaped: True if the compared hypotheses differ in the curvature profile. A model without the effect
+    `elongation_coupling` then has all its curvature at the joint.
     """
     says = SHAPE in model.effects or model.bending_centre is not None
     if shaped and SHAPE not in model.effects:
@@ -80,7 +84,10 @@ def of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
 
 
 def softness(ends: Array, seen: Seen, noise: float, gram: Array, right: Array) -> Array:
-    """c_M and c_J, m/N, not below 0, that fit best beside what is known of them (its normal equations)."""
+    """Return the non-negative compliances c_M and c_J, (2,) in m/N, that fit the elongation and the prior best.
+
+    gram (2, 2) and right (2,): normal equations of the prior. noise: standard deviation of the elongation, m.
+    """
     columns = np.hstack([ends, seen.slow]) / noise
     matrix, vector = columns.T @ columns, columns.T @ seen.stretch / noise
     matrix[:2, :2] += gram
@@ -97,19 +104,19 @@ def softness(ends: Array, seen: Seen, noise: float, gram: Array, right: Array) -
 
 
 def deviation(rest: Array) -> float:
-    """m, of one sample among neighbours that say the same."""
+    """Return the standard deviation of the noise, m, enlarged for the correlation of neighbouring samples."""
     alike = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
     alike = min(max(alike, 0.0), MOST_ALIKE)
     return float(np.sqrt(np.mean(np.square(rest)) * (1.0 + alike) / (1.0 - alike)))
 
 
 def solved(columns: Array, y: Array) -> Array:
-    """The coefficients of `columns` (m, k) by which they fit y (m,) best."""
+    """Return the least-squares coefficients (k,) of `columns` (m, k) for y (m,)."""
     return pinv(columns.T @ columns, columns.T @ y)
 
 
 def pinv(gram: Array, right: Array) -> Array:
-    """The least solution of normal equations whose columns have sizes of their own."""
+    """Return the minimum-norm solution of normal equations, with each column scaled to unit size."""
     sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled = gram / sizes[:, None] / sizes
     return np.asarray(np.linalg.lstsq(scaled, right / sizes, rcond=1e-12)[0] / sizes)

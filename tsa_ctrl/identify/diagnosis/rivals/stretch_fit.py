@@ -1,7 +1,11 @@
-"""Least squares of the measured stretch with effects of the catalogue in it, beside what the model file knows.
+"""Least-squares fit of effects of the catalogue to the measured tendon elongation.
 
-Free beside the effects: how T3 - T1 and T4 - T2 stretch the tendons (within the file's [uncertainty]), friction of the
-motor that recalibration hides from the torque (within the same), zero and drift of each log, the ratio of the pulleys.
+In addition to the effects, the fit has these free parameters:
+
+- the compliances for T3 - T1 and T4 - T2, within [uncertainty] of the model file;
+- motor friction that recalibration hides from the torque, within the same [uncertainty];
+- the zero and the drift of each log;
+- the ratio of the pulley radii.
 """
 
 from __future__ import annotations
@@ -31,48 +35,48 @@ from tsa_ctrl.model.functions import ARRAYS, Array
 from tsa_ctrl.model.signals import hold_direction
 from tsa_ctrl.model.stretch import compliances
 
-ONCE = "pulley_slip"  # what happens once, in one of the logs
-BASE = 3  # columns of what the file knows: T3 - T1, T4 - T2, the motor's friction
-LEAST_NEW = 1e-10  # of an effect's squares, that must not be those of what is free already
+ONCE = "pulley_slip"  # an effect that occurs once, in a single log
+BASE = 3  # columns with a prior from the model file: T3 - T1, T4 - T2 and motor friction
+LEAST_NEW = 1e-10  # least share of an effect's squares that the other columns do not reproduce: less is rounding
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect in one of its variants, in one log (`run`) or in all; `shape`: its coordinates but the amplitude."""
+    """One variant of an effect at fixed shape coordinates."""
 
     spec: Specification
     variant: Variant
-    run: int | None
-    shape: tuple[float, ...]
+    run: int | None  # number of the log in which it acts; None if it acts in all logs
+    shape: tuple[float, ...]  # its coordinates without the amplitude
 
     @property
     def name(self) -> str:
         return self.spec.name
 
     def values(self, amplitude: float) -> dict[str, Value]:
-        """Its parameters."""
+        """Return the parameters of the effect at this amplitude."""
         return self.variant.parameters(np.array([amplitude, *self.shape]))
 
     def at(self, place: float) -> Term:
-        """The same with another coordinate of its shape."""
+        """Return the same term with `place` as its shape coordinate."""
         return replace(self, shape=(place,))
 
 
 @dataclass(frozen=True)
 class StretchFit:
-    """What a fit leaves: `rest` (m,) in m, its squares over the noise's, and what the file says against its softness.
+    """Result of a fit with k free parameters to m samples.
 
-    `gram` (k, k) is that of all that is free, over the noise's squares: c_M, c_J, the motor's friction, zero, drift and
-    ratio, amplitudes.
+    The parameters are c_M, c_J, the motor friction, zero and drift of each log, the ratio of the pulley radii, and the
+    amplitudes of the terms, in this order.
     """
 
     terms: tuple[Term, ...]
-    noise: float  # m
-    rest: Array
-    beside: float
-    amplitudes: Array
+    noise: float  # m, standard deviation
+    rest: Array  # (m,) in m, residual
+    beside: float  # 1, sum of squared deviations from the values of the model file, in standard deviations
+    amplitudes: Array  # (terms,)
     columns: Array  # (m, k)
-    gram: Array
+    gram: Array  # (k, k), matrix of the normal equations, with the prior from the model file
 
     @property
     def squares(self) -> Array:
@@ -84,7 +88,7 @@ class StretchFit:
 
     @property
     def deviations(self) -> Array:
-        """Of the amplitudes."""
+        """Return the standard deviations of the amplitudes, (terms,)."""
         sizes = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
         variances = np.diag(np.linalg.pinv(self.gram / np.outer(sizes, sizes), rcond=1e-12)) / sizes**2
         return np.asarray(np.sqrt(np.maximum(variances[len(variances) - len(self.terms) :], 0.0)))
@@ -92,21 +96,24 @@ class StretchFit:
 
 @dataclass(frozen=True)
 class Stretch:
-    """The measured stretch of some logs, with all that is the same for every fit; m samples."""
+    """Measured tendon elongation of some logs at m samples, and the data that all fits share."""
 
     seen: Seen
-    ends: Array  # (m, 2), N
-    direction: Array  # (m, 1), 1, mean of the samples'
-    times: tuple[Array, ...]  # s, of each log's samples
-    places: tuple[NDArray[np.int64], ...]  # of those among the m
-    starts: tuple[float, ...]  # s, each log's first sample
-    joint_radius: float
+    ends: Array  # (m, 2), N, T3 - T1 and T4 - T2
+    direction: Array  # (m, 1), 1, direction of motion, averaged over each score sample
+    times: tuple[Array, ...]  # s, times of each log's samples
+    places: tuple[NDArray[np.int64], ...]  # indices of each log's samples among the m samples
+    starts: tuple[float, ...]  # s, time of each log's first sample
+    joint_radius: float  # m
     softness: Array  # c_M and c_J of the model, m/N
-    file: tuple[Array, Array]  # `of_the_file`, and the same of the motor's friction
+    file: tuple[Array, Array]  # prior equations of `of_the_file`, with a row for the motor friction
 
     @classmethod
     def of(cls, chosen: Selection) -> Stretch | None:
-        """That of a selection's logs under its causes; None where a log lacks an angle."""
+        """Return the elongation in the logs of a selection, under its causes.
+
+        Returns None if a log lacks an angle or if the drive has no tendons.
+        """
         problem, fitted = chosen.problem, chosen.fitted
         seen = seen_of(problem)
         if seen is None:
@@ -123,7 +130,7 @@ class Stretch:
         direction = problem.frame.stack(moving)[problem.mask, None]
         soft = np.array(compliances(model))
         hidden = max(model.friction_angle_uncertainty, model.pretension_uncertainty) / LIKELY
-        hidden *= soft[0] * 2.0 * model.pretension * math.tanh(model.friction_angle)  # m, of the motor's friction
+        hidden *= soft[0] * 2.0 * model.pretension * math.tanh(model.friction_angle)  # m, by motor friction
         wanted, told = of_the_file(model, shaped=False)
         friction = np.array([0.0, 0.0, 1.0 / max(hidden, 1e-9)])
         file = np.append(wanted, 0.0), np.vstack([np.pad(told, ((0, 0), (0, 1))), friction])
@@ -131,7 +138,10 @@ class Stretch:
         return cls(seen, ends, direction, tuple(times), tuple(places), starts, radius, soft, file)
 
     def terms(self, spec: Specification, scales: Scales) -> list[Term]:
-        """An effect at every start of its variants; what happens once, in each log by itself."""
+        """Return a term for each starting point of each variant of an effect.
+
+        An effect that occurs once gets separate terms for each log.
+        """
         if spec.name != ONCE:
             return [Term(spec, v, None, start[1:]) for v in spec.search(spec.name, scales) for start in v.starts]
         found = []
@@ -142,7 +152,7 @@ class Stretch:
         return found
 
     def column(self, term: Term) -> Array:
-        """What it adds to the stretch at amplitude 1, m, (m,)."""
+        """Return the elongation that the term adds at amplitude 1, (m,) in m."""
         effect = term.spec.build(term.values(1.0))
         column = np.zeros(len(self.seen.stretch))
         for run, (t, part, start) in enumerate(zip(self.times, self.places, self.starts, strict=True)):
@@ -152,9 +162,10 @@ class Stretch:
         return column
 
     def fit(self, terms: Sequence[Term], noise: float | None = None, *, whatever_stiffness: bool = False) -> StretchFit:
-        """With these effects, under the noise that they leave where none is given.
+        """Fit these terms to the elongation.
 
-        `whatever_stiffness`: without regard to what the file says of the whole softness.
+        noise: standard deviation, m; None estimates it from the residual of a fit without the prior.
+        whatever_stiffness: True ignores the sum of the compliances that follows from the model file.
         """
         columns = np.column_stack([self.ends, self.direction, self.seen.slow, *(self.column(term) for term in terms)])
         y = self.seen.stretch
@@ -175,12 +186,18 @@ class Stretch:
         return StretchFit(tuple(terms), noise, y - columns @ solution, beside, own, columns, gram)
 
     def as_given(self) -> Array:
-        """What the file's own softness leaves but zero, drift and ratio, m, (m,)."""
+        """Return the residual of the elongation with the model's own compliances, (m,) in m.
+
+        Zero, drift and the ratio of the pulley radii are fitted and subtracted.
+        """
         rest = self.seen.stretch - self.ends @ self.softness
         return np.asarray(rest - self.seen.slow @ solved(self.seen.slow, rest))
 
     def best(self, found: StretchFit, terms: Sequence[Term]) -> Term | None:
-        """Of the variants and starts of one effect, what takes most off what `found` leaves; its shape refined."""
+        """Return the term that reduces the cost of `found` most, with its shape coordinate refined.
+
+        Returns None if no term reduces the cost.
+        """
         gains = [self._gain(found, term) for term in terms]
         number = int(np.argmax(gains)) if gains else -1
         if number < 0 or gains[number] <= 0.0:
@@ -202,11 +219,14 @@ class Stretch:
         return refined if self._gain(found, refined) > gains[number] else best
 
     def _gain(self, found: StretchFit, term: Term) -> float:
-        """By how much the cost falls with it; 0 where its amplitude would be beyond its bounds."""
+        """Return the decrease of the cost that the term brings.
+
+        Returns 0 if its amplitude would be out of bounds, or if the columns of `found` already reproduce the term.
+        """
         column = self.column(term)
         shared = found.columns.T @ column / found.noise**2
         whole = float(column @ column) / found.noise**2
-        alike = pinv(found.gram, shared)  # what is free already imitates it so
+        alike = pinv(found.gram, shared)  # coefficients with which the present columns reproduce it best
         beyond = column - found.columns @ alike
         new = float(beyond @ beyond) / found.noise**2 + float(np.sum(np.square(self.file[1] @ alike[:BASE])))
         towards = float(column @ found.rest) / found.noise**2
@@ -217,7 +237,7 @@ class Stretch:
 
 
 def _at(t: Array, start: float) -> State[Array]:
-    """A log's time; the stretch's effects look at nothing else."""
+    """Return a state with the time of a log only; the effects on the elongation use no other signal."""
     none = np.asarray(math.nan)
     return State(
         t=t, omega=none, acceleration=none, q_j=none, q_m=none, temperature=none, theta=none, sigma=none, start=start

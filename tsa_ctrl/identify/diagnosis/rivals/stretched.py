@@ -1,13 +1,16 @@
-"""The tendons' stretch as a second measurement: of the names that the torque leaves, those that it contradicts.
+"""Tendon elongation as a second measurement that excludes hypotheses which fit the torque.
 
-Where a log has the angles of both pulleys, s = r_M q_M - r_J q_J follows the tensions at both ends of the tendons,
+If the logs contain the angles of both pulleys, the elongation s follows from the tensions at both ends of the tendons:
 
-    s = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2),
+    s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
 
-which each hypothesis foretells: what acts before the tendons (torque constant, ripple, friction of the motor) or in
-them (slack, shape, presliding) is in them, what acts behind (joint, load, delay of the torque sensor) is not. Stiffness
-and shape are free as far as the model file does not know them, and the hypothesis' own coordinates as far as the torque
-leaves them free: it must fit both.
+Each hypothesis predicts these tensions. They contain every effect that acts ahead of the tendons (torque constant,
+ripple, motor friction) or in the tendons (slack, curvature profile, presliding). They do not contain effects behind the
+tendons (joint, load, delay of the torque sensor).
+
+A hypothesis must fit both the torque and the elongation. The fit may therefore vary the stiffness and the curvature
+profile within the uncertainty of the model file, and the coordinates of the hypothesis within their uncertainty
+according to the torque.
 """
 
 from __future__ import annotations
@@ -40,30 +43,43 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.model.functions import Array
 
-VISIBLY = 1.25  # of the squares of the best: encoders and what no hypothesis has leave that much open
-BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
-ENOUGH = 30.0  # of the cost, that the difference must be: no matter of a few counts
-ASIDE = 9.0 * MOST_SPREAD**2  # of what torque and file cost more: 3 standard deviations of the blocks' largest spread
-HONEST = 1.5  # times what is left with stiffness and shape free: more, and none of them is what stretches the tendons
-LEAST_TOLD = 0.5  # of the stretch's mean square less zero and drift: less, and the stretch is not of these tensions
-ROUNDS = 2  # of Gauss-Newton: a hypothesis starts where the torque has it
-MOST_CHANGES = 3  # of a name: each is a search of rivals anew, and the second already comes from a closer group
+# Ratio of the sum of squares to that of the best hypothesis: encoder errors and effects outside the catalogue cause
+# smaller ratios
+VISIBLY = 1.25
+BEYOND = 3.0  # Student's t of the difference over the blocks: 0.3 % one-sided
+ENOUGH = 30.0  # least difference in cost: a few encoder counts cause less
+# Largest difference in total cost (torque, model file and elongation): 3 standard deviations at the largest spread
+# of the blocks
+ASIDE = 9.0 * MOST_SPREAD**2
+# Ratio of the best sum of squares to the one with free stiffness and curvature profile: above it, no hypothesis
+# explains the elongation
+HONEST = 1.5
+# Least share of the mean square of the elongation, without zero and drift, that the best hypothesis explains: below it,
+# the elongation does not follow the predicted tensions
+LEAST_TOLD = 0.5
+ROUNDS = 2  # iterations of Gauss-Newton: they start from the fit to the torque, which is close to the optimum
+# Largest number of exchanged causes: each one repeats the search for competing hypotheses, and the second search
+# already starts from a smaller group
+MOST_CHANGES = 3
 
 
 @dataclass(frozen=True)
 class _Told:
-    """The squares that a hypothesis leaves of it, (m,) in m^2, and what it costs of torque and model file beside, 1."""
+    """Fit of the tendon elongation under one hypothesis."""
 
-    squares: Array
-    beside: float
+    squares: Array  # (m,) in m^2, squared residuals of the elongation
+    beside: float  # 1, increase of the cost of the torque, plus the deviation from the model file
 
 
 def parted(
     chosen: Selection, catalogue: Catalogue, findings: Sequence[Finding], grouped: Sequence[Group]
 ) -> tuple[Selection, tuple[Group, ...]]:
-    """The causes and groups without the names that the stretch excludes; as they are where no log has both angles.
+    """Return the selection and its groups after the hypotheses were compared with the tendon elongation.
 
-    A cause that the stretch contradicts gives its place to the rival of its group that fits best.
+    Alternatives that the elongation contradicts are marked as excluded. A contradicted cause is replaced by the
+    alternative that fits best, if that is an effect which can be identified. The search for competing hypotheses is
+    then repeated. Selection and groups are returned unchanged if a log lacks an angle, if the drive has no tendons, or
+    if no group has an alternative.
     """
     seen = seen_of(chosen.problem) if any(group.alternatives for group in grouped) else None
     if seen is None:
@@ -81,7 +97,11 @@ def parted(
 
 
 def _judged(chosen: Selection, group: Group, seen: Seen) -> tuple[Group, Rival | None]:
-    """The group with what the stretch excludes, and the rival that takes the cause's place, if one does."""
+    """Return the group with its excluded alternatives marked, and the alternative that replaces the cause.
+
+    The second value is None if the cause is not replaced. The group is returned unchanged if fewer than two hypotheses
+    can be computed, if no hypothesis explains the elongation, or if the elongation contradicts the cause itself.
+    """
     members: list[tuple[Rival | None, Fit]] = [(None, chosen.fitted)]
     members += [(rival, rival.fitted) for rival in group.alternatives]
     shaped = any(SHAPE in fitted.names for _, fitted in members)
@@ -106,14 +126,18 @@ def _judged(chosen: Selection, group: Group, seen: Seen) -> tuple[Group, Rival |
 
 
 def _can_be_named(problem: Problem, rival: Rival) -> bool:
-    """Whether it is an effect that means something, and no wider recalibration."""
+    """Return True if the hypothesis adds a meaningful effect; a recalibration beyond [uncertainty] does not."""
     fitted = rival.fitted
     named = not fitted.hypothesis.wide_prior and rival.name in fitted.names[-1:]
     return named and not meaningless(problem, fitted)
 
 
 def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
-    """Whether it leaves visibly more than the best, beyond the blocks' scatter, or asks too much of torque and file."""
+    """Return True if the elongation contradicts the hypothesis `found`.
+
+    It does if the squared residuals clearly exceed those of `best`, beyond the scatter of the blocks. It also does if
+    the total cost of torque, model file and elongation exceeds that of `best` by more than ASIDE.
+    """
     more = np.bincount(seen.blocks, found.squares - best.squares) / noise**2
     total = float(more.sum())
     spread = float(np.std(more, ddof=1)) * np.sqrt(len(more)) if len(more) > 1 else np.inf
@@ -122,7 +146,10 @@ def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
 
 
 def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
-    """What a hypothesis leaves of the stretch (m,) with stiffness and shape free; None where it cannot be computed."""
+    """Return the residual of the elongation, (m,) in m, with free stiffness and curvature profile.
+
+    Returns None if the tensions under the hypothesis cannot be computed.
+    """
     try:
         columns = np.hstack([ends_of(problem, fitted, fitted.point)[0], seen.slow])
     except UsageError:
@@ -131,7 +158,10 @@ def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
 
 
 def _told(problem: Problem, fitted: Fit, seen: Seen, noise: float, shaped: bool) -> _Told:
-    """The stretch under a hypothesis, with its coordinates as torque and stretch together want them."""
+    """Fit the elongation under a hypothesis whose coordinates are adjusted to torque and elongation together.
+
+    noise: standard deviation of the elongation, m. shaped: as in `of_the_file`.
+    """
     hypothesis, free = fitted.hypothesis, np.flatnonzero(fitted.free)
     point, moved = fitted.point.copy(), np.zeros(len(free))
     ends, model = ends_of(problem, fitted, point)
