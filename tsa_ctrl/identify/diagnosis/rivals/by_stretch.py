@@ -1,7 +1,9 @@
-"""Causes that no torque shows: effects of the tendons' stretch, where the logs have the angles of both pulleys.
+"""Causes that only the tendon elongation shows, for logs with the angles of both pulleys.
 
-What the causes of the torque leave of the stretch takes one effect more at a time. One is named that the angles show
-visibly, or without which the file's softness would be far off; what does as well stays an alternative.
+The causes of the torque error leave a residual of the elongation. Effects of the catalogue are fitted to this residual,
+one more at a time. An effect is an identified cause if it clearly reduces the residual. A series spring is also
+identified if, without it, the fitted stiffness would contradict the model file. Effects that fit equally well remain
+alternatives.
 """
 
 from __future__ import annotations
@@ -21,18 +23,19 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Effects
 
 SPRING = "series_spring"
-MOST = 3  # effects that are named, of four that there are: all at once would be a fit of functions
-ENOUGH = 30.0  # of the cost, that the angles must say: no matter of a few counts
-FROM_FILE = 16.0  # of the cost, that the file must say: 4 standard deviations of its [uncertainty]
-VISIBLY = 1.25  # of the squares with the effect, that are left without it: 12 % of the RMS, seen in a picture
-# t over the blocks: 0.3 % one-sided. Of the roots of their differences, as those are squares: what acts all along says
-# a hundred times as much in one block as in another, and it is many blocks that must say it
+MOST = 3  # largest number of identified effects, of four in the catalogue: four at once would fit almost any curve
+ENOUGH = 30.0  # least decrease of the cost due to the angles: a few encoder counts bring less
+FROM_FILE = 16.0  # least decrease of the cost due to the model file: 4 standard deviations of its [uncertainty]
+VISIBLY = 1.25  # ratio of the squares without and with the effect: 12 % of the RMS, which is visible in a picture
+# Student's t over the blocks: 0.3 % one-sided. The test uses the square roots of the differences. A permanent effect
+# may change one block a hundred times as much as another, and the roots ensure that many blocks must show it.
 BEYOND = 3.0
-FOR_ONCE = 1.5  # t of the differences of what passes or happens once: k blocks that say all of it have t = sqrt(k)
-ALIKE = 9.0  # of the cost, within which another effect does as well: 3 standard deviations
-# Of the stretch's mean square less zero, drift and the effects: else something else stretches the tendons
+FOR_ONCE = 1.5  # Student's t of the differences for a transient effect: if k blocks show all of it, t is sqrt(k)
+ALIKE = 9.0  # largest difference in cost between equally good effects: 3 standard deviations
+# Least share of the mean square of the elongation, without zero, drift and the effects, that the tensions explain:
+# below it, an unknown cause elongates the tendons
 LEAST_TOLD = 0.9
-DOUBLINGS, HALVINGS = 24, 16  # of a step that looks for the end of an interval
+DOUBLINGS, HALVINGS = 24, 16  # largest numbers of steps to the end of an interval: 16 halvings resolve it to 2e-5
 NOT_FOLLOWED = "the angles of both pulleys do not follow the tendons' tensions"
 NOT_AS_STIFF = "the angles of both pulleys contradict the stiffness or shape of the model file beyond its [uncertainty]"
 
@@ -41,30 +44,26 @@ Candidates = Mapping[str, Sequence[Term]]
 
 @dataclass(frozen=True)
 class StretchCause:
-    """An effect of the stretch, as `Cause`; `log`: the one in which it happened, empty where it acts in all."""
+    """An identified effect of the tendon elongation, with the same fields as `Cause`."""
 
     effect: str
     alternatives: tuple[str, ...]
     probability: float
     parameters: Mapping[str, Quantity | str]
-    log: str = ""
+    log: str = ""  # name of the log in which it occurred; empty if it acts in all logs
 
 
 @dataclass(frozen=True)
 class ByStretch:
-    """What the angles of both pulleys say beside the torque; `rms`, m: what the file as given leaves of the stretch
-    but zero and drift, and what the effects do.
-
-    `unasked`: why they say nothing, where the logs have them.
-    """
+    """Result of the test of the tendon elongation."""
 
     causes: tuple[StretchCause, ...] = ()
-    rms: tuple[float, float] | None = None
-    unasked: str = ""
+    rms: tuple[float, float] | None = None  # m, residual of the elongation with the model's compliances and of the fit
+    unasked: str = ""  # reason why the test was not possible; empty if it was, or if the logs lack an angle
 
     @property
     def effects(self) -> Effects:
-        """Those for a model file: an event in one log is not part of the model."""
+        """Return the effects for a model file: an event in a single log is not part of the model."""
         return {
             cause.effect: {name: v if isinstance(v, str) else v.value for name, v in cause.parameters.items()}
             for cause in self.causes
@@ -73,7 +72,7 @@ class ByStretch:
 
 
 def by_stretch(chosen: Selection, scales: Scales) -> ByStretch:
-    """The effects that the stretch shows beside the causes of the torque."""
+    """Return the effects that the elongation shows in addition to the causes of the torque error."""
     stretch = Stretch.of(chosen)
     if stretch is None:
         return ByStretch()
@@ -97,7 +96,10 @@ def by_stretch(chosen: Selection, scales: Scales) -> ByStretch:
 
 
 def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -> tuple[float, StretchFit | None]:
-    """The fit with an effect beside those of `found`, and by how much its cost is less; None where it is not shown."""
+    """Return the decrease of the cost, and the fit with one of `terms` added to those of `found`.
+
+    Returns (0.0, None) if the logs do not show the effect, or if its amplitude lies at a bound.
+    """
     term = stretch.best(found, terms)
     if term is None:
         return 0.0, None
@@ -110,9 +112,9 @@ def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -
 
 
 def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, once: bool) -> bool:
-    """Whether the first leaves visibly less of the stretch than the second, beyond the blocks' scatter.
+    """Return True if the residual of `more` is clearly smaller than that of `less`, beyond the scatter of the blocks.
 
-    `once`: what makes the difference passes or happens once, and a few blocks may say all of it.
+    once: True for a transient effect or a single event, which a few blocks may show completely.
     """
     gained = np.bincount(stretch.seen.blocks, less.squares - more.squares)
     total, left = float(gained.sum()), float(more.squares.sum())
@@ -122,7 +124,10 @@ def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, once: bo
 
 
 def _follows_the_tensions(stretch: Stretch, found: StretchFit) -> bool:
-    """Whether what the effects do not say of the stretch is explained by the tensions for the most part."""
+    """Return True if the tensions explain the elongation without the effects.
+
+    They must explain at least LEAST_TOLD of its mean square after zero, drift and the ratio of the radii are removed.
+    """
     own = found.columns[:, len(found.columns[0]) - len(found.terms) :]
     alone = stretch.seen.stretch - own @ found.amplitudes
     slow = found.columns[:, BASE : found.columns.shape[1] - len(found.terms)]
@@ -133,7 +138,7 @@ def _follows_the_tensions(stretch: Stretch, found: StretchFit) -> bool:
 def _cause(
     stretch: Stretch, found: StretchFit, index: int, candidates: Candidates, logs: Sequence[str]
 ) -> StretchCause:
-    """One of the effects with what does as well in its place, and its parameters."""
+    """Return effect number `index` of a fit as a cause, with its alternatives and its parameters."""
     term = found.terms[index]
     others = (*found.terms[:index], *found.terms[index + 1 :])
     named = {other.name for other in found.terms}
@@ -158,7 +163,7 @@ def _cause(
 
 
 def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Quantity | str]:
-    """The parameters of an effect with their intervals."""
+    """Return the parameters of effect number `index` of a fit, with their 95 % intervals."""
     term, amplitude = found.terms[index], float(found.amplitudes[index])
     factor = half_width(NOISE)
     half = factor * float(found.deviations[index])
@@ -182,7 +187,10 @@ def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Qu
 
 
 def _end(stretch: Stretch, found: StretchFit, index: int, side: float, allowed: float) -> float:
-    """How far the coordinate of an effect's shape may go on one side, until the cost has grown by `allowed`."""
+    """Return the shape coordinate of an effect at which the cost has increased by `allowed`, or the bound before it.
+
+    side: 1.0 for the upper end of the interval, -1.0 for the lower end.
+    """
     term = found.terms[index]
     coordinate, place = term.variant.coordinates[1], term.shape[0]
 

@@ -1,8 +1,10 @@
-"""Rivals on data that they were not fitted on: one that simulates visibly worse there than the cause is no rival.
+"""Comparison of a cause and its competing hypotheses on data that they were not fitted to.
 
-Whitened by the noise of short logs or slow drift, causes that leave four times the error of another fit about as well:
-what sets them apart is as slow as that noise. The error that a user sees, on samples that the fit has not seen, is
-compared without whitening; its scatter between blocks is its noise.
+A competing hypothesis is excluded if its simulation error on such data is clearly larger than that of the cause.
+
+Whitening may hide this. In short logs, or in logs with slow drift, the noise is as slow as the difference between two
+hypotheses. A hypothesis with four times the error then fits the whitened data about as well. This comparison therefore
+uses the simulation error without whitening. Its scatter between blocks serves as the noise.
 """
 
 from __future__ import annotations
@@ -18,26 +20,28 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulati
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-# Of the cause's mean square elsewhere: a rival that leaves less than half as much again is no worse to a user, whatever
-# its scatter; and where noise is most of the error, whitened residuals are the sharper test
+# Ratio of the mean squares of competing hypothesis and cause: a user does not notice a smaller ratio, whatever the
+# scatter. If the error is mostly noise, the test of the whitened residuals is sharper.
 VISIBLY = 1.5
-BEYOND = 3.0  # t of the difference over about 24 blocks: 0.3 % one-sided
-SINGULAR = 1e-9  # of a coordinate's square, added to it: twins stay where they are, and all else moves as if it were 0
+BEYOND = 3.0  # Student's t of the difference over about 24 blocks: 0.3 % one-sided
+# Damping, as a share of the square of each coordinate's column: indistinguishable coordinates stay at their values, and
+# the step of all others is as without damping
+SINGULAR = 1e-9
 
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """Squares of the simulation error in each block, (blocks,) in (N*m)^2, by a fit that did not see the block."""
+    """Sum of squares of the simulation error in each block, (blocks,) in (N*m)^2, by a fit without that block."""
 
     squares: Array
 
     @property
     def error(self) -> float:
-        """Sum of squares, (N*m)^2."""
+        """Return the sum of squares over all blocks, (N*m)^2."""
         return float(self.squares.sum())
 
     def clearly_beats(self, other: Elsewhere) -> bool:
-        """Whether the other leaves visibly more than this, by more than blocks scatter."""
+        """Return True if the error of `other` is clearly larger, beyond the scatter of the blocks."""
         more = other.squares - self.squares
         count = len(more)
         spread = float(np.std(more, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
@@ -45,10 +49,11 @@ class Elsewhere:
 
 
 def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
-    """The simulation error of a hypothesis on blocks it was not fitted on: whole logs where there are enough of them.
+    """Return the simulation error of a hypothesis on data that it was not fitted to.
 
-    One Gauss-Newton step from the fit on all of them; where a bound holds a coordinate the others are solved anew, for
-    along a valley (friction and pretension beside a torque constant) the one alone means a wall.
+    Whole logs are left out if there are at least FOLDS of them, and blocks otherwise. Each fit without a part is one
+    Gauss-Newton step from the fit to all data. If a bound stops one coordinate, the others are solved again. Without
+    this, a narrow valley of the cost (friction and pretension together with a torque constant) would stop them all.
     """
     learned = fit_on_simulation_error(problem, found, reversals)
     squares: Array = np.bincount(problem.blocks, unseen(learned, _folds(problem))).astype(np.float64)
@@ -56,7 +61,10 @@ def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
 
 
 def unseen(learned: Fit, folds: NDArray[np.int64]) -> Array:
-    """Square of each residual, (m,), by a fit that did not see its fold. folds (m,): number of each sample's."""
+    """Return the square of each residual, (m,), by a fit that leaves out the fold of the sample.
+
+    folds: number of the fold of each sample, (m,).
+    """
     squares = np.zeros(len(learned.residual))
     for fold in np.unique(folds):
         inside = folds == fold
@@ -65,9 +73,9 @@ def unseen(learned: Fit, folds: NDArray[np.int64]) -> Array:
 
 
 def residual_of_part(learned: Fit, part: NDArray[np.bool_], moved: slice = slice(None)) -> Array:
-    """Residuals, (m,), of the fit moved by one bounded step that the samples of `part`, (m,), alone ask for.
+    """Return the residuals, (m,), after one bounded step that fits the samples of the mask `part`, (m,), alone.
 
-    moved: the coordinates that step, of those that no bound holds; the others stay where all samples have them.
+    moved: coordinates that may move, unless a bound holds them. The others keep their values of the fit to all samples.
     """
     jacobian, residual = learned.jacobian, learned.residual
     steps = np.zeros(len(learned.point), dtype=np.bool_)
@@ -81,6 +89,6 @@ def residual_of_part(learned: Fit, part: NDArray[np.bool_], moved: slice = slice
 
 
 def _folds(problem: Problem) -> NDArray[np.int64]:
-    """Number of the part that each sample that counts is left out with, (m,)."""
+    """Return the number of the fold of each sample that counts, (m,)."""
     own = problem.frame.logs(problem.mask)
     return (own if own[-1] + 1 >= FOLDS else problem.blocks) % FOLDS

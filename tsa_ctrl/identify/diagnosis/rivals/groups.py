@@ -1,10 +1,10 @@
-"""Which other effects this log cannot exclude in place of a named one.
+"""Comparison of each identified cause with the competing hypotheses that the logs cannot exclude.
 
-A rival takes the place of the cause and everything is fitted anew; it stays an alternative unless it fits worse by more
-than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
-without regard to [uncertainty].
+A competing hypothesis replaces the cause, and all parameters are fitted again. It remains an alternative unless its fit
+is worse by more than the noise explains, including the scatter between blocks. `parameter_error` is the competing
+hypothesis without an effect: a recalibration that ignores [uncertainty].
 
-Where most of what is left is structure, the simulation error decides (`residual.structure`).
+If most of the residual is structure, the simulation error decides instead of the noise (`residual.structure`).
 """
 
 from __future__ import annotations
@@ -29,38 +29,37 @@ from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
-# Times the deviation in white noise that blocks may show: as much as an interval may be widened (refit.WIDEST)
+# Largest ratio of the scatter between blocks to that of white noise: the same limit as for the widening of an interval
+# (refit.WIDEST)
 MOST_SPREAD = 3.0
-INPUT_TOLERANCE = 0.02  # of what the cause explains: inputs and filters are no better known than that
-# White units, of that tolerance: what is sure by 60 is not made unsure by how much it explains
+INPUT_TOLERANCE = 0.02  # of the decrease that the cause brings: inputs and filters are not known more accurately
+# White units, largest tolerance: a difference of 60 is certain, however much the cause explains
 MOST_INPUT_TOLERANCE = 60.0
-STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
-UNRECORDED = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
-# K, of the temperature that is made up: a drive that warms up; its coefficient is in proportion, so that any would do
+STILL = 0.3  # rad, range of the joint angle within which a gravity load looks like an offset
+UNRECORDED = "thermal_friction_drift"  # the competing hypothesis of a temperature that was not recorded
+# K, rise of the assumed temperature while the drive warms up: any value would do, because the coefficient scales with
+# its inverse
 RISE = 10.0
-REFERENCE = 25.0  # deg C: a room; of a temperature that is made up only differences count
-FITTED = 6  # rivals that are fitted in full, beside the cause's own twins: a group of more would tell nobody anything
+REFERENCE = 25.0  # deg C, room temperature: only differences of the assumed temperature matter
+# Competing hypotheses that are fitted completely, in addition to the indistinguishable effects of the cause that the
+# catalogue lists: a larger group would be of no use to the reader
+FITTED = 6
 
 
 @dataclass(frozen=True)
 class Rival:
-    """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
-
-    `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
-    vanished. `within_structure`: most of what is left is structure, and the simulation
-    error does not tell them apart. On samples that no fit has seen this one `fails_elsewhere`, as it leaves visibly
-    more than the named cause. `against_stretch`: the angles of both pulleys contradict it.
-    """
+    """Competing hypothesis in place of an identified cause."""
 
     name: str
     fitted: Fit
-    worse: float
-    tolerance: float  # of `worse`, that errors of the inputs explain
-    limit: bool = False
-    within_structure: bool = False
-    fails_elsewhere: bool = False
-    against_stretch: bool = False
-    share: float | None = None  # of what the cause takes off the error there, that this one does; None: not compared
+    worse: float  # white units, increase of the sum of squares, corrected for the scatter between blocks
+    tolerance: float  # white units, part of `worse` that errors of the inputs can explain
+    limit: bool = False  # the cause is a limiting case of this one, or the effect of this one has vanished
+    within_structure: bool = False  # most of the residual is structure, and the simulation error does not separate both
+    fails_elsewhere: bool = False  # its error on samples outside the fit is clearly larger than that of the cause
+    against_stretch: bool = False  # the angles of both pulleys contradict it
+    # Decrease of the error on samples outside the fit, as a share of the decrease by the cause; None: not compared
+    share: float | None = None
 
     @property
     def excluded(self) -> bool:
@@ -70,13 +69,13 @@ class Rival:
 
     @property
     def weight(self) -> float:
-        """Return the likelihood relative to the named cause, by the same evidence that decides `excluded`."""
+        """Return the likelihood relative to the identified cause, from the same evidence that decides `excluded`."""
         return 1.0 if self.within_structure else float(np.exp(-0.5 * max(self.worse - self.tolerance, 0.0)))
 
 
 @dataclass(frozen=True)
 class Group:
-    """A cause with the effects that it was compared to, best first."""
+    """An identified cause and the competing hypotheses that it was compared to, in the order of `worse`."""
 
     name: str
     rivals: tuple[Rival, ...]
@@ -94,7 +93,10 @@ class Group:
 
 
 def groups(problem: Problem, fitted: Fit, catalogue: Catalogue, structure: ErrorCriterion | None = None) -> list[Group]:
-    """One group for each cause of `fitted`. `structure`: what is left of it, where that is more than noise."""
+    """Return one group for each cause of `fitted`.
+
+    structure: the simulation-error criterion if most of the residual is structure; None if the noise decides.
+    """
     return [_group(problem, fitted, index, catalogue, structure) for index in range(len(fitted.names))]
 
 
@@ -125,7 +127,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
     found = _judged_elsewhere(problem, fitted, smaller, found)
-    best: dict[str, Rival] = {}  # of each name
+    best: dict[str, Rival] = {}  # the best one for each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
     return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
@@ -134,7 +136,10 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
 def _by_simulation_error(
     problem: Problem, found: Sequence[Rival], structure: ErrorCriterion, smaller: Fit, reversals: bool
 ) -> list[Rival]:
-    """The same, with what the simulation error says of those that noise would exclude."""
+    """Return the same hypotheses with `within_structure` set.
+
+    It is set if the noise excludes a hypothesis but its simulation error is no worse than that of the cause.
+    """
     judged = []
     without_any = simulation_error(problem, smaller, reversals)
     for rival in found:
@@ -145,7 +150,10 @@ def _by_simulation_error(
 
 
 def _judged_elsewhere(problem: Problem, fitted: Fit, smaller: Fit, found: Sequence[Rival]) -> list[Rival]:
-    """The same, with what samples that no fit has seen say of those that are left."""
+    """Return the same hypotheses after a comparison on samples outside the fit.
+
+    The comparison sets `fails_elsewhere` and `share` of each hypothesis that is not excluded yet.
+    """
     judged = list(found)
     reversals = models_reversals(fitted)
     own = without = None
@@ -164,12 +172,18 @@ def _judged_elsewhere(problem: Problem, fitted: Fit, smaller: Fit, found: Sequen
 
 
 def made_up(problem: Problem, name: str) -> bool:
-    """A warm-up that nobody recorded is made up by `_temperature_confound`: no simulation of these logs has it."""
+    """Return True if the hypothesis assumes a temperature that the logs do not contain.
+
+    `_temperature_confound` makes up this temperature, so the logs cannot be simulated with it.
+    """
     return name == UNRECORDED and not problem.frame.has("temperature")
 
 
 def _vanished(rival: Fit) -> bool:
-    """Whether a rival does without what its name says: presliding over no distance is the angle's direction alone."""
+    """Return True if the effect of a competing hypothesis has vanished in its fit.
+
+    An example is presliding over zero distance, which depends on the direction of motion only.
+    """
     hypothesis = rival.hypothesis
     if not hypothesis.nonsmooth.any() or not hypothesis.nonsmooth[-1]:
         return False
@@ -177,7 +191,11 @@ def _vanished(rival: Fit) -> bool:
 
 
 def _limits(problem: Problem, name: str) -> set[str]:
-    """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
+    """Return the effects of which `name` is a limiting case.
+
+    A torque offset is a limiting case of a joint stiffness. If the joint angle varies by more than STILL, the offset
+    also counts as a limiting case of a gravity load. Other effects are limiting cases of none.
+    """
     if name != "torque_offset":
         return set()
     turned = max(float(np.ptp(run.angle)) for run in problem.frame.runs) > STILL
@@ -185,10 +203,11 @@ def _limits(problem: Problem, name: str) -> set[str]:
 
 
 def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
-    """How much worse `rival` fits; a further coordinate counts as in the selection.
+    """Return `rival` as a competing hypothesis called `name`, with the increase of the sum of squares over `fitted`.
 
-    In white noise the increase of the sum of squares has the deviation 2 |d|, where d is the difference of the
-    predictions; where the products of d with the residual add up to more within blocks, the increase counts less.
+    Each coordinate that `rival` has less than `fitted` reduces the increase by PER_COORDINATE. In white noise the
+    increase has the standard deviation 2 |d|, where d is the difference of the predictions. If the products of d and
+    the residual scatter more between blocks than in white noise, the increase is divided by the ratio squared.
     """
     difference = fitted.residual - rival.residual
     total = rival.rss - fitted.rss
@@ -200,11 +219,11 @@ def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: fl
 
 
 def _temperature_confound(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | None:
-    """The fit of `smaller` with a hidden warm-up in place of the relaxation, which is number `index` of `fitted`.
+    """Return the fit of `smaller` with a hidden warm-up in place of the relaxation, cause number `index` of `fitted`.
 
-    Any course of a temperature that nobody recorded is possible, so the rival gets the one that imitates the relaxation
-    best: its own. Only the slope, which follows friction and not pretension, can part the two. None where a temperature
-    was recorded.
+    A temperature that was not recorded may follow any curve. The assumed temperature therefore follows the curve of the
+    relaxation, which it then imitates best. Only the slope distinguishes the two, because it depends on the friction
+    and not on the pretension. Returns None if a temperature was recorded, or if the fit fails.
     """
     frame = problem.frame
     if frame.has("temperature"):
