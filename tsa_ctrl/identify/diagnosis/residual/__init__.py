@@ -1,1 +1,1 @@
-"""What is left once the causes are named: dependence on signals, and changes in time."""
+"""Tests of the residual after the causes are identified: dependence on signals, and changes in time."""

@@ -1,7 +1,8 @@
-"""What is left in time: steps, periodic parts, slow drift and bursts, which no function of the signals shows.
+"""Tests of the residual for changes in time: steps, periodic parts, slow drift and bursts.
 
-Each is looked for alone, with the direction and with the load as a factor: a pretension that drops or beats shows only
-in what hangs on the direction.
+No function of the signals shows such changes. Steps and periodic parts are searched for in the residual itself and in
+its parts proportional to the direction and to the load. For example, a pretension that drops or oscillates changes only
+the part proportional to the direction.
 """
 
 from __future__ import annotations
@@ -15,27 +16,32 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
 from tsa_ctrl.model.functions import Array
 
-STEP_TIMES = 60  # of all runs at which a step may be; at least 12 of each
-STEP_MARGIN = 0.06  # of the run's length at either end: a step there is an end effect, and no two levels are seen
-CHANCE = 1e-4  # that noise alone is found, per test: three of them, so that one log in 3,000 is
-DRAWS = 200  # of the largest: its tail is a Gumbel law of their mean and spread, known to 7 %
-LINE_BAND = (0.1, 25.0)  # Hz: two cycles in 20 s, and what reaches the score rate without folding back by much
-BURST = 0.25  # s: a reversal with its presliding
-BURST_SHARE = 0.03  # of the time: bursts may take
-# Of the mean square that they hold, above what noise puts there: what a person sees first in a picture
+STEP_TIMES = 60  # possible times of a step in all runs, at least 12 in each: a single run is resolved to 2 %
+STEP_MARGIN = 0.06  # of the run's length at either end: a step there is an end effect and does not show two levels
+CHANCE = 1e-4  # probability of a false finding per test: with three tests, one log in 3,000 has one
+# Random trials of the largest value: its tail is a Gumbel distribution, whose mean and deviation are then known to 7 %
+DRAWS = 200
+LINE_BAND = (0.1, 25.0)  # Hz: at least two cycles in 20 s, and low enough for little aliasing at the score rate
+BURST = 0.25  # s, length of a burst: a reversal with its presliding
+BURST_SHARE = 0.03  # of the time, largest share that bursts may take: more would not be a burst
+# Share of the mean square in the bursts, beyond the share for pure noise: a reader notices larger bursts first in a
+# picture
 BURST_ENERGY = 0.12
-DRIFT = "a slow drift"  # its share is of the plain mean square
-REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies, as by noise.autoregressive
-STEEPEST = 1.2  # power of 1/f that noise may have there, as in noise.autoregressive
-DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have: a third of its power, which alone a user would see
-# Of its power to the continued noise: a slope of 1/f that is off by its error of 0.3 may feign a factor of 2
+DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
+REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here to lower frequencies, as in noise.autoregressive
+STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
+DRIFT_SHARE = 0.55  # of the noise RMS, least drift: a third of the noise power, below which a user does not notice it
+# Least ratio of the slow power to the extrapolated noise: the error of the exponent, 0.3, may cause a factor of 2
 DRIFT_RATIO = 4.0
 
 
 def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[str, Array], noise: Array) -> Finding:
-    """A jump of the mean, of what hangs on the direction or on the load, at one moment of one run.
+    """Return the most significant step in time: a jump of one of the `factors` at one moment of one run.
 
-    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name; noise: normal numbers (m, DRAWS).
+    residual: white residual, (m,).
+    jacobian: white columns that do not count as structure, (m, p).
+    factors: signals at the score rate by name, (n,): a constant, the direction and the load.
+    noise: random normal numbers, (m, DRAWS).
     """
     slices = problem.frame.slices
     times = [run.count * run.period for run in problem.frame.runs]
@@ -52,7 +58,7 @@ def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[s
                 columns.append(column)
                 labels.append((number, at / count * times[number], name))
     stacked = np.column_stack(columns)
-    del columns  # of an hour's log each of these is 100 MB
+    del columns  # for a log of one hour, each of these arrays takes 100 MB
     white = problem.whiten(stacked)
     del stacked
     basis = orthonormal(jacobian)
@@ -78,9 +84,10 @@ def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[s
 
 
 def lines(residual: Array, factors: Mapping[str, Array], mask: NDArray[np.bool_], period: float) -> Finding:
-    """A periodic part: one line of the spectrum of the white residual, or of it times a factor (m,).
+    """Return the strongest periodic part: one line in the spectrum of the white residual (m,) times a factor (m,).
 
-    `mask` (n,): the samples that it has; the others are holes, so that a wave keeps its phase across them.
+    mask: the samples of the residual, (n,). The other samples are filled with 0, which keeps the phase of an
+    oscillation across gaps.
     """
     best = Finding("a periodic part", 0.0, 0.0, False)
     frequency = np.fft.rfftfreq(len(mask), period)
@@ -106,7 +113,10 @@ def lines(residual: Array, factors: Mapping[str, Array], mask: NDArray[np.bool_]
 
 
 def bursts(residual: Array, period: float) -> Finding:
-    """Short stretches that hold far more than their share of the mean square."""
+    """Return the finding of bursts: short periods with far more than their share of the mean square.
+
+    residual: white residual, (m,). period: of its samples, s.
+    """
     length = max(3, round(BURST / period))
     count = len(residual) // length
     energy = np.sort(np.sum(residual[: count * length].reshape(count, length) ** 2, axis=1))[::-1]
@@ -118,9 +128,11 @@ def bursts(residual: Array, period: float) -> Finding:
 
 
 def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, rms: float) -> Finding:
-    """Slow wandering beyond what 1/f noise continues to: residual (n,) in N*m, not whitened; `rms` of the noise.
+    """Return the finding of slow drift beyond the extrapolated 1/f noise.
 
-    Logs without a sample in `mask` (n,) do not count; holes of the others are filled.
+    residual: not whitened, with interpolated gaps, (n,) in N*m.
+    mask: samples that count, (n,). Logs without any, and logs of fewer than 64 samples, are ignored.
+    rms: RMS of the noise, N*m.
     """
     excess, expected, lines_ = 0.0, 0.0, 0
     for part in slices:
@@ -132,7 +144,7 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         power = np.abs(np.fft.rfft(y)) ** 2 / (0.375 * len(y) ** 2) * 2.0
         band = (frequency > REFERENCE_BAND[0]) & (frequency < REFERENCE_BAND[1])
         slow = (frequency > 0.0) & (frequency < 0.2)
-        if band.sum() < 16 or not slow.any() or not power[band].all():  # a log that leaves nothing has no colour
+        if band.sum() < 16 or not slow.any() or not power[band].all():  # no spectrum to fit
             continue
         x = np.log(frequency[band])
         slope, level = np.polyfit(x, np.log(power[band]) + 0.5772, 1)
@@ -144,6 +156,6 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
     if lines_ == 0 or expected <= 0.0:
         return Finding(DRIFT, 0.0, 0.0, False)
     ratio = excess / expected
-    share = min((excess - expected) / rms**2, 1.0)  # the noise's mean square may lie below that of what wanders
+    share = min((excess - expected) / rms**2, 1.0)  # the drift may exceed the noise
     sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
     return Finding(DRIFT, share, ratio, bool(sure and share > DRIFT_SHARE**2))

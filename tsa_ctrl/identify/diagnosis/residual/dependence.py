@@ -1,8 +1,9 @@
-"""Is anything left that no effect of the catalogue explains? Blocked cross-validation against two nulls.
+"""Test for a dependence of the residual on signals, by blocked cross-validation against two null distributions.
 
-A family of columns is fitted to some blocks of the white residual and predicts the others. On noise it predicts worse
-than nothing; how much worse is drawn twice: with new noise, and with the residual's own blocks under random signs,
-which keeps whatever noise is really like within a block. What is left must beat both, and be large enough to matter.
+A family of columns is fitted to some blocks of the white residual and predicts the other blocks. On pure noise this
+prediction increases the sum of squares. Two null distributions show by how much. One uses new white noise. The other
+uses the blocks of the residual with random signs, which keeps the true properties of the noise within a block. The gain
+on the residual must exceed both null distributions and be large enough to matter.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 200  # mean and spread of a null are then known to 7 %, and five of these to a third
-# Precision of a coefficient before the data, white units: small, large, and hardly any dependence, the best counts
+DRAWS = 200  # random trials of a null distribution: its standard deviation is then known to 7 %
+# Prior precision of a coefficient, white units, for strong, weak and very weak dependence: the best of them counts
 RIDGES = (3.0, 30.0, 300.0)
-# Standard deviations of the null: ten families are looked at, of which none may be found by chance in 1 % of the logs
+# Standard deviations above the null: with ten families, chance produces a finding in less than 1 % of the logs
 SURE = 5.0
-DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
+DISTINCT = 1e-2  # of a column's size: a smaller difference between columns is noise of the signals that they consist of
 # Least share of the mean square of the white residual: 2.5 % of its RMS has no practical use. A smaller share also gets
 # no term in a formula (parameters.formula.LEAST_PART).
 LEAST_SHARE = 0.05
@@ -30,20 +31,23 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Finding:
-    """One test of what is left. `share` of the white residual's mean square is predicted on blocks not fitted on."""
+    """Result of one test of the residual."""
 
-    what: str
-    share: float
-    score: float  # standard deviations above the null
-    found: bool
+    what: str  # the signal or the kind of structure, as in the report
+    share: float  # part of the mean square of the residual; for a family, the part predicted on blocks outside the fit
+    score: float  # test statistic; for a family, standard deviations above the null
+    found: bool  # True if the result is significant and large enough to matter
 
 
 def dependence(
     residual: Array, jacobian: Array, columns: Mapping[str, Array], blocks: NDArray[np.int64], rng: np.random.Generator
 ) -> list[Finding]:
-    """Return one finding per family.
+    """Return one finding for each family.
 
-    residual (m,) and columns (m, k) white; jacobian (m, p) of what was fitted.
+    residual: white residual, (m,).
+    jacobian: white gradients of the fit, (m, p).
+    columns: white columns of each family by its name, (m, k).
+    blocks: block number of each sample, (m,).
     """
     basis = orthonormal(jacobian)
     rest = residual - basis @ (basis.T @ residual)
@@ -58,7 +62,10 @@ def dependence(
 
 
 def _drawn(count: int, k: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Of `count` blocks normal numbers (count, k, DRAWS) and signs (count, 1, DRAWS); none are drawn for no column."""
+    """Return random normal numbers (count, k, DRAWS) and signs (count, 1, DRAWS) for `count` blocks.
+
+    For k = 0 no random number is used, and all signs are 1.
+    """
     if k == 0:
         return np.zeros((count, 0, DRAWS)), np.ones((count, 1, DRAWS))
     normal = np.array([rng.standard_normal((k, DRAWS)) for _ in range(count)])
@@ -68,7 +75,10 @@ def _drawn(count: int, k: int, rng: np.random.Generator) -> tuple[Array, Array]:
 def _predictable(
     residual: Array, columns: Array, blocks: NDArray[np.int64], draws: tuple[Array, Array]
 ) -> tuple[float, float]:
-    """Share of the residual that is predicted on other blocks, and its distance from the nulls."""
+    """Return the predicted share of the residual on blocks outside the fit, and its distance from the nulls.
+
+    The distance is in standard deviations, to the nearer of the two null distributions.
+    """
     normal, signs = draws
     count, k, _ = normal.shape
     if k == 0:
@@ -93,7 +103,7 @@ def _predictable(
 
 
 def _cross_validated(grams: Array, slopes: Array, ridge: float) -> Array:
-    """Decrease of the sum of squares on blocks not fitted on, for each trial: (trials,)."""
+    """Return the decrease of the sum of squares on blocks outside the fit for each trial, (trials,)."""
     folds = np.arange(len(grams)) % FOLDS
     whole, total = grams.sum(axis=0), slopes.sum(axis=0)
     out = np.zeros(slopes.shape[2])

@@ -1,7 +1,7 @@
-"""What a residual may depend on: families of columns made from the log's own signals, for the test of what is left.
+"""Families of columns, computed from the signals of the log, for the test of the residual.
 
-Each family stands for one sentence that a person can act on ("depends on the joint angle"). Random features cover what
-no family was made for: interactions of two or three signals.
+Each family stands for one statement that a reader can act on ("depends on the joint angle"). Random features cover the
+remaining dependences, which are interactions of two or three signals.
 """
 
 from __future__ import annotations
@@ -14,16 +14,19 @@ from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
-RANDOM = 90  # random features: a dozen for each of the signals that they mix
-# s, time constants of what a torque remembers, 2.5 apart: neighbours imitate what lies between them
+RANDOM = 90  # random features: a dozen for each of the signals that they combine
+# s, time constants of a memory in the torque, a factor of 2.5 apart: neighbours together reproduce the values between
 HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)
-ECHO = 0.4  # s of the torque's past in single steps: delays of a bus, waves in a tendon
-DRIVER_CUTOFF = 5.0  # Hz, of the load as a driver
-AFTER = (0.01, 0.03, 0.08, 0.2)  # s, and shares of the reach, after a reversal, 2.5 apart as HISTORY
+ECHO = 0.4  # s, longest delay of the torque in single steps: it covers delays of a bus and waves in a tendon
+DRIVER_CUTOFF = 5.0  # Hz, low-pass filter of the load: it removes the fast noise of the torque
+AFTER = (0.01, 0.03, 0.08, 0.2)  # s or share of the reach, decay after a reversal, as closely spaced as HISTORY
 
 
 def families(frame: Frame, predicted: Array, rng: np.random.Generator) -> dict[str, Array]:
-    """name: columns (n, k) at the score rate. `predicted`: the model's torque (n), N*m."""
+    """Return the columns (n, k) of each family at the score rate, by name.
+
+    predicted: torque of the model, (n,) in N*m.
+    """
     drivers = _drivers(frame, predicted)
     sigma = drivers["direction"]
     load = drivers["load"]
@@ -45,7 +48,10 @@ def families(frame: Frame, predicted: Array, rng: np.random.Generator) -> dict[s
 
 
 def time_family(frame: Frame, sigma: Array, load: Array) -> Array:
-    """Slow changes with time: cosines of half periods down to a twelfth of each run, alone, with sigma, with load."""
+    """Return columns for slow changes with time: the constant and cosines of 1 to 11 half periods over each run.
+
+    The columns follow three times: alone, times the direction `sigma`, and times the load, (n, 3 k).
+    """
     columns = np.zeros((len(frame), 12 * len(frame.runs)))
     for number, (part, run) in enumerate(zip(frame.slices, frame.runs, strict=True)):
         phase = np.pi * (np.arange(run.count) + 0.5) / run.count
@@ -54,13 +60,16 @@ def time_family(frame: Frame, sigma: Array, load: Array) -> Array:
 
 
 def direction_and_load(frame: Frame, predicted: Array) -> tuple[Array, Array]:
-    """Direction of motion (1) and load (1) of every sample, as the random features see them."""
+    """Return the direction of motion and the scaled load of every sample, as in the random features, (n,) in 1."""
     drivers = _drivers(frame, predicted)
     return drivers["direction"], drivers["load"]
 
 
 def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
-    """Signals at the score rate, centred and scaled to about +-1."""
+    """Return the signals at the score rate by name, scaled to about +-1.
+
+    The angles, the temperature and the bending angle are also centred.
+    """
     sigma = frame.stack([hold_direction(run.signals.omega_j) for run in frame.runs])
     turned = frame.stack([run.angle for run in frame.runs])
     out = {
@@ -77,7 +86,10 @@ def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
 
 
 def _slow(frame: Frame, y: Array) -> Array:
-    """`y` (n) without its fast noise: a driver with noise of its own in it predicts the residual by that noise."""
+    """Return `y` (n,) after a low-pass filter: noise in a signal would predict the same noise in the residual.
+
+    Logs with a low sampling rate are returned without the filter.
+    """
     if frame.runs[0].raw.rate * 0.2 < DRIVER_CUTOFF:
         return y
     return np.concatenate([low_pass(y[part], frame.period, DRIVER_CUTOFF) for part in frame.slices])
@@ -91,7 +103,7 @@ def _scaled(x: Array, centre: bool = True) -> Array:
 
 
 def _bumps(x: Array, count: int) -> Array:
-    """Bells side by side at the quantiles of x."""
+    """Return `count` Gaussian functions of `x` (n,), centred at its quantiles, (n, count)."""
     centres = np.quantile(x, (np.arange(count) + 0.5) / count)
     width = 1.2 * max(float(np.median(np.diff(centres))), 0.02)
     widths = np.maximum(np.gradient(centres), 0.3 * width) * 1.2
@@ -103,7 +115,7 @@ def _times(columns: Array, *factors: Array) -> Array:
 
 
 def _after(frame: Frame, sigma: Array, load: Array) -> Array:
-    """Decays with time and with distance since the last reversal."""
+    """Return exponential decays with time and with distance since the last reversal, (n, k)."""
     parts = []
     for run in frame.runs:
         elapsed, distance = run.since_reversal()
@@ -115,7 +127,10 @@ def _after(frame: Frame, sigma: Array, load: Array) -> Array:
 
 
 def _history(frame: Frame, predicted: Array, sigma: Array) -> Array:
-    """The predicted torque and the direction through first-order lags, and single steps of the torque's past."""
+    """Return columns for a memory of the torque, (n, k).
+
+    They are the predicted torque and the direction minus their first-order lags, and delayed changes of the torque.
+    """
     period = frame.period
     steps = max(2, round(ECHO / period))
     stride = max(1, steps // 40)
@@ -133,7 +148,10 @@ def _history(frame: Frame, predicted: Array, sigma: Array) -> Array:
 
 
 def _lagged(y: Array, share: float) -> Array:
-    """`y` through a first-order lag that keeps `share` of its state from sample to sample, at rest before the first."""
+    """Return `y` (n,) after a first-order lag that keeps `share` of its state from sample to sample.
+
+    The state starts at the first value.
+    """
     state, out, new = share * float(y[0]), np.empty(len(y)), 1.0 - share
     for at, value in enumerate(y.tolist()):
         out[at] = level = state + new * value
@@ -142,7 +160,7 @@ def _lagged(y: Array, share: float) -> Array:
 
 
 def _random(drivers: Mapping[str, Array], rng: np.random.Generator) -> Array:
-    """Cosines of random mixtures of one to three signals, every second one times the direction."""
+    """Return RANDOM cosines of random combinations of one to three signals, every second one times the direction."""
     names = [name for name in drivers if name != "direction"]
     columns = []
     for number in range(RANDOM):

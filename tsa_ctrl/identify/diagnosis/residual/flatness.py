@@ -1,9 +1,10 @@
 """Test whether the sliding error of the extended model is flat against time, angle, speed and load, in both directions.
 
-A model explains a log if neither the mean nor the mean square of its residual depends on any signal. The test takes the
-mean in some ranges of a signal. Each mean is taken twice, from alternate pieces of time: noise differs between the two,
-a dependence does not, so the product of both is the dependence's mean square without what noise adds to it. A mean
-square that is not flat shows an error of both signs, such as that of a drive that reports 0 below a threshold.
+A model explains a log if neither the mean nor the mean square of its residual depends on any signal. The test divides
+each signal into ranges and takes the mean of the residual in each range. Each mean is taken twice, from alternate
+pieces of time. Noise differs between the two means, and a dependence does not. Their product is therefore the mean
+square of the dependence, without a contribution of the noise. A mean square that varies indicates an error of both
+signs, for example of a drive that reports 0 below a threshold.
 """
 
 from __future__ import annotations
@@ -22,18 +23,22 @@ from tsa_ctrl.identify.three_errors import UNKNOWN, known_direction
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
-RANGES = 10  # of each signal, with as many samples in each
-PIECES = 16  # of time in each range of time, alternately of one half and of the other
-# 1, of the sensor noise. In one blind log of 15 s slow noise alone had a dependence of 0.75.
+RANGES = 10  # ranges of each signal, with equal numbers of samples
+PIECES = 16  # pieces of time in each range of time, assigned alternately to the two halves
+# 1, in units of the sensor noise: in one blind log of 15 s, slow noise alone showed a dependence of 0.75
 LEAST = 1.0
-FEWEST = 40  # samples of a range in each half
+FEWEST = 40  # least number of samples of a range in each half
 
 
 def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> Finding | None:
-    """The signal that the sliding error depends on most, where that is more than LEAST of the noise.
+    """Return the finding for the signal on which the sliding error depends most.
 
-    `residuals` (n,): measured minus predicted torque of each run at the log's own rate, N*m, as is the noise. A sample
-    counts only if the denoised velocity also shows its direction: a wrong one is an error of the log, not of the model.
+    Returns None if no dependence exceeds LEAST times the noise, or if there are too few samples. A sample counts only
+    if the denoised velocity also shows its direction, because a wrong direction is an error of the log and not of the
+    model.
+
+    residuals: measured minus predicted torque of each run at the log's own rate, (n,) in N*m.
+    noise: sensor noise, N*m RMS.
     """
     known = [known_direction(run.raw) & _sure(run) for run in runs]
     rest = np.concatenate([each[slides] for each, slides in zip(residuals, known, strict=True)])
@@ -64,9 +69,10 @@ def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> F
 
 
 def _sure(run: Run) -> NDArray[np.bool_]:
-    """Samples (n,) at the log's own rate at which the denoised velocity is beyond its error and the log's agrees.
+    """Return a mask of the samples with a known direction, (n,) at the log's own rate.
 
-    Without the ends, beyond which a derived acceleration knows nothing.
+    At these samples the denoised velocity exceeds UNKNOWN times its error, and the velocity of the log has the same
+    direction. The ends of the log are excluded, because a derived acceleration is not reliable there.
     """
     error = _at_full_rate(run, run.velocity_error, run.full_bin // run.bin)
     inside = _at_full_rate(run, settled(run), run.full_bin)
@@ -75,13 +81,16 @@ def _sure(run: Run) -> NDArray[np.bool_]:
 
 
 def _at_full_rate(run: Run, values: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Each value for `factor` samples, the last one for what is left of the log."""
+    """Return each value repeated for `factor` samples, (n,); the last value fills the rest of the log."""
     out = np.repeat(values, factor)
     return np.concatenate([out, np.full(max(0, len(run.full) - len(out)), out[-1])])[: len(run.full)]
 
 
 def dependent(rest: Array, values: Array, way: Array, half: NDArray[np.bool_]) -> float:
-    """Mean square of the part of `rest` (m,) that follows `values` (m,) and the direction; noise counts as 0."""
+    """Return the mean square of the part of `rest` (m,) that depends on `values` (m,) and the direction `way` (m,).
+
+    half: mask of the first half, (m,). The expected value for pure noise is 0.
+    """
     edges = np.quantile(values, np.linspace(0.0, 1.0, RANGES + 1)[1:-1])
     cell = np.searchsorted(edges, values) * 2 + (way > 0.0)
     sums = [np.bincount(cell[use], rest[use], 2 * RANGES) for use in (half, ~half)]

@@ -1,8 +1,9 @@
-"""Structure: what is left beyond noise once the causes are named, and when it decides instead of the noise.
+"""Structure in the residual: the part beyond noise that remains after the causes are identified.
 
-On measured drives most of what is left is structure that nothing in the catalogue explains. There white residuals say
-which of two wrong models has the whiter error, and a difference smaller than what is left unexplained excludes nothing.
-So where structure is most of what is left, the simulation error decides.
+On measured drives, most of the residual is structure that no effect of the catalogue explains. White residuals then
+only show which of two wrong models has the whiter error. A difference smaller than the unexplained error excludes no
+model.
+If structure is most of the residual, the simulation error therefore decides between hypotheses instead of the noise.
 """
 
 from __future__ import annotations
@@ -24,22 +25,28 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
 
-# Share of what is left that is structure: from half on it is more than the noise, which then no longer decides
+# Share of structure in the residual: above one half, structure exceeds the noise, and the noise no longer decides
 STRUCTURE = 0.5
-PART = 0.5  # of what a cause explains, that a rival must explain: less is closer to nothing than to the cause
+# Least ratio of the error that a competing hypothesis explains to the error that the cause explains: a hypothesis below
+# one half is closer to no effect than to the cause
+PART = 0.5
 
 
 @dataclass(frozen=True)
 class ErrorCriterion:
-    """The simulation-error criterion: `share` of what is left that is structure; `error`: sum of squares, (N*m)^2."""
+    """Criterion that compares competing hypotheses by their simulation error."""
 
-    share: float
-    error: float
+    share: float  # share of structure in the residual
+    error: float  # (N*m)^2, sum of squares of the simulation error with the causes
 
     def covers(self, rival: float, without: float) -> bool:
-        """Whether a rival with this simulation error, where `without` any it is that much, does as well as the cause.
+        """Return True if a competing hypothesis is as good as the cause.
 
-        It does when it explains more than half as much, and is worse by less than what is left unexplained.
+        It must explain more than half as much as the cause. Its error must exceed that of the cause by less than the
+        unexplained structure.
+
+        rival: sum of squares of its simulation error, (N*m)^2.
+        without: sum of squares without the cause and without the hypothesis, (N*m)^2.
         """
         worse = rival - self.error
         return worse < self.share * self.error and worse < (1.0 - PART) * (without - self.error)
@@ -48,7 +55,10 @@ class ErrorCriterion:
 def residual_structure(
     chosen: Selection, catalogue: Catalogue, rng: np.random.Generator
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """What the causes leave; where that is mostly structure, first with the further causes that the error demands."""
+    """Return the selection and the findings in its residual.
+
+    While structure is most of the residual, further causes are added that reduce the simulation error sufficiently.
+    """
     findings = _findings(chosen.problem, chosen.fitted, rng)
     while error_criterion(chosen.problem, chosen.fitted, findings) is not None:
         more = forward_on_simulation_error(chosen, catalogue)
@@ -59,18 +69,18 @@ def residual_structure(
 
 
 def structure_share(findings: Sequence[Finding]) -> float:
-    """Of the mean square of what is left, that is structure."""
+    """Return the share of structure in the mean square of the residual; 0 without a significant finding."""
     return max((finding.share for finding in findings if finding.found), default=0.0)
 
 
 def error_criterion(problem: Problem, fitted: Fit, findings: Sequence[Finding]) -> ErrorCriterion | None:
-    """None where noise decides."""
+    """Return the simulation-error criterion, or None if the noise decides or no cause is identified."""
     share = min(structure_share(findings), 1.0)
     return ErrorCriterion(share, simulation_error(problem, fitted)) if share > STRUCTURE and fitted.names else None
 
 
 def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Finding]:
-    """All tests of what the causes found leave."""
+    """Return the results of all tests of the residual of a fit."""
     frame = problem.frame
     predicted = problem.predicted(fitted.hypothesis.model(fitted.point))
     sigma, load = features.direction_and_load(frame, predicted)
@@ -93,12 +103,16 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
 
 
 def _white(problem: Problem, fitted: Fit, families: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """What is no structure (see `_explained`), and the columns (m, k) of each family, white."""
+    """Return the columns of `_explained` and the columns (m, k) of each family, all white."""
     return _explained(problem, fitted), {name: problem.whiten(family) for name, family in families.items()}
 
 
 def _explained(problem: Problem, fitted: Fit) -> Array:
-    """What is no structure, (m, k) white: every coordinate, also where a bound holds it, and noise of tau_m."""
+    """Return the columns that do not count as structure, (m, k), white.
+
+    They are the gradients for all coordinates, including those held by a bound. If the model does not predict tau_m,
+    the fast parts of tau_m follow, which may be noise.
+    """
     columns = [gradients(problem, fitted)]
     if problem.base.target != "tau_m":
         frame = problem.frame
@@ -107,9 +121,10 @@ def _explained(problem: Problem, fitted: Fit) -> Array:
 
 
 def _interpolated(residual: Array, told: NDArray[np.bool_], period: float) -> Array:
-    """A residual (n,) in N*m, what is not told filled by straight lines between means beside it.
+    """Return a residual (n,) in N*m whose unknown samples are interpolated linearly.
 
-    One sample on either side of seconds that are not known would be a drift by itself.
+    told: mask of the known samples, (n,). The interpolation starts and ends at means over BURST. Single samples would
+    not do, because the noise of one sample on either side of a gap of seconds would look like drift.
     """
     if told.all() or not told.any():
         return residual
