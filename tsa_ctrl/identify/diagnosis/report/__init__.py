@@ -1,1 +1,1 @@
-"""The result of a diagnosis as data, and what is made of it: sentences, pictures, page, the next experiment."""
+"""The result of a diagnosis as data, sentences, pictures and a page, and the proposal for the next experiment."""

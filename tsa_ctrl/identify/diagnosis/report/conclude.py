@@ -1,4 +1,4 @@
-"""The conclusion: what the stages found as one result, with its verdict and its first sentence."""
+"""The conclusion: the results of all stages as one object, with its verdict and its first sentence."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ from tsa_ctrl.model.predict import predict
 
 
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
-    """The result on logs that show something. `model`: as given."""
+    """Return the result for logs that excite the system sufficiently.
+
+    model: the nominal model.
+    """
     reported, errors = outcome.reported, outcome.errors
     proofs = outcome.selection.evidence
     order = sorted(range(len(proofs)), key=lambda i: (-errors.lost[i], -proofs[i].gain))  # most important first
@@ -46,7 +49,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     beside = outcome.beside
     causes = (*by_torque, *(_by_stretch(cause) for cause in beside.causes))
     compared = {name for group in grouped for name in (group.name, *(rival.name for rival in group.rivals))}
-    unseen = [name for name in outcome.limits.invisible if name not in compared]  # beside the causes it may well act
+    unseen = [name for name in outcome.limits.invisible if name not in compared]  # they may act nevertheless
     nothing = dict.fromkeys(unseen, "it would change nothing in the motion and load of these logs")
     hidden = {
         name: f"these logs would show it only from {told_torque(size)} on, which is more than the torque itself"
@@ -57,7 +60,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     not_testable = {**outcome.testable.not_testable, **unasked, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
     held = at_bounds(reported)
-    worse = not by_torque and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
+    worse = not by_torque and errors.recalibrated > errors.as_given  # keep the better model
     extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)
     formula = _formula(outcome, worse)
     runs = outcome.data.frame.runs
@@ -97,7 +100,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
 
 
 def insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[str, str]) -> Diagnosis:
-    """The result on logs that cannot tell."""
+    """Return the result for logs that do not excite the system sufficiently, with the reason."""
     return Diagnosis(
         verdict=Verdict.INSUFFICIENT,
         sentence=insufficient_sentence("; ".join([reason, *found.suspicions])),
@@ -114,15 +117,16 @@ def insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[
 
 
 def _simulated(outcome: Outcome, model: Model) -> float:
-    """Error of the model as given over all samples of all logs, N*m: what `tsa simulate` prints, pooled."""
+    """Return the RMS error of the nominal model over all samples of all logs, N*m, as `tsa simulate` prints it."""
     squares = [np.square(residual) for residual in full_residuals(outcome.data.frame, model)]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _formula(outcome: Outcome, worse: bool) -> Formula | None:
-    """The formula, with recalibrated numbers beside it: where they are `worse` than given, of what is left as given.
+    """Return the formula of the residual, or None without one.
 
-    None where the model as given leaves as little.
+    If the recalibrated model is `worse` than the nominal model, the gain and the RMS errors of the formula refer to the
+    nominal model. None is then also returned if this gain is at most LEAST_GAIN.
     """
     found, given = outcome.formula, outcome.errors.as_given
     if found is None or not worse:
@@ -132,7 +136,7 @@ def _formula(outcome: Outcome, worse: bool) -> Formula | None:
 
 
 def _by_stretch(found: StretchCause) -> Cause:
-    """An effect that only the stretch shows: nothing of the torque's gain is lost without it."""
+    """Return an effect that only the elongation shows as a cause, with no share in the gain of the torque error."""
     where = {"log": found.log} if found.log else {}
     return Cause(found.effect, found.alternatives, found.probability, {**found.parameters, **where}, 0.0)
 
@@ -151,7 +155,11 @@ def _verdict(named: bool, left: bool, held: bool) -> Verdict:
 
 
 def _parameter_errors(reported: Refit, frame: Frame, model: Model) -> dict[str, ParameterError]:
-    """The base model's numbers; x and T_p only where a varied bending angle parts them."""
+    """Return the parameters of the base model by name.
+
+    For a drive with tendons, the friction angle and the pretension are included only if the logs identify them
+    separately, which requires a varied wrap angle.
+    """
     quantities = base_quantities(reported)
     out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
     if not isinstance(model, TendonSheath):

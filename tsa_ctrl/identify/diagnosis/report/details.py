@@ -1,4 +1,4 @@
-"""All that the stages of a diagnosis found, and of it the curves and tables that the pictures and the page show."""
+"""The results of all stages of a diagnosis, and the curves and tables for the pictures and the page."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import hold_direction
 
-LAGS = 60  # of the autocorrelation
+LAGS = 60  # lags of the autocorrelation: as many as the picture shows clearly
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One field for each stage."""
+    """Results of the stages of a diagnosis, one field for each stage."""
 
     data: Split
     audit: Audit
@@ -39,12 +39,12 @@ class Outcome:
     testable: Candidates
     base: Fit  # recalibrated, without effects
     selection: Selection
-    findings: tuple[Finding, ...]  # what is left
+    findings: tuple[Finding, ...]  # in the residual
     groups: tuple[Group, ...]  # one for each cause
-    beside: ByStretch  # what no torque shows
+    beside: ByStretch  # effects that only the tendon elongation shows
     reported: Refit
     errors: HeldOut
-    formula: Formula | None  # of what is left
+    formula: Formula | None  # of the residual
     limits: DetectionLimits
 
 
@@ -52,20 +52,20 @@ class Outcome:
 class Ranked:
     """One bar of the ranking.
 
-    Where causes are named, in their order, each with the rivals compared: the share of the gain that is lost without
-    it, and as much of that as the rival brings in its place. Where none is: the decrease of the mean square of the
-    white residual that a candidate brings alone.
+    The gain of an identified cause is the share of the total gain that is lost without it. The gain of a competing
+    hypothesis is the part of this share that the hypothesis achieves in place of the cause. If no cause is identified,
+    the gain of an effect is the decrease of the mean square of the white residual by this effect alone.
     """
 
     effect: str
     gain: float
-    group: int  # number of the cause that it is or stands for, -1 for none
-    excluded: bool = False  # a rival that these logs exclude
+    group: int  # number of the cause, or of the cause that the hypothesis would replace; -1 for none
+    excluded: bool = False  # True for a competing hypothesis that the logs exclude
 
 
 @dataclass(frozen=True)
 class Curves:
-    """Signals of one log at the score rate, for pictures: shape (n,) each, SI."""
+    """Signals of one log at the score rate for the pictures, (n,) each, in SI units."""
 
     name: str
     t: Array
@@ -73,7 +73,7 @@ class Curves:
     as_given: Array
     recalibrated: Array
     extended: Array
-    described: Array | None  # by the formula of what is left, where there is one
+    described: Array | None  # by the model with the formula; None without a formula
     omega: Array
     sigma: Array
     angle: Array
@@ -85,25 +85,28 @@ class Curves:
 
 @dataclass(frozen=True)
 class Details:
-    """What the pictures show. `noise`: the floor that the text tells, N*m; `autocorrelation` of the white residual."""
+    """Data of the pictures."""
 
     target: str
     curves: tuple[Curves, ...]
-    noise: float
-    period: float
+    noise: float  # N*m, sensor noise as stated in the report
+    period: float  # s, of the score samples
     ranking: tuple[Ranked, ...]
-    autocorrelation: Array
-    band: float  # 95 % of white residuals' autocorrelations lie within
+    autocorrelation: Array  # (LAGS,), of the white residual
+    band: float  # bound for 95 % of the autocorrelations of white noise
     audit: Audit
     findings: tuple[Finding, ...]
-    excluded: tuple[str, ...]  # rivals of the named causes that the logs exclude
-    held_out: str  # what was held out, in words
+    excluded: tuple[str, ...]  # competing hypotheses that the logs exclude
+    held_out: str  # description of the held-out data
     logs: tuple[tuple[str, str], ...]  # name and hash
     notes: tuple[str, ...]
 
 
 def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -> Details:
-    """The curves and tables behind an outcome; `grouped`: its groups as reported, `lost`: what each gains."""
+    """Return the curves and tables of an outcome.
+
+    grouped: groups in the order of the report. lost: share of the gain that is lost without the cause of each group.
+    """
     data, found, reported = outcome.data, outcome.audit, outcome.reported
     base, selection, findings = outcome.base, outcome.selection, outcome.findings
     models = (
@@ -138,7 +141,10 @@ def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -
 
 
 def _excluded(grouped: Sequence[Group]) -> tuple[str, ...]:
-    """Rivals that take no cause's place, nearest first."""
+    """Return the names of the excluded hypotheses, best first in each group.
+
+    A name that is a cause or an alternative in any group is omitted.
+    """
     possible = {name for group in grouped for name in (group.name, *(r.name for r in group.alternatives))}
     names = dict.fromkeys(rival.name for group in grouped for rival in group.rivals if rival.excluded)
     return tuple(name for name in names if name not in possible)
@@ -167,7 +173,10 @@ def _curves(run: Run, models: tuple[Model, Model, Model], formula: Formula | Non
 
 
 def _causes(grouped: Sequence[Group], lost: Sequence[float]) -> tuple[Ranked, ...]:
-    """The causes in the order of the report, each before the rivals that it was compared with on other data."""
+    """Return the bars of the causes in the order of the report.
+
+    Each cause is followed by the competing hypotheses to which it was compared on data outside the fit.
+    """
     out = []
     for number, (group, share) in enumerate(zip(grouped, lost, strict=True)):
         out.append(Ranked(group.name, share, number))
@@ -179,7 +188,7 @@ def _causes(grouped: Sequence[Group], lost: Sequence[float]) -> tuple[Ranked, ..
 
 
 def _ranking(chosen: Selection) -> tuple[Ranked, ...]:
-    """Candidates beside the recalibrated base, best first."""
+    """Return the bars of the effects that were tried in addition to the recalibrated base model, best first."""
     first = chosen.rounds[0]
     count = chosen.problem.count
     best: dict[str, float] = {score.variant.effect: score.gain for score in first.scores}

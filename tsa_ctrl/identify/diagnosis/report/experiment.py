@@ -1,7 +1,8 @@
-"""The next experiment: which motion would settle what these logs leave open, in words and as a set-point file.
+"""The next experiment: the motion that would resolve the open questions, in words and as a set-point file.
 
-The actuator follows a joint torque; the motion comes from what the joint is connected to. So the file sweeps what a
-torque can sweep (speed of reversals, level, sign, rest), and the words say what a person must change beside it.
+The actuator follows a joint torque, and the motion depends on the load at the joint. The set-point file can therefore
+vary only the torque: the speed of its reversals, its level, its sign and its rests. The words describe the changes that
+a person must make in addition.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
 PERIOD = 0.01  # s between two rows of a set-point file
-FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals
-LEVELS = (0.25, 0.5, 1.0)  # of the torque seen in the logs
-CYCLES = 3  # at each frequency and level
-LONGEST = 12.0  # s at one frequency and level
+FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals: they cover slow and fast motion
+LEVELS = (0.25, 0.5, 1.0)  # relative to the RMS torque in the logs, which the actuator has already delivered
+CYCLES = 3  # cycles at each frequency and level: enough to repeat each reversal
+LONGEST = 12.0  # s, longest time at one frequency and level: it limits the length of the file
 REPEAT = "repeat the very same motion ten times, so that the noise floor is measured and not estimated"
 ELSEWHERE = "other speeds, loads and angles than in these logs: a formula that also holds there is a law of the drive"
-FEWEST_REVERSALS = 8  # each way four: fewer do not part the directions' scatter from a difference
+# Four in each direction: with fewer, a difference between the directions cannot be distinguished from scatter
+FEWEST_REVERSALS = 8
 
 
 def advice(
@@ -38,9 +40,10 @@ def advice(
     torque: float,
     formula: bool = False,
 ) -> Experiment:
-    """The one thing to record next: what parts most names; with a set-point that excites what a torque can excite.
+    """Return the next experiment: the motion that separates most of the alternatives, with a set-point.
 
-    torque: RMS of the measured torque's change, N*m. formula: whether one describes what is left.
+    torque: RMS of the change of the measured torque, N*m.
+    formula: True if a formula describes the residual.
     """
     pairs = [pair for cause in causes for pair in itertools.combinations((cause.effect, *cause.alternatives), 2)]
     if pairs:
@@ -55,7 +58,11 @@ def advice(
 
 
 def first_motion(model: Model) -> Experiment:
-    """What to record when the logs tell nothing, under torques as large as the model file's friction."""
+    """Return the experiment for logs from which nothing can be determined.
+
+    The RMS torque of the set-point is half the friction torque of the model file. A model without tendons or without
+    friction gets no set-point.
+    """
     text = "reversals at 0.1, 0.5 and 2 rad/s over the whole range, under torques of both signs, for a minute"
     if not isinstance(model, TendonSheath):
         return Experiment(text)
@@ -69,19 +76,25 @@ def _playable(text: str, torque: Array) -> Experiment:
 
 
 def _parting_most(pairs: Sequence[tuple[str, str]]) -> tuple[Motion, list[tuple[str, str]]]:
-    """The motion that parts most of these pairs, of several the least costly, and the pairs that it parts."""
+    """Return the motion that separates most of these pairs, and the pairs that it separates.
+
+    Of several equal motions, it is the least costly one.
+    """
     parted = {motion: [pair for pair in pairs if motion in _parting(*pair)] for motion in Motion}
-    return max(parted.items(), key=lambda entry: len(entry[1]))  # the members stand in the order of cost
+    return max(parted.items(), key=lambda entry: len(entry[1]))  # the members are in the order of cost
 
 
 def parted_by(names: Sequence[str]) -> list[str]:
-    """What parts each pair of a group."""
+    """Return the motions that separate the pairs of a group, each one once, as text."""
     pairs = itertools.combinations(names, 2)
     return list(dict.fromkeys(motion.value for first, second in pairs for motion in _parting(first, second)))
 
 
 def _parting(first: str, second: str) -> tuple[Motion, ...]:
-    """What parts two effects, as one of them says; else what parts most."""
+    """Return the motions that separate two effects, as listed in the catalogue for one of them.
+
+    Without an entry, it returns two motions that separate most pairs.
+    """
     for name, other in ((first, second), (second, first)):
         if name in CATALOGUE and (motions := CATALOGUE[name].parted_from(other)):
             return motions
@@ -89,7 +102,9 @@ def _parting(first: str, second: str) -> tuple[Motion, ...]:
 
 
 def _gap(found: Audit, not_testable: Mapping[str, str], kind: Kind) -> str:
-    """What the logs excite least: a direction, reversals, a sign of the load, else what most effects ask for."""
+    """Return the motion that the logs lack: a direction, reversals, a sign of the load, or else the one that most of
+    the untestable effects require.
+    """
     if not found.both_directions:
         return "move in both directions"
     if found.reversals < FEWEST_REVERSALS:
@@ -108,7 +123,10 @@ def _both_signs(found: Audit) -> bool:
 
 
 def _setpoint(torque: float) -> Array:
-    """Reversals of the joint torque (N*m) at several speeds and levels, about both signs, with rests between."""
+    """Return a joint torque, (n,) in N*m: sinusoids of both signs at several frequencies and levels.
+
+    torque: RMS at the highest level, N*m. A rest follows each level.
+    """
     pieces = [np.zeros(round(1.0 / PERIOD))]
     for level in LEVELS:
         for frequency in FREQUENCIES:

@@ -1,6 +1,6 @@
-"""Writes a diagnosis to a folder: diagnosis.json, extended.toml, experiment.csv, pictures, and report.html.
+"""Write a diagnosis to a folder: diagnosis.json, extended.toml, experiment.csv, pictures and report.html.
 
-The page is one file that opens without a network; all that it says in numbers stands in diagnosis.json.
+The page is a single file that opens without a network connection. diagnosis.json contains all its numbers.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
-FORMULA = "formula.toml"  # the extended model with what is left as [effects.custom]
+FORMULA = "formula.toml"  # the extended model with the formula of the residual as [effects.custom]
 WORDS = {
     Verdict.CONSISTENT: "consistent: after recalibration nothing is left beyond noise",
     Verdict.EXPLAINED: "explained: causes are named and nothing significant is left",
@@ -49,7 +49,7 @@ WORDS = {
 }
 
 
-Plot = Callable[[Diagnosis, Path], dict[str, Path]]  # draws into a folder; caption: path
+Plot = Callable[[Diagnosis, Path], dict[str, Path]]  # draws into a folder and returns the paths by caption
 
 
 def write(
@@ -63,8 +63,8 @@ def write(
 
     If a formula describes the rest of the error, formula.toml is written as well. Each file is written under another
     name and then renamed, so a crash leaves no partial file. `template`: the model file whose comments
-    extended.toml keeps. `plot`: who draws (default: this process). `origin`: of the measurements; default: logs, which
-    may be of any joint. Raises UsageError when the folder cannot be written.
+    extended.toml keeps. `plot`: function that draws the pictures (default: in this process). `origin`: origin of the
+    measurements (default: logs, which may belong to any joint). Raises UsageError if the folder cannot be written.
     """
     folder, template = Path(folder), None if template is None else Path(template)
     try:
@@ -87,14 +87,17 @@ def write(
 
 
 def drawn_here(result: Diagnosis, folder: Path) -> dict[str, Path]:
-    """Pictures as `pictures.plot` draws them."""
+    """Draw the pictures in this process with `pictures.plot`, and return their paths by caption."""
     from tsa_ctrl.identify.diagnosis.report.pictures import plot  # matplotlib is slow to import
 
     return plot(result, folder)
 
 
 def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = None) -> str:
-    """The text of report.html; `pictures` by caption are put into it, and the name of the model file on top."""
+    """Return the text of report.html, with the embedded pictures and the name of the model file.
+
+    pictures: paths by caption. template: the model file; None stands for the source of the result's model.
+    """
     given = template or result.model.source
     environment = Environment(
         loader=PackageLoader("tsa_ctrl.identify.diagnosis.report"),
@@ -165,25 +168,29 @@ def _number(value: float) -> str:
 # drawing takes about a tenth of the search.
 
 PICTURES = "tsa_ctrl.identify.diagnosis.report.pictures"
-PROCESSES = 2  # beside the search, which is done when they draw: seven pictures of which three take most of the time
+PROCESSES = 2  # the search has ended when they draw, and three of the pictures take most of the time
 
 
 @contextlib.contextmanager
 def drawing() -> Iterator[Plot]:
-    """Pictures as `pictures.plot` draws them, by other processes; by this one where it may use one core only."""
+    """Yield a function that draws the pictures in other processes, as `pictures.plot` does.
+
+    If this process may use only one core, the function draws in this process.
+    """
     if len(os.sched_getaffinity(0)) < 2:
         yield drawn_here
         return
     from tsa_ctrl.identify.fleet.executors import local  # its package imports this module
 
     with local(PROCESSES, PICTURES) as workers:
-        # A first job starts what loads the pictures' code, and is taken only once that is loaded: a thread waits for it
+        # The first job starts the process that loads the drawing code. It is accepted only after the code is loaded, so
+        # a thread waits for it.
         threading.Thread(target=_begin, args=(workers.executor,), daemon=True).start()
         yield partial(_plot_by, workers.executor)
 
 
 def _begin(executor: Executor) -> None:
-    with contextlib.suppress(RuntimeError, OSError):  # the pictures will meet it again, and are drawn here then
+    with contextlib.suppress(RuntimeError, OSError):  # drawing meets the same error, and falls back
         executor.submit(os.getpid)
 
 
@@ -191,7 +198,7 @@ def _plot_by(executor: Executor, result: Diagnosis, folder: Path) -> dict[str, P
     try:
         made = {caption: executor.submit(_draw, result, name, folder) for name, caption in captions(result).items()}
         return {caption: path.result() for caption, path in made.items()}
-    except (RuntimeError, OSError):  # they are gone, for want of memory maybe: it only takes longer
+    except (RuntimeError, OSError):  # the processes have ended, perhaps for lack of memory
         return drawn_here(result, folder)
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a diagnosis; they draw what `details` holds and compute nothing new but averages for the eye."""
+"""The pictures of a diagnosis, drawn from `details`; only averages for display are computed here."""
 
 from __future__ import annotations
 
@@ -17,31 +17,34 @@ from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.report.words import captions, spoken, torque_scale
 from tsa_ctrl.model.functions import Array
 
-DPI = 150  # as sharp on paper as on a screen
-WIDTH = 6.2  # inches: letters of 9 points stay readable where the page is 400 px wide
-# Inches: a label and numbers of seven letters; a margin; numbers and a label; a title of two lines; of two rows the
-# title of one and the numbers of the other
+DPI = 150  # dots per inch: enough for a sharp picture on paper and on a screen
+WIDTH = 6.2  # inches: letters of 9 points remain readable on a page of 400 px
+# Inches. LEFT holds a label and numbers of seven letters, RIGHT a margin, BOTTOM numbers and a label, and TOP a title
+# of two lines. BETWEEN separates two rows: it holds the numbers of the upper row and the title of the lower row.
 LEFT, RIGHT, BOTTOM, TOP, BETWEEN = 0.8, 0.12, 0.48, 0.4, 0.55
-LETTER = 0.075  # inches: of a name beside an axis, of 8 points
-SEGMENT = 4.0  # s of a picture of the worst moments
-SEGMENTS = 3  # the worst moments: what a page holds
-BINS = 40  # of a residual against a signal
-DOTS = 4000  # at most, of a scatter
-RANKED = 12  # lines that can still be read
+LETTER = 0.075  # inches, width of a letter of 8 points, for names next to an axis
+SEGMENT = 4.0  # s, length of a segment with large errors: single reversals remain visible
+SEGMENTS = 3  # number of segments with large errors: more do not fit on a page
+BINS = 40  # bins of a residual against a signal: enough for its shape, few enough for low noise
+DOTS = 4000  # largest number of dots in a scatter plot, to limit the size of the picture
+RANKED = 12  # largest number of bars that remain readable
 MEASURED, GIVEN, CALIBRATED, EXTENDED = "black", "tab:red", "tab:orange", "tab:blue"
 DESCRIBED = "tab:green"
-DIRECTIONS = ((1.0, "tab:green"), (-1.0, "tab:purple"))  # sigma, and the colour of its curves
+DIRECTIONS = ((1.0, "tab:green"), (-1.0, "tab:purple"))  # direction of motion and the colour of its curves
 
 Draw = Callable[[Diagnosis, Details], Figure]
 
 
 def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
-    """Write all pictures as PNG into `folder`; caption: path, in the order of the report. None of insufficient logs."""
+    """Write all pictures as PNG files into `folder` and return their paths by caption, in the order of the report.
+
+    Insufficient logs have no pictures.
+    """
     return {caption: draw(result, name, folder) for name, caption in captions(result).items()}
 
 
 def draw(result: Diagnosis, name: str, folder: Path) -> Path:
-    """Write one of the pictures that a result has, by its name."""
+    """Write the picture with the file name `name` into `folder`, and return its path."""
     makes: dict[str, Draw] = {
         "load.png": _load,
         "worst.png": _worst,
@@ -66,12 +69,13 @@ def _save(figure: Figure, path: Path) -> None:
 def _figure(
     rows: int, columns: int, height: float, *, left: float = LEFT, top: float = TOP, between: float = BETWEEN
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of so many axes, and these in the order of reading; its margins and the room between rows in inches.
+    """Return a figure with rows x columns axes, and its axes row by row.
 
-    Given and not found from the text, which takes as long as all drawing.
+    height, left, top, between: height of the figure, its margins and the space between rows, inches. The margins are
+    fixed because an automatic layout takes as long as all drawing.
     """
     figure = Figure(figsize=(WIDTH, height))
-    across = (WIDTH - left - RIGHT - (columns - 1) * left) / columns  # of one of the axes
+    across = (WIDTH - left - RIGHT - (columns - 1) * left) / columns  # width of one of the axes
     along = (height - top - BOTTOM - (rows - 1) * between) / rows
     grid = figure.subplots(rows, columns, squeeze=False)
     figure.subplots_adjust(
@@ -137,7 +141,10 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
 
 
 def worst_segments(details: Details) -> list[tuple[Curves, slice]]:
-    """Stretches of SEGMENT s with the largest error after recalibration, at most one overlapping another."""
+    """Return up to SEGMENTS segments with the largest errors after recalibration, worst first, without overlap.
+
+    A segment takes SEGMENT s, or less at the end of a log.
+    """
     width = max(2, round(SEGMENT / details.period))
     scored = []
     for number, curves in enumerate(details.curves):
@@ -176,7 +183,7 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
     left = LETTER * max(map(len, names), default=0) + 0.2
     figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0, left=left, top=RIGHT)
     across = WIDTH - left - RIGHT
-    ends = [1.1 * entry.gain for entry in ranked]  # of the axis, for its bar and what is told beside it
+    ends = [1.1 * entry.gain for entry in ranked]  # of the axis, with room for bars and labels
     seen: set[int] = set()
     for place, entry in enumerate(ranked):
         named = entry.group >= 0 and entry.group not in seen
@@ -198,7 +205,10 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
 
 
 def _span(values: Array) -> tuple[float, float]:
-    """Where all but a hundredth of them are, and a margin: single samples at reversals would hide the rest."""
+    """Return the limits of an axis that shows 99 % of the values, with a margin.
+
+    Without this, single large values at reversals would hide the others.
+    """
     low, high = (float(value) for value in np.quantile(values, [0.005, 0.995]))
     margin = 0.15 * (high - low) or 1.0
     return low - margin, high + margin
@@ -294,7 +304,10 @@ def _joined(details: Details, of: Callable[[Curves], Array]) -> Array:
 
 
 def _binned(signal: Array, value: Array) -> tuple[Array, Array]:
-    """Means over BINS bins of equal numbers of samples."""
+    """Return the means of signal and value over BINS bins with equal numbers of samples, sorted by the signal.
+
+    Fewer samples than BINS are returned unchanged.
+    """
     if len(signal) < BINS:
         return signal, value
     order = np.argsort(signal, kind="stable")

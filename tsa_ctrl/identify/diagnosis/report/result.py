@@ -1,4 +1,4 @@
-"""What a diagnosis found: the object that `diagnose` returns and that `diagnosis.json` is written from."""
+"""The result of a diagnosis: the object that `diagnose` returns and from which `diagnosis.json` is written."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from tsa_ctrl.outputs import json_types
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SCHEMA = 2  # of diagnosis.json: it changes when a reader of the last one would go wrong
-DIGITS = 6  # significant, of every number written: more is rounding of this machine
+SCHEMA = 2  # version of diagnosis.json: it changes if a program for the previous version would misread the file
+DIGITS = 6  # significant digits of every number written: further digits depend on the rounding of the machine
 
 
 class Verdict(Enum):
-    """What the logs say of the model."""
+    """Conclusion about the model from the logs."""
 
     CONSISTENT = "consistent"
     EXPLAINED = "explained"
@@ -37,49 +37,45 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Cause:
-    """A claim: this effect acts, or one of `alternatives` in its place (none when the name is sure).
+    """Identified cause: either `effect` acts, or one of `alternatives` acts in its place.
 
-    `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
-    lost without it. `parameters`: numbers with intervals (infinite where these logs leave all open that is allowed),
-    choices as words. `rivals`: the model with each alternative in its place, fitted to the same logs. `others`: the
-    probability of each alternative, estimated from these logs alone.
+    A parameter is a number with its interval, or a choice as a word. An interval is infinite if the logs do not
+    constrain the parameter within its bounds.
     """
 
     effect: str
-    alternatives: tuple[str, ...]
-    probability: float
+    alternatives: tuple[str, ...]  # empty if the logs exclude all other effects
+    probability: float  # of `effect`, compared with its alternatives
     parameters: Mapping[str, Quantity | str]
-    explained_fraction: float
+    explained_fraction: float  # share of the improvement that is lost without this cause
+    # The model with each alternative in place of the effect, fitted to the same logs
     rivals: Mapping[str, Model] = field(default_factory=dict, compare=False, repr=False)
-    others: Mapping[str, float] = field(default_factory=dict)
+    others: Mapping[str, float] = field(default_factory=dict)  # probability of each alternative, from these logs alone
 
 
 @dataclass(frozen=True)
 class ParameterError:
-    """A number of the base model: what the file says, and what the logs say."""
+    """A parameter of the base model, from the model file and from the logs."""
 
-    nominal: float
-    found: Quantity
+    nominal: float  # value of the model file
+    found: Quantity  # value determined from the logs
 
 
 @dataclass(frozen=True)
 class Rms:
-    """Errors of the simulation in N*m over all held-out samples; None where nothing could be said.
-
-    `simulated`: of the model as given over all samples, held out or not.
-    """
+    """RMS errors of the simulation over all held-out samples, N*m; None if an error could not be determined."""
 
     as_given: float | None = None
     recalibrated: float | None = None
     extended: float | None = None
-    noise_floor: float | None = None  # the noise of the sensor
+    noise_floor: float | None = None  # the sensor noise
     refitted: float | None = None  # the extended model after a fit to the held-out samples
-    simulated: float | None = None
+    simulated: float | None = None  # the nominal model over all samples, held out or not
 
 
 @dataclass(frozen=True)
 class StretchRms:
-    """What is left of the tendons' stretch, m, without and with the effects that only it shows."""
+    """RMS residual of the tendon elongation, m, without and with the effects that only the elongation shows."""
 
     without: float
     extended: float
@@ -87,33 +83,31 @@ class StretchRms:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The motion that would settle what is open: in words, and as a set-point (t in s, tau_j_des in N*m)."""
+    """The motion that would resolve the open questions: in words, and as a set-point (t in s, tau_j_des in N*m)."""
 
     text: str
     t: tuple[float, ...] = ()
     tau_j_des: tuple[float, ...] = ()
 
     def csv(self) -> str:
-        """The set-point file as `tsa run` and `tsa tune` play it."""
+        """Return the text of the set-point file for `tsa run` and `tsa tune`."""
         rows = [f"{t:.4f},{torque:.6g}" for t, torque in zip(self.t, self.tau_j_des, strict=True)]
         return "\n".join(["t,tau_j_des", *rows]) + "\n"
 
 
 @dataclass(frozen=True, repr=False)
 class Diagnosis(Displayed):
-    """Result of `diagnose`; `to_json` is the contents of diagnosis.json; `report.page.write` makes the whole report.
+    """Result of `diagnose`.
 
-    `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
-    named, or the given one when the logs say nothing. `at_bounds`: (value, low, high, unit) of its friction angle or
-    pretension where [uncertainty] holds it. `formula`: what it leaves, where that follows one. `stretch`: None where
-    the logs lack an angle.
-    `errors`: of `model` over all samples of all logs, as `tsa simulate` prints them.
-    `gain`: over held-out samples whose direction is known; `gain_all`: over all that are held out.
-    `details` holds the curves that `report.pictures.plot` draws.
+    `to_json` returns the contents of diagnosis.json. `report.page.write` writes the whole report.
+
+    `model` is the extended model, which contains the causes. If no cause of the torque error is identified, it is based
+    on the recalibrated model, or on the nominal model if that has the smaller error on held-out data. If the logs are
+    insufficient, it is the nominal model.
     """
 
     verdict: Verdict
-    sentence: str
+    sentence: str  # first line of the report
     causes: tuple[Cause, ...]
     parameter_errors: Mapping[str, ParameterError]
     unexplained: str
@@ -121,18 +115,19 @@ class Diagnosis(Displayed):
     detection_limit: Mapping[str, float]
     experiment: Experiment
     rms: Rms
-    gain: float
+    gain: float  # share of the explainable error that the causes remove, on held-out samples with a known direction
     model: Model
+    # (value, low, high, unit) of the friction angle or the pretension of `model` if it lies at a bound of [uncertainty]
     at_bounds: Mapping[str, tuple[float, float, float, str]] = field(default_factory=dict)
-    formula: Formula | None = None
-    stretch: StretchRms | None = None
-    errors: ThreeErrors = field(default_factory=ThreeErrors)
-    gain_all: float = 0.0
-    details: Details | None = field(default=None, compare=False, repr=False)
+    formula: Formula | None = None  # of the residual; None if no formula describes it
+    stretch: StretchRms | None = None  # None if the elongation could not be tested, for example without an angle
+    errors: ThreeErrors = field(default_factory=ThreeErrors)  # of `model` over all samples, as `tsa simulate` prints
+    gain_all: float = 0.0  # as `gain`, on all held-out samples
+    details: Details | None = field(default=None, compare=False, repr=False)  # curves for `report.pictures.plot`
 
     @property
     def of_torque(self) -> tuple[Cause, ...]:
-        """The causes without those that only the stretch shows."""
+        """Return the causes without those that only the tendon elongation shows."""
         beside, _ = of_the_stretch([cause.effect for cause in self.causes])
         return tuple(cause for cause in self.causes if cause.effect not in beside)
 
@@ -162,7 +157,7 @@ class Diagnosis(Displayed):
         return bars(self._rms_errors(), "RMS error on held-out data (N·m)", self.sentence.split(":")[0])
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object."""
+        """Return the contents of diagnosis.json as a dictionary."""
         return {
             "schema": SCHEMA,
             "verdict": self.verdict.value,
@@ -210,7 +205,7 @@ class Diagnosis(Displayed):
         }
 
     def to_json(self) -> str:
-        """The text of diagnosis.json; the same input gives the same text."""
+        """Return the text of diagnosis.json; the same input gives the same text."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Sentences for people: the first line of the report, what follows it, and what they are made of."""
+"""Sentences of the report: the first line, the remarks that follow, and their parts."""
 
 from __future__ import annotations
 
@@ -10,45 +10,56 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE, ThreeErrors
 from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 
-MOST_WORDS = 35  # of the first sentence: more is not read at once
-ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
-EXCLUDED = 3  # names in the remarks; the report has them all
-MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
-NO_MORE = 1.1  # times the sensor noise, the accuracy of its estimate
-SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
+MOST_WORDS = 35  # largest number of words in the first sentence: a longer one is not understood at the first reading
+# Ratio of the largest to the smallest detection limit: below it, a single number describes both
+ALIKE = 1.5
+EXCLUDED = 3  # largest number of excluded effects in the remarks; the report lists all of them
+MOSTLY = 0.5  # share of the mean square of the residual: the first sentence mentions a formula that explains more
+NO_MORE = 1.1  # ratio to the sensor noise within which an error counts as noise: the accuracy of the noise estimate
+SMALL = 0.1  # N*m, RMS below which torques are printed in mN*m
 
 
 def spoken(name: str) -> str:
-    """An effect's name as words; the parameters may be wrong, too, where they are not all that is."""
+    """Return the name of an effect as words.
+
+    `parameter_error` becomes "wrong parameters alone", because the parameters may also be wrong in addition to an
+    effect.
+    """
     return "wrong parameters alone" if name == PARAMETER_ERROR else name.replace("_", " ")
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """Names as a person lists them: a, b and c."""
+    """Return the names as a list in a sentence, such as "a, b and c"."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def told_torque(value: float | None) -> str:
-    """A torque in the unit that people read easily; text, tables and pictures have the same digits."""
+    """Return a torque, N*m, as text with three digits: in mN*m below SMALL, in N*m otherwise, or "unknown" for None.
+
+    Text, tables and pictures therefore show the same digits.
+    """
     if value is None:
         return "unknown"
     return f"{value * 1e3:.3g} mN·m" if abs(value) < SMALL else f"{value:.3g} N·m"
 
 
 def torque_scale(rms: Rms) -> tuple[float, str]:
-    """Factor and unit in which the pictures of a diagnosis draw errors."""
+    """Return the factor and the unit for errors in the pictures of a diagnosis."""
     return (1e3, "mN·m") if (rms.recalibrated or 0.0) < SMALL else (1.0, "N·m")
 
 
 def recalibration_is_worse(rms: Rms) -> bool:
-    """Whether the model as given does better than recalibrated on data that nothing was fitted on."""
+    """Return True if the nominal model has a smaller error than the recalibrated model on held-out data."""
     return rms.as_given is not None and rms.recalibrated is not None and rms.recalibrated > rms.as_given
 
 
 def sentence(result: Diagnosis) -> str:
-    """The first line: what is wrong, by how much, the cause, what it gained; as full as MOST_WORDS leave room for."""
+    """Return the first line of the report: the error, its size, the causes and the improvement.
+
+    It contains as many details as fit into MOST_WORDS.
+    """
     rms = result.rms
     best = rms.as_given if recalibration_is_worse(rms) else rms.recalibrated
     how = "as given" if recalibration_is_worse(rms) else "recalibrated"
@@ -119,12 +130,12 @@ def _next(result: Diagnosis) -> str:
 
 
 def noise_of(result: Diagnosis) -> str:
-    """The noise of the sensor, as text, table and picture have it."""
+    """Return the sensor noise as text, with the same digits as in tables and pictures."""
     return told_torque(result.rms.noise_floor)
 
 
 def _of_the_stretch(result: Diagnosis) -> str:
-    """The first line where the torque shows nothing that has a name."""
+    """Return the first line if only the tendon elongation shows the causes."""
     assert result.stretch is not None
     without, extended = (f"{1e6 * each:.3g}" for each in (result.stretch.without, result.stretch.extended))
     left = "; the torque has more" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
@@ -134,7 +145,7 @@ def _of_the_stretch(result: Diagnosis) -> str:
 
 
 def _with_causes(result: Diagnosis, gained: str) -> str:
-    """The causes and what they gained, as full as MOST_WORDS leave room for."""
+    """Return the causes and the improvement `gained`, with as many details as fit into MOST_WORDS."""
     fullness = [listed([phrase(cause) for cause in result.causes]) for phrase in (cause_phrase, _named, _counted)]
     first, more = result.causes[0], len(result.causes) - 1
     fullness += [f"{phrase(first)}{f' with {more} more' if more else ''}" for phrase in (_named, _counted)]
@@ -150,7 +161,11 @@ def of_the_written_model(errors: ThreeErrors) -> str:
 
 
 def remarks(result: Diagnosis) -> tuple[str, ...]:
-    """What follows the first line: what would have been seen, what is left, which names are excluded."""
+    """Return the sentences that follow the first line.
+
+    They state the errors, the detection limits, the gain, the residual, parameters at a bound, the formula and the
+    excluded effects, as far as they apply.
+    """
     out = []
     if recalibration_is_worse(result.rms):
         kept = "" if result.causes else ": the file's parameters are kept"
@@ -191,12 +206,15 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
 
 
 def _short(*sentences: str) -> str:
-    """The first of them that is short enough, else the last."""
+    """Return the first sentence of at most MOST_WORDS words, or the last one if all are longer."""
     return next((each for each in sentences if len(each.split()) <= MOST_WORDS), sentences[-1])
 
 
 def _visible(result: Diagnosis) -> str:
-    """The smallest effects that would have been seen: the smallest of all, and that of the effect that hides best."""
+    """Return a sentence with the smallest and the largest detection limit.
+
+    If both are nearly equal, the sentence states only the largest one.
+    """
     limits = result.detection_limit
     least, most = min(limits, key=lambda name: limits[name]), max(limits, key=lambda name: limits[name])
     if limits[most] < ALIKE * limits[least]:
@@ -208,7 +226,7 @@ def _visible(result: Diagnosis) -> str:
 
 
 def cause_phrase(cause: Cause) -> str:
-    """Name, alternatives and main parameter of a cause."""
+    """Return the name, the alternatives and the main parameter of a cause."""
     return ", ".join([_named(cause), *_numbers(cause)[:1]])
 
 
@@ -233,14 +251,14 @@ def _counted(cause: Cause) -> str:
 
 
 def insufficient_sentence(reason: str) -> str:
-    """The first sentences of a report that cannot say anything else; a long reason goes on in the next."""
+    """Return the first line for insufficient logs; a long reason is split into two sentences."""
     text = f"These logs cannot determine: {reason.rstrip('.?')}{'?' if reason.endswith('?') else '.'}"
     first, _, rest = text.partition("; ")
     return f"{first}. {rest[0].upper()}{rest[1:]}" if rest and len(text.split()) > MOST_WORDS else text
 
 
 def summary_of(name: str) -> str:
-    """What an effect is, from the catalogue; `parameter_error` is not one of its effects."""
+    """Return the summary of an effect from the catalogue, or that of `parameter_error`, which is not in it."""
     return (
         CATALOGUE[name].summary
         if name in CATALOGUE
@@ -249,7 +267,10 @@ def summary_of(name: str) -> str:
 
 
 def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
-    """The largest findings first; `suspicions` of the data, for what nothing else explains."""
+    """Return the description of the residual from the three largest findings; empty without a finding.
+
+    left: findings, largest first. suspicions: possible faults of the data, which are appended.
+    """
     if not left:
         return ""
     first, *others = left[:3]
@@ -269,7 +290,10 @@ def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
 
 
 def _drives(finding: Finding) -> bool:
-    """Whether a finding names a signal on which the rest depends; else it names the rest itself."""
+    """Return True if a finding names a signal on which the residual depends.
+
+    The other findings describe the residual itself, such as a step or bursts.
+    """
     return not finding.what.startswith(("a ", "bursts"))
 
 

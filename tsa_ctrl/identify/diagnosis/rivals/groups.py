@@ -138,7 +138,7 @@ def _by_simulation_error(
 ) -> list[Rival]:
     """Return the same hypotheses with `within_structure` set.
 
-    It is set if the noise excludes a hypothesis but its simulation error is no worse than that of the cause.
+    It is set for a hypothesis that the noise excludes and the simulation error does not.
     """
     judged = []
     without_any = simulation_error(problem, smaller, reversals)
