@@ -158,7 +158,7 @@ def _parameter_errors(reported: Refit, frame: Frame, model: Model) -> dict[str, 
     """Return the parameters of the base model by name.
 
     For a drive with tendons, the friction angle and the pretension are included only if the logs identify them
-    separately, which requires a varied wrap angle.
+    separately. This requires a varied wrap angle.
     """
     quantities = base_quantities(reported)
     out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}

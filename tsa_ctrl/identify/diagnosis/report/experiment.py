@@ -42,6 +42,9 @@ def advice(
 ) -> Experiment:
     """Return the next experiment: the motion that separates most of the alternatives, with a set-point.
 
+    If no cause has an alternative, an unexplained residual calls for a repetition, or for other operating points if a
+    formula describes it. Otherwise the experiment is the motion that the logs lack.
+
     torque: RMS of the change of the measured torque, N*m.
     formula: True if a formula describes the residual.
     """
@@ -102,8 +105,10 @@ def _parting(first: str, second: str) -> tuple[Motion, ...]:
 
 
 def _gap(found: Audit, not_testable: Mapping[str, str], kind: Kind) -> str:
-    """Return the motion that the logs lack: a direction, reversals, a sign of the load, or else the one that most of
-    the untestable effects require.
+    """Return the motion that the logs lack.
+
+    It is the second direction, reversals, the second sign of the load, or else the motion that most of the untestable
+    effects require.
     """
     if not found.both_directions:
         return "move in both directions"

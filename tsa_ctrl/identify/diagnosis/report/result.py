@@ -102,7 +102,7 @@ class Diagnosis(Displayed):
     `to_json` returns the contents of diagnosis.json. `report.page.write` writes the whole report.
 
     `model` is the extended model, which contains the causes. If no cause of the torque error is identified, it is based
-    on the recalibrated model, or on the nominal model if that has the smaller error on held-out data. If the logs are
+    on the recalibrated or the nominal model, whichever has the smaller error on held-out data. If the logs are
     insufficient, it is the nominal model.
     """
 

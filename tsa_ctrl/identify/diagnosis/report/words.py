@@ -163,8 +163,8 @@ def of_the_written_model(errors: ThreeErrors) -> str:
 def remarks(result: Diagnosis) -> tuple[str, ...]:
     """Return the sentences that follow the first line.
 
-    They state the errors, the detection limits, the gain, the residual, parameters at a bound, the formula and the
-    excluded effects, as far as they apply.
+    As far as they apply, they state the errors, the detection limits, the gain, the residual, parameters at a bound,
+    the formula and the excluded effects.
     """
     out = []
     if recalibration_is_worse(result.rms):

@@ -21,9 +21,9 @@ from tsa_ctrl.model.functions import Array
 DRAWS = 200  # random trials of a null distribution: its standard deviation is then known to 7 %
 # Prior precision of a coefficient, white units, for strong, weak and very weak dependence: the best of them counts
 RIDGES = (3.0, 30.0, 300.0)
-# Standard deviations above the null: with ten families, chance produces a finding in less than 1 % of the logs
+# Standard deviations above the null: with ten families, chance produces a finding in at most 1 % of the logs
 SURE = 5.0
-DISTINCT = 1e-2  # of a column's size: a smaller difference between columns is noise of the signals that they consist of
+DISTINCT = 1e-2  # of a column's size: smaller differences between columns are noise of the signals behind them
 # Least share of the mean square of the white residual: 2.5 % of its RMS has no practical use. A smaller share also gets
 # no term in a formula (parameters.formula.LEAST_PART).
 LEAST_SHARE = 0.05

@@ -34,8 +34,7 @@ def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> F
     """Return the finding for the signal on which the sliding error depends most.
 
     Returns None if no dependence exceeds LEAST times the noise, or if there are too few samples. A sample counts only
-    if the denoised velocity also shows its direction, because a wrong direction is an error of the log and not of the
-    model.
+    if the denoised velocity also shows its direction. A wrong direction is an error of the log and not of the model.
 
     residuals: measured minus predicted torque of each run at the log's own rate, (n,) in N*m.
     noise: sensor noise, N*m RMS.

@@ -25,7 +25,7 @@ from tsa_ctrl.model.parameters import Effects
 SPRING = "series_spring"
 MOST = 3  # largest number of identified effects, of four in the catalogue: four at once would fit almost any curve
 ENOUGH = 30.0  # least decrease of the cost due to the angles: a few encoder counts bring less
-FROM_FILE = 16.0  # least decrease of the cost due to the model file: 4 standard deviations of its [uncertainty]
+FROM_FILE = 16.0  # cost of a clear contradiction to the model file: 4 standard deviations of its [uncertainty]
 VISIBLY = 1.25  # ratio of the squares without and with the effect: 12 % of the RMS, which is visible in a picture
 # Student's t over the blocks: 0.3 % one-sided. The test uses the square roots of the differences. A permanent effect
 # may change one block a hundred times as much as another, and the roots ensure that many blocks must show it.
@@ -124,9 +124,9 @@ def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, once: bo
 
 
 def _follows_the_tensions(stretch: Stretch, found: StretchFit) -> bool:
-    """Return True if the tensions explain the elongation without the effects.
+    """Return True if the tensions explain the part of the elongation that the effects do not explain.
 
-    They must explain at least LEAST_TOLD of its mean square after zero, drift and the ratio of the radii are removed.
+    They must explain more than LEAST_TOLD of its mean square, after zero, drift and the ratio of the radii are removed.
     """
     own = found.columns[:, len(found.columns[0]) - len(found.terms) :]
     alone = stretch.seen.stretch - own @ found.amplitudes

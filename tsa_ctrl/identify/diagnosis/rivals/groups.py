@@ -194,7 +194,7 @@ def _limits(problem: Problem, name: str) -> set[str]:
     """Return the effects of which `name` is a limiting case.
 
     A torque offset is a limiting case of a joint stiffness. If the joint angle varies by more than STILL, the offset
-    also counts as a limiting case of a gravity load. Other effects are limiting cases of none.
+    also counts as a limiting case of a gravity load. For any other name, the set is empty.
     """
     if name != "torque_offset":
         return set()
@@ -205,9 +205,11 @@ def _limits(problem: Problem, name: str) -> set[str]:
 def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
     """Return `rival` as a competing hypothesis called `name`, with the increase of the sum of squares over `fitted`.
 
-    Each coordinate that `rival` has less than `fitted` reduces the increase by PER_COORDINATE. In white noise the
-    increase has the standard deviation 2 |d|, where d is the difference of the predictions. If the products of d and
-    the residual scatter more between blocks than in white noise, the increase is divided by the ratio squared.
+    If `rival` has fewer coordinates than `fitted`, the increase is reduced by PER_COORDINATE for each missing one.
+
+    In white noise the increase has the standard deviation 2 |d|, where d is the difference of the predictions. The
+    products of d and the residual may scatter more between blocks than in white noise. The increase is then divided by
+    the square of this ratio, which is limited to MOST_SPREAD.
     """
     difference = fitted.residual - rival.residual
     total = rival.rss - fitted.rss

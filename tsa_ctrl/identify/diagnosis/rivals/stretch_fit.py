@@ -66,8 +66,8 @@ class Term:
 class StretchFit:
     """Result of a fit with k free parameters to m samples.
 
-    The parameters are c_M, c_J, the motor friction, zero and drift of each log, the ratio of the pulley radii, and the
-    amplitudes of the terms, in this order.
+    The order of the parameters is: c_M, c_J, motor friction, zero and drift of each log, ratio of the pulley radii,
+    amplitudes of the terms.
     """
 
     terms: tuple[Term, ...]

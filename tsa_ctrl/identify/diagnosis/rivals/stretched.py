@@ -8,9 +8,9 @@ Each hypothesis predicts these tensions. They contain every effect that acts ahe
 ripple, motor friction) or in the tendons (slack, curvature profile, presliding). They do not contain effects behind the
 tendons (joint, load, delay of the torque sensor).
 
-A hypothesis must fit both the torque and the elongation. The fit may therefore vary the stiffness and the curvature
-profile within the uncertainty of the model file, and the coordinates of the hypothesis within their uncertainty
-according to the torque.
+A hypothesis must fit both the torque and the elongation. The fit to the elongation may vary the stiffness and the
+curvature profile within the uncertainty of the model file. It may also vary the coordinates of the hypothesis as far as
+the torque does not determine them.
 """
 
 from __future__ import annotations
@@ -99,8 +99,12 @@ def parted(
 def _judged(chosen: Selection, group: Group, seen: Seen) -> tuple[Group, Rival | None]:
     """Return the group with its excluded alternatives marked, and the alternative that replaces the cause.
 
-    The second value is None if the cause is not replaced. The group is returned unchanged if fewer than two hypotheses
-    can be computed, if no hypothesis explains the elongation, or if the elongation contradicts the cause itself.
+    The second value is None if the cause is not replaced. The group is returned unchanged in these cases:
+
+    - The tensions cannot be computed for the cause.
+    - The tensions cannot be computed for any of the alternatives.
+    - No hypothesis explains the elongation.
+    - The elongation contradicts the cause itself.
     """
     members: list[tuple[Rival | None, Fit]] = [(None, chosen.fitted)]
     members += [(rival, rival.fitted) for rival in group.alternatives]
