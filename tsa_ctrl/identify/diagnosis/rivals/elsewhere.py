@@ -1,6 +1,6 @@
 """Comparison of a cause and its competing hypotheses on data that they were not fitted to.
 
-A competing hypothesis is excluded if its simulation error on such data is clearly larger than that of the cause.
+A competing hypothesis is excluded if the cause has a clearly smaller simulation error on such data.
 
 Whitening may hide this. In short logs, or in logs with slow drift, the noise is as slow as the difference between two
 hypotheses. A hypothesis with four times the error then fits the whitened data about as well. This comparison therefore

@@ -56,7 +56,7 @@ class Rival:
     tolerance: float  # white units, part of `worse` that errors of the inputs can explain
     limit: bool = False  # the cause is a limiting case of this one, or the effect of this one has vanished
     within_structure: bool = False  # most of the residual is structure, and the simulation error does not separate both
-    fails_elsewhere: bool = False  # its error on samples outside the fit is clearly larger than that of the cause
+    fails_elsewhere: bool = False  # the cause has a clearly smaller error on samples outside the fit
     against_stretch: bool = False  # the angles of both pulleys contradict it
     # Decrease of the error on samples outside the fit, as a share of the decrease by the cause; None: not compared
     share: float | None = None

@@ -139,8 +139,8 @@ def _can_be_named(problem: Problem, rival: Rival) -> bool:
 def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
     """Return True if the elongation contradicts the hypothesis `found`.
 
-    It does if the squared residuals clearly exceed those of `best`, beyond the scatter of the blocks. It also does if
-    the total cost of torque, model file and elongation exceeds that of `best` by more than ASIDE.
+    The first criterion is a sum of squared residuals that is clearly larger than for `best`, beyond the scatter of the
+    blocks. The second criterion is a total cost of torque, model file and elongation that is larger by more than ASIDE.
     """
     more = np.bincount(seen.blocks, found.squares - best.squares) / noise**2
     total = float(more.sum())
