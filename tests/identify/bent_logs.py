@@ -1,4 +1,7 @@
-"""Logs of sheaths that bend anywhere, by the capstan equation integrated along the tendons; no code of the package."""
+"""Logs of sheaths with an arbitrary curvature profile.
+
+The capstan equation is integrated along the tendons. No code of the package is used.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ RATE = 500.0  # Hz
 
 
 def motion(seconds: float) -> tuple[Array, Array, Array]:
-    """t, q_j, omega_j: reversals at two speeds."""
+    """Return time t (s), joint angle q_j (rad) and joint velocity omega_j (rad/s), (n,) each.
+
+    The joint reverses at two speeds.
+    """
     t = np.arange(round(seconds * RATE)) / RATE
     q = 0.5 * np.sin(2 * np.pi * 0.31 * t) + 0.2 * np.sin(2 * np.pi * 0.73 * t + 1.0)
     return t, q, np.gradient(q, t)
@@ -30,13 +36,16 @@ def record(
     tensions: bool = False,
     viscous: float = 0.0,
 ) -> dict[str, Array]:
-    """Columns with both signs of torque; noise of 2 mN*m on the motor's torque and 5 on the joint's."""
+    """Return the columns of a log with motor torques of both signs.
+
+    The noise is 2 mN*m on the motor torque and 5 mN*m on the joint torque.
+    """
     rng = np.random.default_rng(seed)
     t, q, omega = motion(seconds)
     tau_m = 0.8 * np.sin(2 * np.pi * 0.11 * t) + 0.3 * np.sin(2 * np.pi * 0.27 * t)
     acting = dataclasses.replace(pair, pretension=pair.pretension + more_pretension)
     tau_j, t1 = np.empty_like(t), np.empty_like(t)
-    for sigma in (-1.0, 1.0):  # both are lines in tau_M
+    for sigma in (-1.0, 1.0):  # at a fixed direction, joint torque and tension are linear in tau_M
         now = np.sign(omega) == sigma
         rest, one = acting.joint_torque(0.0, sigma), acting.joint_torque(1.0, sigma)
         tau_j[now] = rest + (one - rest) * tau_m[now]

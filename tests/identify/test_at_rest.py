@@ -1,4 +1,4 @@
-"""A joint that stands between strokes: what it rests on is no friction, and says nothing of x and T_p0."""
+"""A joint that rests between strokes: the torque at rest is not friction and does not determine x and T_p0."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 
 
 def test_a_joint_at_rest_does_not_make_the_least_friction_the_best() -> None:
-    """Half of the log is a joint held by its friction, at torques anywhere between both branches."""
+    """In half of the log friction holds the joint, at torques between the two sliding branches."""
     rng, rig, model = rig_and_model(3)
     columns = tendon_logs.record(rig, rng, noise=1e-3)
     n = columns["t"].size

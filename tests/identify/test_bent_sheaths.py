@@ -1,4 +1,4 @@
-"""A model file with any course of the bending: simulated, calibrated and diagnosed on logs of such a sheath."""
+"""A model file with an arbitrary curvature profile: simulation, calibration and diagnosis on logs of such a sheath."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ OFF = 1.15  # nominal x and T_p0 are smaller by this factor
 
 
 def nominal(pair: Pair, spring: bool, off: float = OFF) -> TendonSheath:
-    """The model file of a rig: its bends, and a friction angle and pretension that are off."""
+    """Return the model file of a rig: its curvature profile, and a friction angle and a pretension that are too small
+    by `off`.
+    """
     bent = ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": pair.points}})
     if spring:
         bent = dataclasses.replace(bent, series_stiffness=SERIES, series_at_joint=True)
@@ -39,17 +41,17 @@ def nominal(pair: Pair, spring: bool, off: float = OFF) -> TendonSheath:
 
 
 EACH = pytest.mark.parametrize("rig", RIGS)
-TENSIONED = pytest.mark.parametrize(  # two pretensions tell the same of every course of the bends
+TENSIONED = pytest.mark.parametrize(  # with two pretensions, all curvature profiles give the same information
     "rig", [pytest.param(rig, marks=[pytest.mark.soak] if rig.startswith("S") else []) for rig in RIGS]
 )
 
 
 class TestRig:
-    """Known parameters come back."""
+    """Simulation, calibration and diagnosis recover known parameters."""
 
     @EACH
     def test_simulated(self, rig: str) -> None:
-        """The true file leaves the noise: 5 mN*m, and the motor's 2 through the slope."""
+        """With the true file, only noise remains: 5 mN*m of the joint, and 2 mN*m of the motor times the slope."""
         pair, spring = RIGS[rig]
         log = Dataset.from_arrays(record(pair, 1), "a")
         error = predict(nominal(pair, spring, 1.0), log.signals()) - log.columns["tau_j"]
@@ -57,7 +59,7 @@ class TestRig:
 
     @EACH
     def test_calibrated_in_one_configuration(self, rig: str) -> None:
-        """The proportion of the file is right here, so that both come back."""
+        """The file's proportion of x and T_p0 is right, so both are recovered."""
         pair, spring = RIGS[rig]
         found = calibrate([Dataset.from_arrays(record(pair, 1), "a")], nominal(pair, spring))
         assert found.friction_angle.value == pytest.approx(pair.x, rel=3e-3)
@@ -66,7 +68,7 @@ class TestRig:
 
     @pytest.mark.parametrize("gain", [0.96, 1.0, 1.04])
     def test_much_friction_is_split_by_the_slope(self, gain: float) -> None:
-        """The file's proportion is wrong by 40 %. The torque constant is known within a few percent only."""
+        """The file's proportion is wrong by 40 %, and the torque constant is known only within a few percent."""
         pair, _ = RIGS["motor end, much friction"]
         table = record(pair, 3)
         table["tau_m"] = table["tau_m"] * gain
@@ -78,7 +80,7 @@ class TestRig:
 
     @pytest.mark.parametrize(("rig", "bends"), [("S", S_BENT), ("motor end, much friction", ((0.0, 0.0), (1.0, 1.0)))])
     def test_a_slope_that_shows_nothing_or_contradicts_the_file_splits_nothing(self, rig: str, bends: Points) -> None:
-        """Little friction does not change the slope, and another course of the bends makes it impossible."""
+        """Little friction does not change the slope, and a wrong curvature profile makes the slope impossible."""
         pair, _ = RIGS[rig]
         file = ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": bends}})
         found = calibrate([Dataset.from_arrays(record(pair, 4), "a")], file.recalibrated(pair.x, pair.pretension))
@@ -87,7 +89,7 @@ class TestRig:
     @pytest.mark.slow
     @TENSIONED
     def test_split_by_the_tensioner(self, rig: str) -> None:
-        """Two known pretensions."""
+        """Two logs with a known difference of pretension separate x and T_p0."""
         pair, spring = RIGS[rig]
         logs = [Dataset.from_arrays(record(pair, 1 + k, more_pretension=18.0 * k), f"{k}") for k in range(2)]
         found = calibrate(logs, nominal(pair, spring), tensioner={"1": 18.0})
@@ -97,7 +99,7 @@ class TestRig:
 
     @EACH
     def test_split_by_measured_tensions(self, rig: str) -> None:
-        """T1 and T3 hold what the elongation does to the pretension; T_p0 is what it would be without friction."""
+        """T1 and T3 contain the change of pretension by the elongation. T_p0 is the pretension without friction."""
         pair, spring = RIGS[rig]
         found = calibrate([Dataset.from_arrays(record(pair, 1, tensions=True), "a")], nominal(pair, spring))
         assert found.split
@@ -107,7 +109,7 @@ class TestRig:
 
 @pytest.mark.slow
 def test_diagnosed() -> None:
-    """Friction that nobody knew of is named beside the file's own bends, which stay in the extended model."""
+    """Unknown viscous friction is identified, and the file's curvature profile stays in the extended model."""
     pair, spring = RIGS["S, spring at the joint"]
     logs = [Dataset.from_arrays(record(pair, 1, seconds=20.0, viscous=0.08), "a")]
     found = diagnose(logs, nominal(pair, spring, 1.05))

@@ -39,7 +39,10 @@ def hits(result: Calibration, rig: tendon_logs.Rig, *names: str) -> int:
     "profile", ["joint_end", *(pytest.param(name, marks=pytest.mark.soak) for name in ("uniform", "motor_end"))]
 )
 def test_intervals_of_the_two_combinations_cover_the_truth(profile: str) -> None:
-    """40 logs with two intervals each: at 95 % coverage fewer than 70 of 80 hits has a chance below 1 in 1000."""
+    """40 logs have two intervals each.
+
+    With 95 % coverage, fewer than 70 hits of 80 have a probability below 1 in 1000.
+    """
     found = 0
     for seed in range(40):
         rng, rig, model = rig_and_model(seed, profile)
@@ -89,7 +92,7 @@ def test_half_loop_is_kept_by_the_calibrated_model() -> None:
     m = result.model
     loop = 2.0 * m.pretension * m.joint_pulley_radius * np.sinh(m.friction_angle)
     found = result.half_loop_torque
-    assert loop == pytest.approx(found.value, abs=0.1 * (found.high - found.low))  # the file's digits
+    assert loop == pytest.approx(found.value, abs=0.1 * (found.high - found.low))  # rounded to the digits of the file
 
 
 def test_error_on_held_out_data_falls() -> None:
@@ -99,7 +102,7 @@ def test_error_on_held_out_data_falls() -> None:
 
 
 def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
-    """White noise of a third of the signal would shrink an ordinary least-squares slope by a tenth."""
+    """White noise of a third of the signal would reduce an ordinary least-squares slope by a tenth."""
     rng, rig, model = rig_and_model(4)
     columns = tendon_logs.record(rig, rng, seconds=60.0)
     columns["tau_m"] = columns["tau_m"] + 0.33 * np.std(columns["tau_m"]) * rng.normal(size=columns["t"].size)
@@ -173,7 +176,7 @@ def test_lagged_leaves_a_straight_line_alone() -> None:
 
 
 def test_the_interval_of_a_mean_over_equal_blocks_is_students() -> None:
-    """Variance of the block means over their number, at one degree of freedom less."""
+    """It is the variance of the block means divided by their number, with one degree of freedom less."""
     means = np.random.default_rng(1).normal(size=7)
     ones, labels = np.ones((70, 1)), np.repeat(np.arange(7), 10)
     estimate = solve(ones, ones, np.repeat(means, 10), labels)
@@ -191,7 +194,7 @@ def test_a_coefficient_that_rests_on_few_blocks_has_few_degrees_of_freedom() -> 
 
 
 def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
-    """Each log has its own; a common one would leave its difference in every interval."""
+    """Each log has its own sensor zero. A common zero would widen every interval by the difference."""
     rng, rig, model = rig_and_model(6)
     change = 0.4 * rig.pretension
     first, second = tendon_logs.record(rig, rng), tendon_logs.record(rig, rng, tensioner=change)

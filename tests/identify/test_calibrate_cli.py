@@ -1,4 +1,4 @@
-"""`tsa calibrate`: what it prints and writes, and one line for what is wrong."""
+"""Output and files of `tsa calibrate`, and its one-line errors."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 @pytest.fixture(scope="module")
 def recorded() -> tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """A nominal model file, a log, and one with the tensioner 20 N higher."""
+    """Return a nominal model file, a log, and a log with a tensioner force that is 20 N higher."""
     rng = np.random.default_rng(5)
     rig = tendon_logs.draw_rig(rng, "joint_end")
     text = COMMENT + tendon_logs.model_text(rig, rng)
@@ -112,7 +112,7 @@ def test_what_was_done_to_several_logs_is_said_once(folder: Path, capsys: pytest
 
 
 def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The joint torque of a drive whose gain and friction are half of what pulleys and model give."""
+    """Halve the joint torque, as of a drive with half the gain and friction of the pulleys and the model."""
     return {**log, "tau_j": 0.5 * log["tau_j"]}
 
 

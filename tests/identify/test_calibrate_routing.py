@@ -1,4 +1,7 @@
-"""Calibrate logs of several joints: the rig of `tests.blind` bends its sheath by the angles of a hip and an ankle."""
+"""Calibration of logs of several joints.
+
+In the rig of `tests.blind`, the angles of a hip and an ankle bend the sheath.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +46,7 @@ def test_the_gains_of_all_joints_are_found_with_the_rest(name: str, tmp_path: Pa
 
 
 def test_right_gains_and_joints_without_effect_stay_as_they_are() -> None:
-    """The second joint of this rig moves, and bends nothing."""
+    """The second joint of this rig moves without changing the wrap angle."""
     logs, model, gains = logs_of("right", 2)
     assert gains_of(calibrate(logs, model)) == gains.file
 
@@ -81,7 +84,7 @@ def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]]
 
 
 def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
-    """Gains of 0.9 and -0.3 rad/rad."""
+    """The true gains are 0.9 rad/rad and -0.3 rad/rad."""
     log, model = rig_of(0.9, -0.3)
     del log["q_m"]
     result = calibrate([Dataset.from_arrays(log, "run")], model)

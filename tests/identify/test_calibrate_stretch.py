@@ -1,4 +1,7 @@
-"""Stiffness, shape and motor inertia from the stretch, in logs of the distributed plant; what it refuses."""
+"""Stiffness, curvature profile and motor inertia from the tendon elongation, in logs of the distributed plant.
+
+Logs that do not determine them are rejected.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from tsa_ctrl.identify.calibrate.tendon_log import jump
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 
-OFF = {"friction_coefficient": 1.15, "pretension": 0.9, "axial_stiffness": 0.85}  # true over nominal
+OFF = {"friction_coefficient": 1.15, "pretension": 0.9, "axial_stiffness": 0.85}  # ratio of true to nominal value
 STIFFNESS = 0.85 * NOMINAL.axial_stiffness
 BENDS = [[0.0, 0.0], [0.6, 1.0], [1.0, 1.0]]  # s_c 0.3
 COLUMNS = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j")
@@ -28,7 +31,7 @@ COLUMNS = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j")
 def columns(
     folder: Path, load: str, setpoint: dict[str, Any], seconds: float = 5.0, bends: list[list[float]] = BENDS
 ) -> dict[str, np.ndarray]:
-    """A log of a rig that is not nominal, its motor's inertia 1e-4."""
+    """Return a log of a rig that is not nominal. Its motor inertia is 1e-4 kg*m^2."""
     plant = {"perturbation": OFF, "tendon": {"curvature": bends}}
     result = play(folder, load, setpoint, seconds, compensation=0.7, plant=plant)
     log = result.log
@@ -62,7 +65,10 @@ def test_with_a_torque_sensor_stiffness_shape_and_inertia_are_found(gait: dict[s
 
 @pytest.mark.slow
 def test_two_bends_with_a_straight_piece_between_are_told_from_an_even_one(tmp_path: Path) -> None:
-    """Both have their centre at 0.5; the places of a sixth, a half less and a half more, and of five sixths."""
+    """Both profiles have their centre at 0.5.
+
+    The profile is compared where one sixth, two fifths, three fifths and five sixths of the wrap angle are reached.
+    """
     fit = fit_stretch([dataset(columns(tmp_path, "imposed", GAIT, bends=TWO_BENDS))], NOMINAL)
     course = fit.model.bending_course
     assert course is not None
@@ -75,7 +81,7 @@ def test_two_bends_with_a_straight_piece_between_are_told_from_an_even_one(tmp_p
 
 @pytest.mark.slow
 def test_without_one_the_stiffness_is_found_and_the_shape_is_kept(gait: dict[str, np.ndarray]) -> None:
-    """That the shape is not parted from the friction is said."""
+    """A note reports that the profile and the friction are not separately identifiable."""
     fit = fit_stretch([dataset(gait, "tau_j")], dataclasses.replace(NOMINAL, bending_centre=0.3))
     assert fit.axial_stiffness.low < STIFFNESS < fit.axial_stiffness.high
     assert fit.centre is None
@@ -84,7 +90,10 @@ def test_without_one_the_stiffness_is_found_and_the_shape_is_kept(gait: dict[str
 
 @pytest.mark.slow
 def test_a_file_that_bends_the_sheath_at_one_end_is_where_the_search_begins(gait: dict[str, np.ndarray]) -> None:
-    """It ended in a division by zero. The log is of an even bend; one point that bends finds a centre near it."""
+    """Regression test: this case ended in a division by zero.
+
+    The log is of an even curvature. A file with a single bend finds a centre near 0.5.
+    """
     wrong = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
     fit = fit_stretch([dataset(gait)], wrong)
     assert fit.centre is not None
@@ -101,7 +110,10 @@ def test_a_held_joint_tells_its_stiffness_too(tmp_path: Path) -> None:
 def test_the_verb_writes_what_it_found(
     gait: dict[str, np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without a joint torque sensor, as a file that loads; its half loop's interval is there for the guard."""
+    """Without a joint torque sensor the command writes a file that loads.
+
+    The file contains the interval of the half loop.
+    """
     model, log, out = tmp_path / "a.toml", tmp_path / "log.csv", tmp_path / "b.toml"
     save_model(dataclasses.replace(NOMINAL, bending_centre=0.3), model)
     write_csv(log, {name: values for name, values in gait.items() if name != "tau_j"})
@@ -116,7 +128,7 @@ def test_the_verb_writes_what_it_found(
 
 
 def rows(seconds: float = 3.0) -> dict[str, np.ndarray]:
-    """A rigid transmission: nothing is stretched."""
+    """Return a log of a rigid transmission without elongation."""
     t = np.arange(0.0, seconds, 1e-3)
     q_j = np.sin(t)
     return {
@@ -146,7 +158,7 @@ def test_angles_that_contradict_each_other_are_refused(change: dict[str, float],
 
 
 def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -> None:
-    """Encoders so coarse that the stretch is lost in a count: no stiffness is guessed."""
+    """The encoders are so coarse that the elongation is below one count. The stiffness is not guessed."""
     data = rows(8.0)
     count = 2.0 * np.pi / 64
     data["q_m"] = count * np.round(data["q_m"] / count)
@@ -158,7 +170,7 @@ def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -
 
 @pytest.mark.parametrize("turned", [("tau_m",), ("q_m", "q_j")])
 def test_a_torque_that_turns_against_both_angles_is_refused(turned: tuple[str, ...]) -> None:
-    """Stiff tendons that give with the motor's torque, by a formula."""
+    """The tendons are stiff and elongate in proportion to the motor torque, by a formula."""
     data = rows()
     data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
     data["q_m"] = data["q_m"] + data["tau_m"] / 40.0
@@ -183,7 +195,7 @@ def test_a_zero_that_jumps_within_a_log_is_refused_with_its_time(size: float) ->
 
 
 def test_what_comes_back_is_no_jump() -> None:
-    """A reading that is wrong for three rows, and steps of a count."""
+    """A reading that is wrong for three rows is not a jump, and neither are steps of one count."""
     stretch = 1e-4 * np.sin(np.linspace(0.0, 20.0, 2000))
     count = 2e-5
     assert jump(count * np.round(stretch / count), 1e-5) is None

@@ -1,4 +1,4 @@
-"""Every number at the head of a module of identify has a comment that says what it is and why it has its value."""
+"""Every number at the top of a module of identify has a comment that gives its meaning and the reason for its value."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ import pytest
 import tsa_ctrl.identify
 
 MODULES = sorted(Path(tsa_ctrl.identify.__file__).parent.rglob("*.py"))
-FEWEST_WORDS = 3  # a unit alone is no reason; "at most" of something is one
+FEWEST_WORDS = 3  # a unit alone is no reason; "at most" of a quantity is one
 
 
 def reasons(source: str) -> dict[str, str]:
-    """name: comment, of each assignment in capitals with a number in it; on its own lines or right above it."""
+    """Return the comment of each upper-case assignment that contains a number.
+
+    The comment is on the lines of the assignment or directly above it.
+    """
     lines, found = source.splitlines(), {}
     for statement in ast.parse(source).body:
         if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:

@@ -1,4 +1,4 @@
-"""A log made fit: what is accepted, what is added and said, what is refused in one line."""
+"""Preparation of a log: accepted input, derived columns with notes, and one-line errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def columns(**changed: NDArray[np.float64] | None) -> Columns:
-    """A good log; `changed` replaces columns, None removes one."""
+    """Return a good log. `changed` replaces columns, and None removes a column."""
     good: dict[str, NDArray[np.float64] | None] = {"t": T, **motion(N), **changed}
     return {name: values for name, values in good.items() if values is not None}
 
@@ -75,7 +75,7 @@ def test_a_good_log_needs_no_notes() -> None:
 
 
 def test_a_burst_without_numbers_is_a_hole() -> None:
-    """The log goes on in two pieces, and the note names the first row."""
+    """The log is split into two pieces, and the note names the first row of the hole."""
     table = columns()
     values = table["tau_j"].copy()
     values[150:190] = np.nan
@@ -144,7 +144,7 @@ class TestDerivedVelocity:
         assert "12 Hz, as asked for" in found.notes[0]
 
     def test_a_slow_joint_with_a_fast_motion_keeps_it(self) -> None:
-        """Jerks of 20 ms behind a fine encoder: a fixed low-pass at 10 Hz would take most of their velocity."""
+        """The joint makes jerks of 20 ms. A fixed low-pass at 10 Hz would remove most of their velocity."""
         t = np.arange(8000) * 1e-3
         q = 0.05 * np.exp(-(((t % 0.5 - 0.25) / 0.01) ** 2)) + 0.2 * np.sin(3.0 * t)
         count = 2.0 * np.pi / 2**20
@@ -154,7 +154,7 @@ class TestDerivedVelocity:
         assert np.std((found["omega_j"] - true)[inside]) < 0.02 * np.std(true[inside])
 
     def test_noise_at_a_reversal_makes_one_turn_of_it(self) -> None:
-        """A slow reversal behind a coarse encoder: the direction changes once, near the extremum."""
+        """At a slow reversal, a coarse encoder gives one change of direction, near the extremum."""
         t = np.arange(6000) * 1e-3
         rng = np.random.default_rng(5)
         q = 0.4 * np.sin(0.5 * np.pi * t) + 0.02 * np.sin(40.0 * t) * (np.abs((t % 2.0) - 1.0) > 0.5)
@@ -188,7 +188,7 @@ class TestDerivedVelocity:
         assert set(found["omega_j"][2400:].tolist()) == {0.0}
 
     def test_a_joint_that_stands_before_it_turns_back_turns_in_the_middle(self) -> None:
-        """Sliding, 1 s without a count, and back: the direction changes half way, and nowhere else."""
+        """The joint slides, rests for 1 s and slides back. The direction changes once, half way through the rest."""
         way = 0.05 * np.sin(0.5 * np.pi * np.arange(1000) * 1e-3)
         q = np.concatenate([way, np.full(1000, way[-1]), way[::-1]])
         count = 2.0 * np.pi / 4000.0
@@ -248,7 +248,10 @@ class TestJitter:
 
 
 class TestTablesAsTheyCome:
-    """Stamps of tables that no real-time loop wrote: what is done is right, and said with its share."""
+    """Time stamps of tables that no real-time loop wrote.
+
+    The correction is right and reported with its share of rows.
+    """
 
     @staticmethod
     def table(t: NDArray[np.float64]) -> Columns:
@@ -326,7 +329,8 @@ class TestTablesAsTheyCome:
         t = 5e-3 * (np.arange(2000) + np.random.default_rng(seed).uniform(-noise, noise, 2000))
         t = np.delete(t, sorted(lost))
         found = Dataset.from_arrays(self.table(t))
-        inside = (found["t"] >= t[0]) & (found["t"] <= t[-1])  # the grid may end half a step beyond
+        # the resampled grid may end half a step beyond the last row
+        inside = (found["t"] >= t[0]) & (found["t"] <= t[-1])
         assert np.max(np.abs(found["tau_m"] - np.sin(2.0 * found["t"]))[inside]) < 3e-3
 
 

@@ -1,4 +1,7 @@
-"""Reversed channels are refused by name; what merely looks odd is not. The logs come from two tendons' equilibrium."""
+"""Reversed channels are rejected with their names; unusual logs are not.
+
+The logs come from the equilibrium of two tendons.
+"""
 
 from __future__ import annotations
 
@@ -153,7 +156,7 @@ class TestRatios:
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # as all of them are before they are simulated: tests/identify/test_simulate.py
+@pytest.mark.soak  # tests/identify/test_simulate.py also accepts all of them before it simulates them
 def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
     folder = data_dir / "davinci"
     model = load_model(folder / "actuator.toml")

@@ -1,4 +1,7 @@
-"""A folder of logs: one table, no work done twice, processes and a Dask cluster; the logs are made here."""
+"""Diagnosis of a folder of logs: one table, no repeated work, local processes and a Dask cluster.
+
+The logs are synthetic.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,7 @@ X, PRETENSION = 0.28, 42.0
 
 
 def write_log(path: Path, viscous: float, seed: int) -> None:
-    """A log of (3.55) with a viscous term and white noise, b in N*m*s/rad."""
+    """Write a log of (3.55) with white noise and viscous friction of coefficient `viscous` (N*m*s/rad)."""
     rng = np.random.default_rng(seed)
     omega = 1.2 * np.cos(2.0 * np.pi * 0.4 * T) * (0.6 + 0.4 * np.sin(2.0 * np.pi * 0.05 * T))
     tau_m = 0.4 * np.sin(2.0 * np.pi * 0.17 * T) + 0.2 * np.sin(2.0 * np.pi * 0.31 * T + 1.0)
@@ -40,7 +43,7 @@ def write_log(path: Path, viscous: float, seed: int) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two good logs, one without joint torque, one that is no log."""
+    """Return a folder with two good logs, a log without joint torque and a file that is not a log."""
     folder = tmp_path_factory.mktemp("logs")
     write_log(folder / "drive_1.csv", 0.0, 1)
     write_log(folder / "drive_2.csv", 0.05, 2)
@@ -51,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def short(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Logs of the same names that are too short for an answer, which takes no time."""
+    """Return logs with the same names that are too short for a diagnosis, so that the test is fast."""
     logs = tmp_path_factory.mktemp("short")
     for name, lines in (("drive_1.csv", 300), ("drive_2.csv", 300), ("drive_3.csv", 50)):
         (logs / name).write_text("\n".join((folder / name).read_text().splitlines()[:lines]) + "\n")
@@ -66,7 +69,7 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Counting(Executor):
-    """One thread, and the number of jobs that it was given."""
+    """An executor with one thread that counts its jobs."""
 
     def __init__(self) -> None:
         self.jobs = 0
@@ -79,7 +82,7 @@ class Counting(Executor):
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Answers without a diagnosis, for what is about the book-keeping."""
+    """Replace the diagnosis by an immediate answer, for tests of the book-keeping."""
 
     def answer(job: Job) -> Done:
         return Done(Row(job.name, job.key, "consistent"), {"diagnosis.json": b"{}"})
@@ -88,14 +91,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def swept(folder: Path, model: Path, out: Path, **more: Any) -> tuple[list[Row], int]:
-    """The rows, and how many logs were diagnosed for them."""
+    """Return the rows and the number of logs that were diagnosed for them."""
     executor = Counting()
     return sweep(logs_in(folder), model, out, Workers(executor, 1), **more), executor.jobs
 
 
 @pytest.fixture(scope="module")
 def done(folder: Path, model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a whole run leaves."""
+    """Return the output folder of a complete run."""
     out = tmp_path_factory.mktemp("fleet") / "out"
     swept(folder, model, out)
     return out
@@ -229,7 +232,7 @@ def test_what_cannot_be_meant_of_a_folder_is_one_line(
 
 
 def children_of(pid: int) -> list[int]:
-    """Processes below `pid`, from /proc."""
+    """Return the descendant processes of `pid`, from /proc."""
     below, found = {pid}, []
     parents = {}
     for path in Path("/proc").iterdir():
@@ -251,7 +254,8 @@ def test_ctrl_c_leaves_a_table_and_no_process(model: Path, tmp_path: Path) -> No
     logs.mkdir()
     for number in range(6):
         write_log(logs / f"drive_{number}.csv", 0.05, number)
-    first = logs / "drive_0.csv"  # too short for an answer: there soon, while the next ones are asked
+    # too short for a diagnosis: its result is there soon, while the other logs are diagnosed
+    first = logs / "drive_0.csv"
     first.write_text("\n".join(first.read_text().splitlines()[:300]) + "\n")
     command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(logs), "--model", str(model), "--out", str(out)]
     process = subprocess.Popen([*command, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -282,7 +286,10 @@ def test_an_unexpected_failure_costs_one_row(folder: Path, model: Path, tmp_path
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
-    """Address of a Dask scheduler with a worker, in a thread: a process of its own takes two seconds to come up."""
+    """Return the address of a Dask scheduler with a worker in a thread.
+
+    A separate process takes two seconds to start.
+    """
     distributed = pytest.importorskip("distributed", reason="no Dask: pip install '.[fleet]'")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"

@@ -1,4 +1,4 @@
-"""The range of an appropriate pretension: against the tensions of the capstan, and said by a calibration."""
+"""The appropriate range of the pretension, compared with the capstan tensions, and its remark in a calibration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tsa_ctrl.identify.dataset import Dataset
 
 
 def test_the_range_is_that_of_the_capstan() -> None:
-    """At its ends one tendon carries nothing at the motor, and friction alone takes the torque; evenly bent."""
+    """At the lower end, one tendon is slack at the motor. At the upper end, friction alone takes the whole torque."""
     model = dataclasses.replace(actuator(), bending_centre=0.5)
     r_m, x = model.motor_pulley_radius, model.friction_angle
     lowest, highest = appropriate(model, 1.0)
@@ -28,7 +28,7 @@ def test_the_range_is_that_of_the_capstan() -> None:
     ("torque", "words"), [(1.79, "one tendon is slack"), (1.2, ""), (0.5, ""), (0.3, "friction takes all of it")]
 )
 def test_what_is_not_appropriate_is_said(torque: float, words: str) -> None:
-    """45 N carry 1.8 N*m, and friction takes 0.46."""
+    """A pretension of 45 N carries 1.8 N*m, and friction takes 0.46 N*m."""
     said = remark(actuator(), torque)
     assert words in said
     assert bool(said) is bool(words)
@@ -39,7 +39,10 @@ def test_a_model_that_knows_slack_may_have_it() -> None:
 
 
 def test_a_calibration_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same log twice, the second time with a motor torque that comes to 97 % of what both tendons carry."""
+    """The same log is calibrated twice.
+
+    The second time, the motor torque reaches 97 % of the capacity of both tendons.
+    """
     load, more = tendon_logs._load, 1.0
     monkeypatch.setattr(tendon_logs, "_load", lambda t, rng: more * load(t, rng))
     said = []

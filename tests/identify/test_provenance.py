@@ -1,4 +1,4 @@
-"""Files made from logs keep the joint of the nominal file, and do not count as a tuning."""
+"""Files made from logs keep the joint of the nominal file and do not count as a tuning."""
 
 from __future__ import annotations
 

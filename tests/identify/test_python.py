@@ -1,4 +1,4 @@
-"""The public names on arrays, mappings and frames, and their signatures, which are stable."""
+"""The public functions accept arrays, mappings and frames, and their signatures are stable."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COLUMNS = {"t": T, "tau_m": 0.5 * np.sin(3.0 * T), "q_j": 0.3 * np.sin(2.0 * T),
 
 
 class Frame:
-    """What pandas and polars have in common: `columns`, and a column by its name."""
+    """The interface that pandas and polars have in common: `columns`, and a column by its name."""
 
     columns = tuple(COLUMNS)
 
@@ -37,7 +37,7 @@ class Frame:
 def test_signatures_are_those_that_are_committed() -> None:
     names = sorted({*tsa_ctrl.__all__} - {"__version__", "LeaseLostError"})
     found = "".join(f"{name}{inspect.signature(getattr(tsa_ctrl, name))}\n" for name in names)
-    found = re.sub(r" at 0x[0-9a-f]+", "", found)  # of a default that is a function
+    found = re.sub(r" at 0x[0-9a-f]+", "", found)  # address in the default value of a function
     assert found == SIGNATURES.read_text(encoding="utf-8")
 
 
@@ -67,7 +67,7 @@ def test_what_is_no_log_is_rejected_in_words() -> None:
 
 
 def shown(result: Displayed) -> str:
-    """Check the picture and the table of a notebook; return the line of a Python session."""
+    """Check the picture and the table of a notebook, and return the line of a Python session."""
     drawn = io.BytesIO()
     result.plot().savefig(drawn)
     assert len(drawn.getvalue()) > 5_000

@@ -1,4 +1,4 @@
-"""Columns that follow from each other must agree; the logs come from two tendons' equilibrium."""
+"""Redundant columns must agree. The logs come from the equilibrium of two tendons."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RPM, COUNTS = 30.0 / math.pi, 4096 / (2.0 * math.pi)
 
 
 def rig_log(seed: int) -> tuple[Columns, TendonSheath]:
-    """A log with every redundant column, and the nominal model of its rig."""
+    """Return a log with every redundant column, and the nominal model of its rig."""
     rng = np.random.default_rng(seed)
     rig = tendon_logs.draw_rig(rng, tendon_logs.PROFILES[seed % 3])
     model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal")
@@ -95,7 +95,7 @@ def test_a_small_difference_is_a_remark(change: Change, said: str) -> None:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_both_ends_in_one_wrong_unit_are_found_by_their_friction(seed: int) -> None:
-    """No pair of columns shows it: the torques agree with each other."""
+    """No pair of columns shows the wrong unit, because both torques agree with each other."""
     log, model = rig_log(seed)
     wrong = {name: 30.0 * values if name.startswith("tau") else values for name, values in log.items()}
     with pytest.raises(UsageError, match=r"friction torque .* times the model's, .* times what \[uncertainty\] allows"):

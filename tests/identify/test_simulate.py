@@ -1,4 +1,4 @@
-"""`tsa simulate`: the numbers, the words, the files."""
+"""Numbers, text and files of `tsa simulate`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ERROR = 0.03 * np.sin(31.0 * T) + 0.01
 
 
 def expected() -> np.ndarray:
-    """(3.55) by hand."""
+    """Return the joint torque (N*m) by an independent evaluation of (3.55)."""
     x = MU * THETA
     return R_J * (TAU_M / R_M * math.cosh(x) - 2.0 * PRETENSION * np.sign(OMEGA) * math.sinh(x))
 
@@ -58,7 +58,7 @@ def write_csv(path: Path, **columns: np.ndarray) -> None:
 
 @pytest.fixture
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with logs and models, as working directory."""
+    """Return a folder with logs and models. It is the working directory."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.toml").write_text(MODEL)
     (tmp_path / "b.toml").write_text(MODEL + "[effects.torque_offset]\noffset = 0.01\n")
@@ -224,7 +224,10 @@ def test_a_mistake_is_one_line_and_code_2(
 
 @pytest.mark.slow
 def test_the_measured_cable_drive_as_given_has_the_published_error(data_dir: Path) -> None:
-    """61 mN*m with angles low-passed at 10 Hz and velocities from them; a little less at the data's own bandwidth."""
+    """The published error is 61 mN*m, with angles low-passed at 10 Hz.
+
+    It is slightly smaller at the bandwidth of the data.
+    """
     folder = data_dir / "davinci"
     model = load_model(folder / "actuator.toml")
     results = [simulate(load_log(path), model) for path in sorted(folder.glob("*.csv.gz"))]
@@ -250,7 +253,10 @@ def test_a_log_in_which_nothing_changes_is_said_to_be_one_point(
 
 
 def test_the_measured_linear_axis_as_given_has_the_published_error(data_dir: Path) -> None:
-    """2.4 N by who filters for this axis; a low-pass at 10 Hz in front of the derivatives made 14 of it."""
+    """The published error is 2.4 N with a filter designed for this axis.
+
+    A low-pass at 10 Hz ahead of the derivatives gave 14 N.
+    """
     folder = data_dir / "emps"
     found = simulate(load_log(folder / "emps.csv.gz"), load_model(folder / "emps.toml"))
     assert found.rms is not None

@@ -1,4 +1,6 @@
-"""The three errors on signals made by hand: known noise, a pulse in each reversal, and a dependence on the angle."""
+"""The three reported errors on synthetic signals: known noise, a pulse in each reversal, and an error that depends on a
+signal.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ def log(torque: np.ndarray) -> Dataset:
 
 
 def noise(seed: int) -> np.ndarray:
-    """White noise, and as much with a memory of 10 ms."""
+    """Return white noise plus an equal amount of noise with a memory of 10 ms, (n,)."""
     rng = np.random.default_rng(seed)
     slow = np.convolve(rng.standard_normal(len(T) + 100), np.exp(-PERIOD / 0.010 * np.arange(101)), "valid")
     out = rng.standard_normal(len(T)) + slow / slow.std()

@@ -1,4 +1,4 @@
-"""Torques in a wrong unit and columns that are no torque: one line with the reason, never a cause.
+"""Torques in a wrong unit and columns that are not torques give one line with the reason, never a cause.
 
 The logs follow (3.55) as written here, tau_J = R cosh(x) tau_M - 2 T_p r_J sinh(x) sign(omega), with noise.
 """
@@ -23,7 +23,8 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import RigidDrive, load_model, model_from
 
 Columns = dict[str, np.ndarray]
-RATIO, X, FRICTION = 0.025 / 0.02, 0.26, 2.0 * 45.0 * 0.025 * math.sinh(0.26)  # of tests.identify.diagnosis.nominal
+# values of tests.identify.diagnosis.nominal
+RATIO, X, FRICTION = 0.025 / 0.02, 0.26, 2.0 * 45.0 * 0.025 * math.sinh(0.26)
 SIZED = [(1000.0, "N\\*mm|mN"), (141.6, "ozf"), (100.0, "N\\*cm"), (10.197, "kgf\\*cm"), (8.851, "lbf\\*in")]
 
 
@@ -58,7 +59,7 @@ def test_a_joint_torque_in_another_unit_is_named_with_its_factor(factor: float, 
 @pytest.mark.parametrize("factor", [1000.0, 100.0])
 def test_both_torques_in_another_unit_are_named_with_the_factor(factor: float) -> None:
     columns = {name: factor * y if name.startswith("tau") else y for name, y in log().items()}
-    for name in ("tau_m", "tau_j"):  # a small rig: no single value is beyond what a drive can give
+    for name in ("tau_m", "tau_j"):  # a small rig, in which no single value exceeds the limits of a drive
         columns[name] = 0.2 * columns[name]
     with pytest.raises(UsageError, match=r"friction torque .* times the model's"):
         calibrate([Dataset.from_arrays(columns, "log")], tendons())
@@ -76,7 +77,7 @@ def test_a_joint_torque_that_is_noise_is_refused_at_every_load() -> None:
 
 
 def test_friction_that_does_not_follow_the_motion_is_not_calibrated() -> None:
-    """A joint torque without any friction, of a drive whose file has it."""
+    """The joint torque shows no friction, but the file of the drive has friction."""
     columns = log()
     columns["tau_j"] = columns["tau_j"] + FRICTION * np.sign(columns["omega_j"])
     with pytest.raises(UsageError, match="friction"):
@@ -84,7 +85,10 @@ def test_friction_that_does_not_follow_the_motion_is_not_calibrated() -> None:
 
 
 def drive(factor: float, friction: float = 1.0) -> tuple[Dataset, RigidDrive]:
-    """A motor with inertia, and a file whose friction is a guess."""
+    """Return the log of a motor with inertia, and a file whose friction is a guess.
+
+    `factor` scales the torque, `friction` the true friction relative to the file.
+    """
     model = model_from(
         tomllib.loads('[actuator]\nkind = "rigid_drive"\ninertia = 0.006\ncoulomb_friction = 0.02'), "drive"
     )
@@ -128,7 +132,7 @@ def test_no_measured_log_of_the_cable_drive_is_called_foreign(data_dir: Path) ->
 
 @pytest.mark.parametrize(("factor", "said"), [(1000.0, "a factor of 1000"), (10.197, "rests on one level")])
 def test_one_measured_load_in_another_unit_names_no_cause(data_dir: Path, factor: float, said: str) -> None:
-    """Once a traceback or a gravity load of 40 N·m."""
+    """Regression test: this log once gave a traceback or a gravity load of 40 N·m."""
     measured = load_log(data_dir / "davinci" / "load030_0.2Hz.csv.gz")
     columns = {name: y for name, y in measured.columns.items() if name not in measured.derived}
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Health over runs: wear hidden by independent code is told with its run, plain scatter is not, what is bad is said."""
+"""Trend over runs: hidden wear is reported with its first run, plain scatter is not, and bad logs are reported."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ SECONDS = 8.0
 
 
 def folder_of(folder: Path, wear: float) -> Path:
-    """Runs of one rig; from number `WORN` on its friction coefficient is (1 + wear) times what it was."""
+    """Return a folder with runs of one rig.
+
+    From run `WORN` on, the friction coefficient is (1 + wear) times its value before.
+    """
     rng = np.random.default_rng(5)
     rig: Rig = draw_rig(rng, "joint_end")
     (folder / "actuator.txt").write_text(model_text(rig, rng), encoding="utf-8")
@@ -59,7 +62,7 @@ def test_a_rig_that_stays_as_it_is_changes_nothing(tmp_path: Path) -> None:
 
 
 def runs(values: np.ndarray, name: str = "axial_stiffness", half: float = 0.0, warmth: float = math.nan) -> list[Run]:
-    """Made up; `warmth`: K that the temperature rises from run to run."""
+    """Return synthetic runs. `warmth` is the rise of the temperature per run (K)."""
     return [
         Run(f"run{k}", f"2026-01-{k + 1:02}", 20.0 + warmth * k, {name: Quantity(v, v - half, v + half, "N")})
         for k, v in enumerate(values.tolist())
@@ -67,7 +70,10 @@ def runs(values: np.ndarray, name: str = "axial_stiffness", half: float = 0.0, w
 
 
 def test_false_alarms_are_as_rare_as_is_said() -> None:
-    """400 rigs of twelve runs that only scatter, by a tenth so that the least change is no help."""
+    """400 rigs of twelve runs have random scatter only.
+
+    It is a tenth, so that the minimum change does not suppress alarms.
+    """
     rng = np.random.default_rng(1)
     told = sum(bool(judged(runs(6e4 * (1.0 + 0.1 * rng.standard_normal(12)))).changes) for _ in range(400))
     assert told <= 10  # 4 are expected at 1 %; more than 10 have a chance of 0.3 %

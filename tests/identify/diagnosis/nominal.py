@@ -1,4 +1,4 @@
-"""An actuator's file and a time axis, for logs that tests make by hand."""
+"""A nominal model and a time axis for synthetic logs."""
 
 from __future__ import annotations
 

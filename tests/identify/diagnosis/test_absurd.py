@@ -1,4 +1,4 @@
-"""Absurd logs, through the command: one line that names the suspicion, or `insufficient` with a sentence."""
+"""Absurd logs through the command: one line with the suspected error, or `insufficient` with an explanation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def first(rows: int) -> Callable[[Columns], Columns]:
 
 
 def shifted(columns: Columns) -> Columns:
-    """Torque of another moment: nothing to do with what the motor did."""
+    """Shift the joint torque by a third of the log, so that it is unrelated to the motor torque."""
     return {**columns, "tau_j": np.roll(columns["tau_j"], len(columns["tau_j"]) // 3)}
 
 
@@ -63,7 +63,7 @@ def diagnosed(columns: Columns, folder: Path) -> int:
     return int(end.value.code or 0)
 
 
-ENERGY = ("q_j", "omega_m", "q_m")  # that a log of torques and one velocity does not have
+ENERGY = ("q_j", "omega_m", "q_m")  # columns that a log of torques and one velocity does not have
 
 
 @pytest.mark.parametrize(

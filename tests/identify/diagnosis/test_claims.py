@@ -1,4 +1,4 @@
-"""What is named, found and called flat, on logs that are made here: by the equations, without the package's model."""
+"""Verdicts and causes on logs that are synthesised from the equations, without the package's model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,16 @@ Columns = dict[str, Array]
 
 
 def coloured(rng: np.random.Generator, count: int) -> Array:
-    """Noise of RMS 1 with a memory of 16 ms."""
+    """Return (count,) samples of noise with RMS 1 and a memory of 16 ms."""
     out = np.convolve(rng.normal(size=count + 60), np.exp(-np.arange(61) / 4.0), "valid")
     return np.asarray(out / out.std())
 
 
 def log(seed: int, flaw: str = "") -> Columns:
-    """Three swings of the joint and four of the motor torque; `flaw`: of the drive that reports the torque."""
+    """Return a log with three sines of the joint angle and four of the motor torque.
+
+    `flaw` is the fault of the drive that reports the torque.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(SECONDS * RATE)) / RATE
     swings = zip(rng.uniform(0.2, 0.5, 3), rng.uniform(0.0, 6.28, 3), strict=True)
@@ -53,7 +56,7 @@ def log(seed: int, flaw: str = "") -> Columns:
 
 
 def answer(found: Diagnosis) -> list[set[str]]:
-    """The names of each cause."""
+    """Return one set per cause: the identified effect and its alternatives."""
     return [{cause.effect, *cause.alternatives} for cause in found.causes]
 
 

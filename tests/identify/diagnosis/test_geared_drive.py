@@ -1,4 +1,4 @@
-"""A drive with a gear and a joint torque sensor: hidden causes found in motion and on a joint that is held."""
+"""A geared drive with a joint torque sensor: hidden causes are found in motion and with a locked joint."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def diagnosed(case: Case) -> Diagnosis:
 
 
 def check(case: Case, result: Diagnosis) -> None:
-    """The one cause is the hidden one, with its size."""
+    """Require that the only cause is the hidden one, with its size within 10 %."""
     (cause,) = result.causes
     assert cause.effect == case.name
     if case.name in SIZES:

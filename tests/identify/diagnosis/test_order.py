@@ -1,4 +1,4 @@
-"""The stages of a diagnosis import one way, as `pipeline.diagnose` runs through them."""
+"""The stages of a diagnosis import each other in one direction only, in the order of `pipeline.diagnose`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def stage(module: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("layers")  # with tests/test_layers.py, which has read who imports whom
+@pytest.mark.xdist_group("layers")  # runs with tests/test_layers.py, which has already read the import graph
 def test_a_stage_imports_only_stages_before_it() -> None:
     inside = {name: others for name, others in graph().items() if name.startswith(DIAGNOSIS)}
     wrong = [

@@ -1,4 +1,7 @@
-"""Hidden effects must be found, and nothing where nothing is; the logs come from tests.blind, not from the package."""
+"""Hidden effects are found, and no cause is identified without one.
+
+The logs come from tests.blind, not from the package.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,10 @@ def diagnosed(family: str, name: str, seed: int) -> Diagnosis:
 
 @pytest.mark.slow
 def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -> None:
-    """The nominal pretension is 19 % off: beside the recalibrated one the hidden effect changes nothing."""
+    """The nominal pretension is 19 % off.
+
+    After recalibration of the pretension, the hidden effect has no further influence.
+    """
     (cause,) = diagnosed("confounded", "elongation_or_gain", 8005).causes
     assert sorted((cause.effect, *cause.alternatives)) == [
         "elongation_coupling",
@@ -40,7 +46,7 @@ def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -
     ]
 
 
-AND_SOAK = [pytest.mark.soak]  # what the gate asks, too, with other draws: tests/blind/test_gate.py
+AND_SOAK = [pytest.mark.soak]  # tests/blind/test_gate.py covers the same with other random trials
 
 
 @pytest.mark.slow
@@ -81,10 +87,10 @@ def test_a_hidden_effect_is_named(name: str, seed: int) -> None:
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("tendon_slack", 7005),  # all but a tenth of what it does is in one block
-        # far from linear, and recalibration takes up much of it
+        ("tendon_slack", 7005),  # more than nine tenths of its influence lie in one block
+        # strongly nonlinear, and recalibration absorbs much of it
         pytest.param("tension_dependent_friction", 7008, marks=AND_SOAK),
-        # of a sample or two, which free moments of reversals hide
+        # one or two samples long, and hidden by the free moments of reversals
         pytest.param("transport_delay", 9004, marks=AND_SOAK),
     ],
 )
@@ -94,7 +100,7 @@ def test_an_effect_that_is_hard_to_see_is_named_alone(name: str, seed: int) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # the gate asks pairs, too
+@pytest.mark.soak  # the gate covers pairs as well
 def test_a_second_cause_is_named_where_structure_has_coloured_the_noise() -> None:
     result = diagnosed("pair", "any", 7005)
     assert {cause.effect for cause in result.causes} == {"presliding_hysteresis", "torque_offset"}, result.sentence
@@ -210,7 +216,7 @@ def test_a_nan_is_an_error_with_its_row() -> None:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder that `tsa diagnose` leaves for a log with a hidden effect."""
+    """Return the output folder of `tsa diagnose` for a log with a hidden effect."""
     folder = tmp_path_factory.mktemp("diagnosis")
     hidden = case("single", "viscous_friction", seed=9004, short=True)
     (folder / "nominal.toml").write_text(hidden.model)
@@ -244,7 +250,7 @@ def test_the_report_says_what_the_json_says(written: Path) -> None:
     assert "Diagnosis of nominal.toml" in text
     assert re.search(r"\d{4}-\d\d-\d\d", text)
     assert "N*m" not in text
-    assert not re.search(r"[,;:)][a-z]", text)  # words that a template has joined
+    assert not re.search(r"[,;:)][a-z]", text)  # words that a template has joined without a space
     assert f"the nominal model has an error of {told_torque(data['simulated']['rms'])}" in text
     assert data["experiment"] in text
     assert [cause["effect"] for cause in data["causes"]] == re.findall(r'data-effect="(\w+)"', page)
@@ -309,7 +315,7 @@ def test_the_page_shows_in_a_browser_without_sideways_scrolling(
 @pytest.mark.slow
 @pytest.mark.browser
 def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> None:
-    """The margins leave 182 mm by 269, 96 pixels an inch: nothing is wider, no picture taller."""
+    """The margins leave 182 mm by 269 mm at 96 pixels per inch. Nothing is wider, and no picture is taller."""
     with chromium(browser, tmp_path) as page:
         page.resize(687)
         page.open((written / "report.html").as_uri())
@@ -324,7 +330,7 @@ def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_the_diagnosis_loads_nothing_that_takes_as_long_as_all_else() -> None:
-    """scipy.stats and scipy.signal: half of the time until a verb of the diagnosis begins."""
+    """Loading scipy.stats and scipy.signal takes half of the startup time of a diagnosis command."""
     asked = "import sys, tsa_ctrl.identify.diagnosis; print({'scipy.stats', 'scipy.signal'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"

@@ -1,4 +1,4 @@
-"""A joint that bends the sheath otherwise than the file states: found, with the gain inside its interval."""
+"""A joint that changes the wrap angle otherwise than the file states is found, with its gain within the interval."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def diagnosed(name: str, seed: int) -> tuple[Diagnosis, Gains]:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["absent", "wrong", "two"])
 def test_the_missing_gain_of_each_joint_is_found(name: str, tmp_path: Path) -> None:
-    """The extended file states the sum of the file's gains and the missing ones in its [routing]."""
+    """The [routing] of the extended file contains the sums of the file's gains and the missing gains."""
     result, gains = diagnosed(name, 0)
     (cause,) = result.causes
     assert cause.effect == NAME
@@ -55,7 +55,10 @@ def test_nothing_is_found_where_the_file_states_the_routing() -> None:
 
 
 def one_log(gains: dict[str, float] | None) -> tuple[Dataset, TendonSheath]:
-    """Return the log of a rig whose file is right but for friction and pretension; `gains`: of its routing."""
+    """Return the log of a rig and its file with the true friction and pretension.
+
+    `gains` replaces the routing of the file unless it is None.
+    """
     case, _ = routed_case("right", 1, short=True)
     model = model_from(tomllib.loads(case.model), "nominal.toml")
     assert isinstance(model, TendonSheath)
@@ -67,7 +70,10 @@ def one_log(gains: dict[str, float] | None) -> tuple[Dataset, TendonSheath]:
 
 
 def test_a_simulation_follows_the_routing_of_the_file() -> None:
-    """The error is the sensors' noise and wrong signs at reversals; without the routing it is several times as much."""
+    """The error consists of sensor noise and wrong signs at reversals.
+
+    Without the routing it is several times larger.
+    """
     log, model = one_log(None)
     _, constant = one_log({})
     followed, fixed = simulate(log, model).rms, simulate(log, constant).rms
@@ -77,7 +83,7 @@ def test_a_simulation_follows_the_routing_of_the_file() -> None:
 
 
 def test_a_calibration_takes_the_wrap_angle_of_the_routing_as_known() -> None:
-    """x and T_p are found apart, since the wrap angle varied by a known amount."""
+    """x and T_p are identified separately, because the wrap angle varied by a known amount."""
     log, model = one_log(None)
     off = model.recalibrated(1.1 * model.friction_angle, 0.9 * model.pretension)
     found = calibrate([log], off)

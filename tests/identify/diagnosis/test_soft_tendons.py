@@ -1,4 +1,4 @@
-"""A light motor on soft tendons, which does not follow the joint through a reversal, as in the daemon's own logs."""
+"""A light motor on soft tendons that does not follow the joint through a reversal, as in the daemon's own logs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tests.blind.soft_tendons import record
 from tests.identify.diagnosis.nominal import model
 from tsa_ctrl.identify import diagnose
 
-JOINT = pytest.mark.soak  # the displacement that logs without a motor's angle have: the gate asks it
+JOINT = pytest.mark.soak  # logs without a motor angle have this displacement, and the gate covers it
 
 
 @pytest.mark.slow
@@ -20,8 +20,9 @@ def test_presliding_is_found_in_the_displacement_that_shows_it(compensated: bool
     assert cause.parameters["displacement"] == follows
     assert result.gain > 0.9
     assert result.details is not None
-    first = {ranked.group: ranked.effect for ranked in reversed(result.details.ranking)}  # of each group
+    # the first effect of each group
+    first = {ranked.group: ranked.effect for ranked in reversed(result.details.ranking)}
     of_torque = [each.effect for each in result.causes if each.explained_fraction > 0.0]
     assert [first[number] for number in range(len(of_torque))] == of_torque
-    (softer,) = result.causes[1:]  # 4e4 N/m a tendon, of which the file has a quarter more
+    (softer,) = result.causes[1:]  # each tendon has 4e4 N/m; the file states a quarter more
     assert (softer.effect, softer.alternatives) == ("series_spring", ("parameter_error",))

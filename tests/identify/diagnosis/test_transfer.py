@@ -1,4 +1,7 @@
-"""A large cause that no short log tells from slow noise, and all of them together do; written without the package."""
+"""A large cause that no short log separates from slow noise, but all logs together do.
+
+No code of the package makes the logs.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def pendulum(seed: int, gravity: float) -> Columns:
-    """Six seconds of a hobby servo with a pendulum: one or two slow swings, friction that grows with its load."""
+    """Return six seconds of a hobby servo with a pendulum.
+
+    It makes one slow and one faster swing, and its friction grows with its load.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(RATE * SECONDS)) / RATE
     slow, fast = rng.uniform(0.12, 0.3), rng.uniform(0.5, 1.0)
@@ -48,7 +54,8 @@ def test_gravity_is_named_from_many_short_logs() -> None:
     found = diagnose(logs(GRAVITY), DRIVE)
     named = [name for cause in found.causes for name in (cause.effect, *cause.alternatives)]
     assert "gravity_load" in named
-    assert not {"torque_offset", "direction_asymmetric_friction", "parameter_error"} & set(named)  # far worse
+    # these explain the error far worse
+    assert not {"torque_offset", "direction_asymmetric_friction", "parameter_error"} & set(named)
     assert found.rms.recalibrated is not None
     assert found.rms.extended is not None
     assert found.rms.extended < 0.6 * found.rms.recalibrated
@@ -56,7 +63,7 @@ def test_gravity_is_named_from_many_short_logs() -> None:
 
 @pytest.mark.slow
 def test_the_measured_servo_has_its_published_gravity(data_dir: Path) -> None:
-    """Six logs of 6 s: 0.64 to 0.67 N*m by least squares; in no single log does it stand out of slow noise."""
+    """Six logs of 6 s give 0.64 to 0.67 N*m by least squares. No single log separates it from slow noise."""
     files = sorted((data_dir / "bam").glob("*.csv.gz"))
     if not files:
         pytest.skip("the measured data here have no bam")
@@ -73,7 +80,10 @@ def test_the_measured_servo_has_its_published_gravity(data_dir: Path) -> None:
 
 @pytest.mark.slow
 def test_a_program_that_begins_alike_in_each_log_does_not_put_a_clock_in_the_place_of_an_offset(data_dir: Path) -> None:
-    """Half of the time at rest; a step at a moment of the logs, with a dead zone, leaves 0.6 of its mean square."""
+    """The drive rests half of the time.
+
+    A step in time with a dead zone would leave 0.6 of the mean square of the error.
+    """
     files = sorted((data_dir / "epos" / "start_stop").glob("*.csv.gz"))
     if not files:
         pytest.skip("the measured data here have no epos/start_stop")
@@ -115,7 +125,7 @@ def test_a_refusal_names_the_measured_quantity_its_value_and_what_is_needed() ->
 
 @pytest.mark.slow
 def test_one_level_of_load_is_refused_in_a_sentence_that_is_read_at_once(data_dir: Path) -> None:
-    """35 words: a trial of the measured cable drive under one load."""
+    """The first sentence has at most 35 words. The log is a trial of the measured cable drive under one load."""
     folder = data_dir / "davinci"
     logs = load_logs([folder / "load050_0.3Hz.csv.gz"])
     sentence = diagnose(logs, load_model(folder / "actuator.toml")).sentence

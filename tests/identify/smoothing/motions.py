@@ -1,7 +1,7 @@
-"""Motion known exactly, at 20 kHz, as an encoder counts it at another rate; and the best fixed filter an oracle finds.
+"""Exactly known motion at 20 kHz, its recording by an encoder at a lower rate, and the best fixed filter.
 
-Shares nothing with the package: the motions are tones or noise shaped over the spectrum, with their exact derivatives;
-the oracle's filters are Butterworth's run both ways, over the spectrum, so that its derivatives are exact, too.
+No code is shared with the package. The motions are tones or noise shaped in the frequency domain, with exact
+derivatives. The filters are zero-phase Butterworth filters in the frequency domain, so their derivatives are exact.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ SIZE = 0.3  # rad, RMS of a motion
 
 @dataclass(frozen=True)
 class Recorded:
-    """Stamps (s) and counts times the step (rad) as recorded, and position, velocity, acceleration at the stamps."""
+    """A recorded motion: stamps (s), rounded angle (rad) and encoder step (rad).
+
+    `truth` holds position (rad), velocity (rad/s) and acceleration (rad/s^2) at the stamps.
+    """
 
     t: Array
     q: Array
@@ -30,7 +33,10 @@ class Recorded:
 
 
 def motion(kind: str, bandwidth: float, seconds: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Position, velocity, acceleration at 20 kHz: "tones" of equal size up to `bandwidth` Hz, or "noise" that fades."""
+    """Return position, velocity and acceleration at 20 kHz.
+
+    `kind` is "tones" of equal size up to `bandwidth` Hz, or "noise" whose spectrum falls off.
+    """
     count = int(seconds * FINE)
     size = 1 << int(np.ceil(np.log2(1.3 * count)))
     frequency = np.fft.rfftfreq(size, 1.0 / FINE)
@@ -53,7 +59,10 @@ def record(
     late: float = 0.0,
     rate: float = RATE,
 ) -> Recorded:
-    """What an encoder of 2^bits counts a turn shows of it; a share `late` of the rows is 0.2 to 0.8 periods late."""
+    """Return the recording of an encoder with 2^bits counts per turn.
+
+    A share `late` of the rows is 0.2 to 0.8 periods late.
+    """
     step, every = 2.0 * np.pi / 2**bits, round(FINE / rate)
     count = len(path[0]) // every - 2
     index = np.arange(count) * every
@@ -65,12 +74,15 @@ def record(
 
 
 def filters(rate: float = RATE) -> list[tuple[int, float]]:
-    """Order of the filter that runs each way, and its cut-off in Hz."""
+    """Return the order of each filter per direction and its cut-off frequency (Hz)."""
     return [(order, float(cutoff)) for order in (2, 4) for cutoff in np.geomspace(1.0, 0.4 * rate, 28)]
 
 
 def fixed_errors(recorded: Recorded, edge: int, rate: float = RATE) -> Array:
-    """Squared errors (filters, 3) of each filter; what lies beyond the ends is the odd reflection."""
+    """Return the mean squared errors of each filter, (filters, 3).
+
+    The signal is extended at both ends by its odd reflection.
+    """
     q, more = recorded.q, len(recorded.q) // 4
     longer = np.concatenate([2.0 * q[0] - q[more:0:-1], q, 2.0 * q[-1] - q[-2 : -more - 2 : -1]])
     size = scipy.fft.next_fast_len(len(longer), real=True)
@@ -89,7 +101,10 @@ def fixed_errors(recorded: Recorded, edge: int, rate: float = RATE) -> Array:
 
 
 def squared_errors(recorded: Recorded, found: list[Array], edge: int) -> Array:
-    """Mean squared error of position (but for its mean, within a count), velocity, acceleration."""
+    """Return the mean squared errors of position, velocity and acceleration, (3,).
+
+    The mean error of the position is removed, because the offset of the counts is arbitrary.
+    """
     inside = slice(edge, -edge)
     off = [values[inside] - true[inside] for values, true in zip(found, recorded.truth, strict=True)]
     off[0] = off[0] - np.mean(off[0])

@@ -1,4 +1,4 @@
-"""One smoother for every verb: as good as the best fixed filter that somebody who knows the motion could choose."""
+"""One smoother for all commands: about as accurate as the best fixed filter, which requires knowledge of the motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WORST = 1.1  # times the error of the best fixed filter
 
 
 def and_soak(values: list[float]) -> list[object]:
-    """Each second value, the ends among them; those between are soaked."""
+    """Return the values as test parameters. The first is always run, and every second one is marked as soak."""
     return [pytest.param(value, marks=[pytest.mark.soak] if place % 2 else []) for place, value in enumerate(values)]
 
 
@@ -24,7 +24,10 @@ def and_soak(values: list[float]) -> list[object]:
 @pytest.mark.parametrize("bandwidth", and_soak([1.0, 3.0, 10.0, 30.0, 100.0]))
 @pytest.mark.parametrize("kind", ["tones", "noise"])
 def test_it_errs_little_more_than_the_best_fixed_filter(kind: str, bandwidth: float, bits: int) -> None:
-    """Position, velocity and acceleration, each against its own best of 56 filters; two periods from the ends."""
+    """Position, velocity and acceleration are each compared with their own best of 56 filters.
+
+    Samples close to the ends are excluded: two periods of the bandwidth, and at least 1 s.
+    """
     edge = round(RATE * max(1.0, 2.0 / bandwidth))
     fixed, ours = np.zeros((FILTERS, 3)), np.zeros(3)
     for seed in range(DRAWS):
@@ -46,7 +49,7 @@ def test_the_error_expected_is_the_error(bits: int) -> None:
 
 
 def test_noise_beyond_the_rounding_is_seen() -> None:
-    """An encoder of 18 bit with ten counts of noise: smoother than by its counts."""
+    """An encoder of 18 bit with noise of ten counts needs a lower cut-off than its resolution alone."""
     rng = np.random.default_rng(1)
     recorded = record(motion("noise", 5.0, SECONDS, rng), 18, rng)
     quiet = smoothed(recorded.q, 1.0 / RATE)
@@ -71,7 +74,7 @@ def test_a_noisy_velocity_is_smoothed() -> None:
 
 
 def test_an_exact_velocity_stays_as_it_is() -> None:
-    """A trapezoid has corners up to half the rate: nothing is gained by bending them."""
+    """A trapezoid has corners up to half the sampling rate. Smoothing them gains nothing."""
     t = np.arange(8000) / RATE
     velocity = np.clip(3.0 * np.sin(2.0 * t), -1.0, 1.0)
     found = smoothed(velocity, 1.0 / RATE, "velocity")
@@ -106,7 +109,9 @@ def test_what_never_changes_or_is_short_stays_as_it_is(values: np.ndarray) -> No
 
 @pytest.mark.parametrize("samples", [1, 3, 5])
 def test_noise_that_a_drive_averaged_is_not_taken_for_motion(samples: int) -> None:
-    """A mean over a few samples empties the highest frequencies of noise, not those at which a joint moves."""
+    """A mean over a few samples removes the highest frequencies of noise, but not the frequencies of the joint's
+    motion.
+    """
     rng = np.random.default_rng(samples)
     _, velocity, acceleration = motion("noise", 3.0, SECONDS, rng)
     true, steep = velocity[::20], acceleration[::20]

@@ -1,4 +1,4 @@
-"""Whether logs excite the drive: what was enough stays enough with whatever comes beside it."""
+"""The audit decides whether logs excite the drive. Sufficient excitation stays sufficient when logs are added."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_ten_still_logs_more_take_nothing_from_a_good_one() -> None:
 
 
 def test_a_torque_that_rests_while_the_joint_moves_is_reported() -> None:
-    """A cable that came loose for two seconds holds the last value."""
+    """A disconnected cable holds the last torque value for two seconds."""
     log = _log("a", 1.0, 0.01)
     torque = log["tau_j"].copy()
     torque[1000:1400] = torque[1000]

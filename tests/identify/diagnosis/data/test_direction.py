@@ -1,6 +1,8 @@
-"""Direction where a velocity's noise hides it: found from the torque, told, and nothing claimed of it.
+"""Hidden direction of motion: the torque reveals it where velocity noise hides it.
 
-Torque and motion come from the independent plant of the blind benchmark, or are made here by hand.
+The diagnosis reports it and derives no cause from it. Torque and motion come from the independent plant of the blind
+benchmark or are
+synthesised in this module.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ DRIVE = RigidDrive(coulomb_friction=0.3, viscous_friction=0.1)
 
 
 def _seen(name: str, seed: int) -> tuple[Split, Split, Array]:
-    """Before and after, and the true direction at the compute rate."""
+    """Return the split data before and after the direction is inferred, and the true direction at the compute rate."""
     hidden = case("hidden_direction", name, seed, short=True)
     model = model_from(tomllib.loads(hidden.model), "nominal.toml")
     before = split(prepare([Dataset.from_arrays(log.columns, log.name) for log in hidden.logs], model), None)
@@ -68,7 +70,7 @@ def test_a_log_that_moves_is_left_as_it_is() -> None:
 
 
 def _run(omega: Array, error: float) -> Run:
-    """A log of this velocity, (n) at RATE, whose error is told to be `error` rad/s."""
+    """Return a run with this velocity, (n,) at RATE, and a velocity error of `error` rad/s."""
     t = np.arange(len(omega)) / RATE
     log = Dataset.from_arrays({"t": t, "tau_m": np.sin(t), "tau_j": np.sin(t), "omega_j": omega})
     run = prepare([log], ACTUATOR)[0]
@@ -96,13 +98,16 @@ def test_what_noise_takes_out_of_a_slow_stretch_has_no_direction(speed: float, s
 
 
 def _stop_and_go(offset: float) -> dict[str, Array]:
-    """A plain drive that rests half of the time, where its motor holds any torque within its friction."""
+    """Return columns of a plain drive that rests half of the time.
+
+    At rest the motor holds a torque within the friction band.
+    """
     rng = np.random.default_rng(7)
     t = np.arange(round(30.0 * RATE)) / RATE
     moving = np.floor(t / 1.5) % 2.0 == 0.0
     way = np.where(np.floor(t / 3.0) % 2.0 == 0.0, 1.0, -1.0)
     omega = np.where(moving, way * (1.0 + np.sin(2.0 * np.pi * t / 1.5) ** 2), 0.0)
-    resting = 0.2 * way  # what the controller happens to leave: within the friction, on the side it came from
+    resting = 0.2 * way  # an arbitrary controller residual: within the friction, on the side of the last motion
     tau_m = np.where(moving, 0.3 * np.sign(omega) + 0.1 * omega + offset, resting)
     return {"t": t, "tau_m": tau_m + 0.005 * rng.standard_normal(len(t)), "omega_m": omega}
 
@@ -117,7 +122,8 @@ def test_a_rest_is_neither_learned_from_nor_counted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.soak), 0.05])  # a tilt is the harder one
+# an offset (tilt) is the harder case
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.soak), 0.05])
 def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
     result = diagnose({"log": _stop_and_go(offset)}, dataclasses.replace(DRIVE, torque_offset=0.0))
     assert result.causes == ()

@@ -1,6 +1,7 @@
-"""In which band friction's path is taken: where the torque follows less than the encoder shows, and where it does not.
+"""Frequency band of the motion that friction follows: full where friction follows the encoder, narrower where it does
+not.
 
-The torque is made here, from a friction state of its own along a motion that is known exactly.
+The torque is synthesised from a separate friction state along an exactly known motion.
 """
 
 from __future__ import annotations
@@ -17,12 +18,15 @@ from tsa_ctrl.identify.diagnosis.data.prepare import narrowed, prepare
 from tsa_ctrl.identify.diagnosis.data.split import Split, split
 
 RATE = 500.0  # Hz
-SHAKE = 0.006  # rad, of 15 to 25 Hz, beside a presliding distance of 0.02 rad
+SHAKE = 0.006  # rad, at 15 to 25 Hz; the presliding distance is 0.02 rad
 COUNT = 2.0 * np.pi / 8192
 
 
 def _logs(friction_follows_all: bool, logs: int = 4, seconds: float = 12.0) -> list[Dataset]:
-    """A motor that shakes while it moves; friction follows all that the encoder shows, or what is left without it."""
+    """Return logs of a motor that shakes while it moves.
+
+    Friction follows the whole encoder signal or only the gross motion.
+    """
     out = []
     for number in range(logs):
         rng = np.random.default_rng(number)
@@ -49,7 +53,7 @@ def test_friction_that_does_not_follow_a_shaking_motor_gets_the_motion_below_it(
     assert 1.0 < data.frame.runs[0].band < 15.0
     assert f"friction follows the motion up to {data.frame.runs[0].band:.2g} Hz" in audit(data.frame).notes[-1]
     turns = np.count_nonzero(np.diff(np.sign(data.frame.runs[0].signals.omega_j)))
-    assert turns < 40  # 12 s with a reversal about every second; the shaking alone has 480
+    assert turns < 40  # 12 s with about one reversal per second; the shaking alone has 480
 
 
 def test_friction_that_follows_all_that_the_encoder_shows_keeps_all_of_it() -> None:
@@ -61,7 +65,7 @@ def test_friction_that_follows_all_that_the_encoder_shows_keeps_all_of_it() -> N
 
 
 def test_logs_that_are_held_out_have_no_say() -> None:
-    """The one log whose friction follows the gross motion alone is held out: nothing is narrowed."""
+    """Nothing is narrowed if the only log whose friction follows the gross motion is held out."""
     logs = [*_logs(friction_follows_all=True, logs=3), _logs(friction_follows_all=False)[3]]
     data = along_gross_motion(split(prepare(logs, ACTUATOR), "log_3"), ACTUATOR)
     assert data.frame.runs[0].band == np.inf

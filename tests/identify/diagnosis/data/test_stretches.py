@@ -1,4 +1,4 @@
-"""Long stretches and joined ones, against the morphology of scipy."""
+"""Opening and closing of Boolean masks, compared with the morphology of scipy."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ masks = arrays.arrays(np.bool_, st.integers(1, 60))
 
 @given(masks, st.integers(1, 9))
 def test_long_is_an_opening(mask: NDArray[np.bool_], least: int) -> None:
-    """By a window of so many samples."""
+    """`long` equals an opening with a window of `least` samples."""
     np.testing.assert_array_equal(long(mask, least), binary_opening(mask, np.ones(least)))
 
 
 @given(masks, st.integers(1, 9))
 def test_joined_is_a_closing(mask: NDArray[np.bool_], window: int) -> None:
-    """As scipy's it takes what lies beyond both ends for no stretch."""
+    """Like scipy's closing, `joined` treats samples beyond both ends as False."""
     np.testing.assert_array_equal(joined(mask, window), binary_closing(mask, np.ones(window)))

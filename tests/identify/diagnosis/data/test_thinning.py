@@ -1,4 +1,4 @@
-"""Of many logs those that tell most; logs written by hand, the choice checked by what must be among it."""
+"""Selection of the most informative logs. The logs are synthetic, and each test checks which logs must be selected."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ SECONDS, RATE = 20.0, 50.0
 
 
 def log(name: str, speed: float, load: float = 0.0, spring: float = 0.0) -> Dataset:
-    """A sine of 1 rad at `speed` rad/s under a constant load, friction of 0.3 N*m and a spring."""
+    """Return a log of a sine of 1 rad with an angular frequency of `speed` rad/s.
+
+    The torque is a constant load, friction of 0.3 N*m, viscous friction and a spring.
+    """
     t = np.arange(round(SECONDS * RATE)) / RATE
     q, omega = np.sin(speed * t), speed * np.cos(speed * t)
     noise = 0.01 * np.random.default_rng(zlib.crc32(name.encode())).standard_normal(len(t))
@@ -64,7 +67,7 @@ def test_what_is_held_out_has_its_share() -> None:
 
 @pytest.mark.slow
 def test_a_diagnosis_uses_the_logs_that_tell_most_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12 logs 100 s, as of fifty (below) 600."""
+    """Of 12 logs, 100 s are used. The same limit for fifty logs (below) is 600 s."""
     monkeypatch.setattr(prepare, "informative", functools.partial(informative, longest=100.0))
     drive = RigidDrive(coulomb_friction=0.25, viscous_friction=0.06)
     found = diagnose([log(f"{number:02d}", 0.5 + 0.2 * number, spring=0.2) for number in range(12)], drive)
@@ -76,7 +79,10 @@ def test_a_diagnosis_uses_the_logs_that_tell_most_and_says_so(monkeypatch: pytes
 @pytest.mark.slow
 @pytest.mark.soak
 def test_fifty_logs_are_diagnosed_as_thirty_are() -> None:
-    """1,000 s: at rates that sink with the length, friction's turns were lost."""
+    """Regression test with 1,000 s of logs.
+
+    When the sampling rate fell with the length, friction reversals were lost.
+    """
     drive = RigidDrive(coulomb_friction=0.25, viscous_friction=0.06)
     logs = {f"{number:02d}": log(f"{number:02d}", 0.5 + 0.05 * number, spring=0.2) for number in range(50)}
     found = diagnose(list(logs.values()), drive)

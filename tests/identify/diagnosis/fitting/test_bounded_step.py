@@ -1,4 +1,4 @@
-"""A least-squares step within bounds, against scipy's."""
+"""A least-squares step within bounds, compared with scipy's solution."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ UNDAMPED = 1e-9
 
 
 def test_along_a_valley_a_bound_moves_the_other_coordinates_too() -> None:
-    """Two columns alike: stopped alone at its bound, a coordinate would leave the other at the valley's far wall."""
+    """Two columns are nearly equal.
+
+    If one coordinate is only clipped at its bound, the other stays far from its optimum.
+    """
     rng = np.random.default_rng(4)
     both = rng.normal(size=200)
     jacobian = np.column_stack([both, both + 0.01 * rng.normal(size=200), rng.normal(size=200)])

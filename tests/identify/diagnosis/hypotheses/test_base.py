@@ -1,4 +1,4 @@
-"""What recalibration may change of a base model, and what it must leave as the file has it."""
+"""Recalibration changes the parameters of a base model but keeps the file's reference tension."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Noise made white: against the covariance of the process itself, and what is not finite."""
+"""Whitening of noise, compared with the covariance of the process; values that are not finite raise an error."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEVIATION = 0.02
 
 
 def noise() -> tuple[Noise, np.ndarray]:
-    """A process of second order, and its covariance at 40 lags by the response to an impulse."""
+    """Return a second-order process and its covariance at 40 lags, computed from its impulse response."""
     response = np.zeros(2000)
     response[0] = 1.0
     for n in range(1, len(response)):
@@ -24,7 +24,7 @@ def noise() -> tuple[Noise, np.ndarray]:
 
 @pytest.mark.parametrize("columns", [None, 3, 20])
 def test_white_samples_have_no_covariance_from_the_first_on(columns: int | None) -> None:
-    """White versions of the unit vectors are W, and W C W' is 1."""
+    """Whitened unit vectors form W, and W C W' is the identity matrix."""
     known, covariance = noise()
     white = known.whiten(np.eye(40), [slice(0, 40)])
     np.testing.assert_allclose(white @ toeplitz(covariance) @ white.T, np.eye(40), atol=1e-9)

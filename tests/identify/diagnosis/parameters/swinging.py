@@ -1,4 +1,4 @@
-"""A joint that swings under torques of both signs, for logs written by hand."""
+"""A joint that swings under torques of both signs, for synthetic logs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ Array = NDArray[np.float64]
 
 
 def swinging(rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
-    """Angle (rad), velocity and motor torque (N*m), (n,) each: sums of three sines."""
+    """Return joint angle (rad), joint velocity (rad/s) and motor torque (N*m), (n,) each.
+
+    Each is a sum of three sines.
+    """
     q, omega, tau_m = np.zeros(len(t)), np.zeros(len(t)), np.zeros(len(t))
     for w in rng.uniform(1.5, 6.0, 3):
         a, phase = rng.uniform(0.2, 0.4), rng.uniform(0.0, 6.0)

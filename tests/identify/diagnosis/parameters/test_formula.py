@@ -1,4 +1,7 @@
-"""A law outside the catalogue is told as a formula that a model file takes; noise is not. Data written by hand."""
+"""A law outside the catalogue is reported as a formula that a model file accepts; noise is not.
+
+The data are synthetic.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def log(seed: int) -> Columns:
-    """20 s at 100 Hz of a drive with a drag that grows with the square of its speed, which no effect has."""
+    """Return 20 s at 100 Hz of a drive whose drag grows with the square of its speed. No effect has this form."""
     rng = np.random.default_rng(seed)
     t = np.arange(2000) * 1e-2
     w, v = rng.uniform(1.0, 1.6), rng.uniform(3.0, 4.5)
@@ -63,7 +66,7 @@ def test_what_is_left_is_told_as_a_formula_with_its_gain_on_other_logs(found: Di
     assert found.to_dict()["formula"]["expression"] == found.formula.expression
     assert all(value.low < value.value < value.high for value in found.formula.constants.values())
     assert found.details is not None
-    for curves in found.details.curves:  # what the pictures show
+    for curves in found.details.curves:  # the curves of the pictures
         assert curves.described is not None
         assert np.std(curves.measured - curves.described) < 0.6 * np.std(curves.measured - curves.extended)
 
@@ -93,7 +96,7 @@ def test_the_formula_is_a_table_that_a_model_file_takes_and_that_mends_the_simul
 @pytest.mark.parametrize(("values", "sure"), [(1.0, True), (1e-12, False)], ids=["large", "as small as rounding"])
 @pytest.mark.filterwarnings("error")
 def test_deviations_of_twin_terms_are_numbers(values: float, sure: bool) -> None:
-    """Two columns that are one but for rounding: nothing under a root is negative."""
+    """Two columns are equal except for rounding. No argument of a square root is negative."""
     rng = np.random.default_rng(4)
     column = rng.normal(0.0, 1.0, 2400)
     twins = np.column_stack([column, column * (1.0 + 1e-15), np.cumsum(column) * 1e6])
@@ -107,20 +110,21 @@ def test_deviations_of_twin_terms_are_numbers(values: float, sure: bool) -> None
 @pytest.mark.parametrize(
     ("kind", "seed", "starts"),
     [
-        # an offset beside it before
+        # regression test: an offset was reported in addition
         pytest.param("temperature_crosstalk", 9102, "a*(temperature - ", marks=pytest.mark.soak),
-        # sheaths that differ by -1.8 before
+        # regression test: sheaths that differ by -1.8 were reported
         pytest.param("bridge_asymmetry", 9100, "a*abs(tau)", marks=pytest.mark.soak),
         pytest.param("sensor_clipping", 9101, "a*tau**3", marks=pytest.mark.soak),
         ("sheath_kink", 9101, "a*sigma*exp(-((q_j - "),
-        ("sensor_dead_zone", 9601, "a*(abs(tau + b) - abs(tau - b))"),  # refused as another log's before
+        # regression test: was rejected because of another log
+        ("sensor_dead_zone", 9601, "a*(abs(tau + b) - abs(tau - b))"),
         ("viscoelastic_tendon", 9702, "a*(tau - lag(tau, b))"),
         pytest.param("sensor_resonance", 9701, "a*(tau - ring(tau, b, c))", marks=pytest.mark.soak),
         pytest.param("sensor_hysteresis", 9700, "a*dahl(tau, b)", marks=pytest.mark.soak),
     ],
 )
 def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: int, starts: str) -> None:
-    """Blind logs: no name stands alone in its place, and the formula takes most of what noise is not."""
+    """Blind logs: every identified cause has alternatives, and the formula explains most of the error above the noise."""
     hidden = case("outside", kind, seed, short=True)
     logs = [Dataset.from_arrays(log.columns, log.name) for log in hidden.logs]
     found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
@@ -131,7 +135,7 @@ def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: i
 
 
 def test_samples_of_an_unknown_direction_teach_no_formula() -> None:
-    """As long as most others are left; a model of the reversals says what happens in them."""
+    """Such samples are excluded only if enough others remain. A model of the reversals keeps them."""
     moments = (Moment(10, np.ones(3)), Moment(50, np.ones(1)))
     problem = cast(Problem, SimpleNamespace(nuisance=Nuisance(np.zeros((100, 0)), moments)))
     plain, presliding = (cast(Fit, SimpleNamespace(names=names)) for names in ((), ("presliding_hysteresis",)))

@@ -1,4 +1,7 @@
-"""A cause that the held-out logs cannot show is not worthless for it; one that they show, and that does harm, is."""
+"""Judgement of causes on held-out logs.
+
+A cause that the held-out logs cannot show is kept. A cause that they do show and that increases the error is worthless.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +32,10 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def log(number: int, growth: float) -> Columns:
-    """One load, with friction that grows with it about the middle one, where there is somewhat less of it besides."""
+    """Return one log at load `LOADS[number]`. Friction grows with the load about the middle load.
+
+    At the middle load, friction is 2 % smaller.
+    """
     rng = np.random.default_rng(number)
     omega = np.cos(2.0 * np.pi * 0.3 * T)
     heavier = 1.0 + growth * (LOADS[number] - LOADS[2]) - (0.02 if number == 2 else 0.0)
@@ -41,7 +47,10 @@ def log(number: int, growth: float) -> Columns:
 
 @cache
 def errors(hold_out: str, growth: float) -> HeldOut:
-    """With load_dependent_friction and viscous_friction as causes, the first in truth."""
+    """Return the held-out errors with load_dependent_friction and viscous_friction as causes.
+
+    Only the first is present.
+    """
     nominal = model()
     data = split(prepare({f"load{n}.csv": log(n, growth) for n in range(5)}, nominal, hold_out), hold_out)
     scales = scales_of(data.frame, nominal)
@@ -76,7 +85,7 @@ def test_a_cause_that_the_held_out_load_shows_is_judged_there() -> None:
 
 
 def _named(family: str, name: str, seed: int) -> tuple[set[str], set[str]]:
-    """The names told of a blind log, and what was hidden in it."""
+    """Return the causes identified in a blind log and the effects hidden in it."""
     hidden = case(family, name, seed=seed, short=True)
     logs = {log.name: log.columns for log in hidden.logs}
     found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
@@ -88,20 +97,21 @@ def _named(family: str, name: str, seed: int) -> tuple[set[str], set[str]]:
     ("late", "seed"),
     [
         ("velocity_lag", 8022),
-        pytest.param("velocity_lag", 8026, marks=pytest.mark.soak),  # another cause beside it
-        pytest.param("velocity_lag", 8035, marks=pytest.mark.soak),  # a third name: fits that wandered along the lag
+        pytest.param("velocity_lag", 8026, marks=pytest.mark.soak),  # another cause is present
+        # regression test: a third cause was identified because fits wandered along the lag
+        pytest.param("velocity_lag", 8035, marks=pytest.mark.soak),
         ("backlash", 8045),
     ],
 )
 def test_a_cause_beside_what_moves_reversals_is_judged_without_those_missed_by_a_sample(late: str, seed: int) -> None:
-    """The other takes a twentieth of what the reversals leave of the error."""
+    """The second cause explains a twentieth of the error that remains outside the reversals."""
     named, hidden = _named("pair", "any", seed)
     assert late in hidden
     assert named == hidden
 
 
 def test_what_is_late_does_not_give_way_to_a_formula_that_knows_no_reversal() -> None:
-    """Away from reversals a hysteresis of the load leaves as little."""
+    """Outside the reversals, a load hysteresis would explain the error equally well."""
     named, hidden = _named("single", "transport_delay", 8009)
     assert named == hidden
 

@@ -1,4 +1,4 @@
-"""Terms with a memory are found where the load has one, to its constants. Data written by hand."""
+"""Terms with memory are found with their constants if the load has memory. The data are synthetic."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def nothing(tau: Array) -> Array:
 
 
 def diagnosed(sensor: object, seed: int = 3) -> Diagnosis:
-    """Two logs of 20 s: a joint that swings, torques of both signs, and what the sensor makes of them."""
+    """Return the diagnosis of two logs of 20 s: a swinging joint, torques of both signs, and `sensor` applied to the
+    torque.
+    """
     logs = {}
     for k in range(2):
         rng = np.random.default_rng([seed, k])

@@ -1,4 +1,4 @@
-"""Intervals beside an error that comes again in every pass: how often they hold the truth, on data made here."""
+"""Coverage of intervals when a model error repeats in every pass, on synthetic data."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SPRING, FRICTION, DRAG, NOISE = 1.3, 0.4, 0.1, 0.05
 
 
 def not_in_the_model(rng: np.random.Generator) -> Array:
-    """A function of angle and direction: waves that are drawn, the same in each pass."""
+    """Return a random function of angle and direction that is the same in each pass, (n,) in N*m."""
     waves = np.arange(2, 9)[:, None]
     phases, sizes = rng.uniform(0.0, 6.28, (2, 7, 1)), rng.normal(0.0, 0.1, (2, 7, 1))
     ways = [np.sum(sizes[way] * np.sin(waves * 2.0 * Q + phases[way]), axis=0) for way in (0, 1)]
@@ -28,7 +28,14 @@ def not_in_the_model(rng: np.random.Generator) -> Array:
 
 
 def fitted(torque: Array) -> tuple[Array, Array, Array, Array]:
-    """Spring, friction and drag by least squares; covariance of white noise, influence, residual."""
+    """Return the least-squares fit of a torque (n,).
+
+    Returns:
+        spring, friction and drag (3,)
+        their covariance under white noise (3, 3)
+        the influence of each sample (n, 3)
+        the residual (n,)
+    """
     columns = np.column_stack([Q, np.sign(OMEGA), OMEGA])
     influence = np.linalg.pinv(columns).T
     found = influence.T @ torque
@@ -37,7 +44,10 @@ def fitted(torque: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def shares_held(seeds: int) -> tuple[float, float]:
-    """Shares of the intervals of 95 % that hold the true spring, friction and drag: widened, and of the noise alone."""
+    """Return the coverage of the 95 % intervals of spring, friction and drag.
+
+    The first share is that of the widened intervals, the second that of intervals from the noise alone.
+    """
     truth, cells, factor = np.array([SPRING, FRICTION, DRAG]), states(OMEGA, Q), student(12).ppf(0.975)
     inside, before = [], []
     for seed in range(seeds):
@@ -66,7 +76,10 @@ def test_noise_alone_widens_little() -> None:
 
 
 def test_a_sum_that_is_known_stays_known_while_its_parts_trade_places() -> None:
-    """Two columns that differ by a trifle: each alone is unsure, their sum is not, and no error of a pass alters it."""
+    """Two columns differ very little.
+
+    Each coefficient is uncertain, but their sum is not, and a repeated error does not change it.
+    """
     rng = np.random.default_rng(1)
     columns = np.column_stack([Q, Q + 1e-4 * rng.normal(size=T.size)])
     influence = np.linalg.pinv(columns).T

@@ -1,4 +1,4 @@
-"""Widths and moments are made sharper without spoiling what is reported beside them."""
+"""Refining widths and moments does not increase the residual of the reported model."""
 
 from __future__ import annotations
 

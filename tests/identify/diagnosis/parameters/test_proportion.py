@@ -1,4 +1,4 @@
-"""x and T_p of the model that a diagnosis writes: in the file's proportion, and a bound that holds them is said."""
+"""x and T_p of the model that a diagnosis writes keep the file's proportion, and an active bound is reported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ X, PRETENSION, R_J, R_M = 0.26, 45.0, 0.025, 0.02
 
 
 def diagnosed(x: float, pretension: float, gain: float = 1.0) -> tuple[Diagnosis, TendonSheath]:
-    """Of a log by (3.55) in one configuration, and the model that is written. `gain`: of the slope alone."""
+    """Return the diagnosis of a log by (3.55) in one configuration, and the model that it writes.
+
+    `gain` scales the slope alone.
+    """
     rng = np.random.default_rng(3)
     omega = np.cos(2.0 * np.pi * 0.4 * T)
     tau_m = 0.4 * np.sin(2.0 * np.pi * 0.17 * T) + 0.1
@@ -38,7 +41,7 @@ def half_loop(x: float, pretension: float) -> float:
 
 @pytest.mark.slow
 def test_a_slope_that_is_slightly_off_does_not_drive_the_pretension_to_its_bound() -> None:
-    """A torque channel that reads 1.2 % less: least squares would pay with x for it, and with T_p for x."""
+    """The torque channel reads 1.2 % low. Plain least squares would compensate for it with x, and for x with T_p."""
     result, written = diagnosed(0.28, 42.75, gain=0.988)
     assert written.pretension / PRETENSION == pytest.approx(written.friction_angle / X, rel=1e-6)
     assert half_loop(written.friction_angle, written.pretension) == pytest.approx(half_loop(0.28, 42.75), rel=0.02)
@@ -49,7 +52,7 @@ def test_a_slope_that_is_slightly_off_does_not_drive_the_pretension_to_its_bound
 
 @pytest.mark.slow
 def test_a_bound_that_holds_x_and_pretension_is_said() -> None:
-    """Friction beyond what [uncertainty] allows of both."""
+    """The friction exceeds what [uncertainty] allows for x and T_p together."""
     result, written = diagnosed(X * 1.45, PRETENSION * 1.3)
     assert set(result.at_bounds) == {"friction_angle", "pretension"}
     assert written.pretension == pytest.approx(1.25 * PRETENSION, rel=1e-4)

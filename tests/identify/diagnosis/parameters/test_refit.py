@@ -1,4 +1,7 @@
-"""An interval says what a number is not; where it leaves nothing out there is none. Covariances written by hand."""
+"""An interval excludes values; an interval that would exclude nothing is not reported.
+
+The covariances are synthetic.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from tsa_ctrl.outputs import json_types
 
 
 def _quantity(effect: str, name: str, value: float, deviation: float, **others: float) -> Quantity:
-    """What is told of one number of an effect, known to so much."""
+    """Return the reported quantity of an effect whose parameter has this value and standard deviation."""
     coordinate = Coordinate(name, -math.inf, math.inf)
     variant = Variant(effect, (coordinate,), ((0.0,),), (0,), lambda u: {name: float(u[0]), **others})
     base: Any = SimpleNamespace(coordinates=lambda: ())

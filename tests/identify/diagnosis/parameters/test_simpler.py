@@ -1,4 +1,4 @@
-"""What is named and shipped does better on held-out data than what needs no cause and no fit; else it is said."""
+"""An identified cause must beat every simpler prediction on held-out data; otherwise the diagnosis reports it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DRIVE = RigidDrive(coulomb_friction=0.3, viscous_friction=0.1)
 
 
 def _log(seed: int, coulomb: float, seconds: float = 16.0) -> dict[str, Array]:
-    """A plain drive's torque by hand: Coulomb, viscous, noise."""
+    """Return a synthetic log of a plain drive with Coulomb friction, viscous friction and noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE)) / RATE
     omega = 2.0 * np.sin(2.0 * np.pi * (0.2 + 0.05 * seed) * t) + 1.0 * np.sin(2.0 * np.pi * 0.73 * t)
@@ -30,7 +30,7 @@ def _log(seed: int, coulomb: float, seconds: float = 16.0) -> dict[str, Array]:
 
 @pytest.mark.slow
 def test_a_recalibration_that_is_worse_than_as_given_is_told_and_not_shipped() -> None:
-    """The logs to learn from are of a drive with more friction than the file and the log that is held out have."""
+    """The training logs have more friction than the model file and the held-out log."""
     logs = {"a": _log(1, 0.36), "b": _log(2, 0.36), "held": _log(3, 0.30)}
     result = diagnose(logs, DRIVE, hold_out="held")
     assert result.causes == ()
@@ -55,7 +55,7 @@ def test_a_recalibration_that_is_better_is_shipped() -> None:
 
 
 def test_a_mean_that_is_right_by_chance_is_no_baseline() -> None:
-    """Of four loads the mean is the fifth one, in their middle; the other way round it is off by what they spread."""
+    """The mean of four loads equals the fifth load. With the roles exchanged, the error is the spread of the loads."""
     rng = np.random.default_rng(1)
     loads = np.repeat([-2.0, -1.0, 1.0, 2.0, 0.0], 200)
     target = loads + 0.1 * rng.standard_normal(len(loads))
@@ -68,7 +68,7 @@ def test_a_mean_that_is_right_by_chance_is_no_baseline() -> None:
 
 
 class Parts(SimpleNamespace):
-    """Of a frame, what a baseline looks at."""
+    """The attributes of a frame that a baseline uses."""
 
     def __len__(self) -> int:
         return len(self.target)

@@ -1,4 +1,7 @@
-"""A step and a wave in time are found with their moment and their rhythm; a zero that walks has none. Data by hand."""
+"""A step and a wave in time are found with their moment and frequency; a drifting zero has neither.
+
+The data are synthetic.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +27,28 @@ HALF_LOOP = 2.0 * ACTUATOR.pretension * ACTUATOR.joint_pulley_radius * math.sinh
 
 
 def slipped(t: Array) -> tuple[Array, Array]:
-    """An anchor slips after 12.3 s (of stretches that are learned from): a quarter of the friction is gone."""
+    """After 12.3 s an anchor slips and a quarter of the friction is lost.
+
+    Return the friction factor and the added torque.
+    """
     return np.where(t > 12.3, 0.75, 1.0), np.zeros(len(t))
 
 
 def beating(t: Array) -> tuple[Array, Array]:
-    """The pretension beats at 0.63 Hz."""
+    """Return the friction factor for a pretension that oscillates at 0.63 Hz, and no added torque."""
     return 1.0 + 0.2 * np.sin(2.0 * np.pi * 0.63 * t + 1.0), np.zeros(len(t))
 
 
 def walking(t: Array) -> tuple[Array, Array]:
-    """The torque sensor's zero walks."""
+    """Return a constant friction factor and the drift of the torque sensor's zero (N*m)."""
     return np.ones(len(t)), np.cumsum(np.random.default_rng(8).normal(0.0, 8e-4, len(t)))
 
 
 def diagnosed(change: Callable[[Array], tuple[Array, Array]], start: float = 0.0) -> Diagnosis:
-    """A log of 24 s from `start` on, the clock's; `change`: factor of the friction and N*m beside, by the time."""
+    """Return the diagnosis of a log of 24 s whose clock begins at `start` (s).
+
+    `change` maps time (s) to the factor of the friction and to an added torque (N*m).
+    """
     rng = np.random.default_rng(6)
     t = PERIOD * np.arange(6000)
     q, omega, tau_m = swinging(rng, t)
@@ -87,7 +96,10 @@ def test_a_zero_that_walks_has_no_rhythm() -> None:
 
 @pytest.mark.parametrize("factor", [1.0, np.nan])
 def test_of_an_hours_frequencies_few_are_tried_and_the_best_is_among_them(factor: float) -> None:
-    """In two logs, between which the clock goes on, by an exact sum over all samples; alone or times a direction."""
+    """The reference is an exact sum over all samples of two logs with a gap between them.
+
+    The regressor is constant or a direction.
+    """
     rng = np.random.default_rng(4)
     period, hidden = 0.05, 0.7123
     t = period * np.concatenate([np.arange(36_000), 40_000 + np.arange(30_000)])

@@ -1,4 +1,4 @@
-"""What parts effects that look alike, in words."""
+"""Wording of the experiment that separates indistinguishable effects."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from tsa_ctrl.identify.diagnosis.report.experiment import parted_by
     ],
 )
 def test_a_pair_is_parted_by_what_one_of_the_two_says(names: tuple[str, ...], words: list[str]) -> None:
-    """In either order; a pair that nobody speaks of by what parts most."""
+    """The order of the pair does not matter.
+
+    A pair without an own rule gets the experiment that separates most pairs.
+    """
     found = parted_by(names)
     assert len(found) == len(words)
     assert all(word in text for word, text in zip(words, found, strict=True))
 
 
 def test_a_group_is_parted_pair_by_pair_and_nothing_is_said_twice() -> None:
-    """Three that differ by speed alone need one motion."""
+    """Three effects that differ only by speed need one motion."""
     assert len(parted_by(("transport_delay", "velocity_lag", "backlash"))) == 1

@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: what an axis shows."""
+"""Axis ranges and layout of the pictures of a diagnosis."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def shown(family: str, name: str) -> Diagnosis:
 def test_no_text_is_cut_off_and_none_lies_over_other_axes(
     family: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Margins are given: every letter must lie in the picture, and what belongs to axes between them."""
+    """The margins are fixed, so every text must lie inside the picture and must not overlap other axes."""
     figures: dict[str, Figure] = {}
     save = pictures._save
 
@@ -70,13 +70,13 @@ def test_no_text_is_cut_off_and_none_lies_over_other_axes(
 
 @pytest.mark.slow
 def test_pictures_drawn_by_other_processes_are_those_drawn_here(tmp_path: Path) -> None:
-    """And once those processes are gone, they are drawn all the same."""
+    """The pictures are also drawn after those processes have ended."""
     result = shown("single", "torque_offset")
     folders = [tmp_path / name for name in ("here", "beside", "gone")]
     for folder in folders:
         folder.mkdir()
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # other tests have looks of their own
+        matplotlib.rcdefaults()  # other tests change the matplotlib settings
         here = drawn_here(result, folders[0])
         with drawing() as plot:
             beside = plot(result, folders[1])

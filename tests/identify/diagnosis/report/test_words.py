@@ -1,4 +1,4 @@
-"""The first sentence is short whatever was found, and the experiment is one."""
+"""The first sentence is short for every result, and the report proposes one experiment."""
 
 from __future__ import annotations
 

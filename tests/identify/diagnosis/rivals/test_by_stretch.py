@@ -1,4 +1,7 @@
-"""What no torque shows, named by the angles of both pulleys: on logs that the package did not make."""
+"""Causes that no torque shows are identified from the angles of both pulleys.
+
+The logs are independent of the package.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ def diagnosed(case: Case) -> Diagnosis:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "shape"), list(zip(NAMES, ("even", "joint", "motor", "joint"), strict=True)))
 def test_each_is_named_alone_with_its_numbers(name: str, shape: str) -> None:
-    """Its size within 5 %; the torque gains nothing, and a slip, which happened once, is not part of the model."""
+    """The size is found within 5 % and the torque gains nothing. A slip occurs once and is not part of the model."""
     case = two_encoder_case(f"{name}:{shape}", 0, short=True)
     found = diagnosed(case)
     (cause,) = found.causes
@@ -69,7 +72,10 @@ def test_a_rig_as_its_file_says_has_none(shape: str) -> None:
 
 @pytest.mark.slow
 def test_a_spring_is_a_wrong_stiffness_where_nobody_knows_the_shape() -> None:
-    """The file does not state where the sheath bends: only the whole softness is known, and both would add to it."""
+    """If the file does not state where the sheath bends, only the total compliance is known.
+
+    A series spring and a wrong stiffness both add to it.
+    """
     case = two_encoder_case("series_spring:joint", 0, short=True)
     lines = [line for line in case.model.splitlines() if not line.startswith("bending_centre")]
     (cause,) = diagnosed(replace(case, model="\n".join(lines))).causes
@@ -80,7 +86,10 @@ def test_a_spring_is_a_wrong_stiffness_where_nobody_knows_the_shape() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.0, pytest.param(0.4, marks=pytest.mark.soak)])
 def test_angles_that_contradict_the_file_name_nothing(factor: float) -> None:
-    """A motor's encoder that follows something else, or tendons much stiffer than the file has them: told why."""
+    """The motor's encoder follows another shaft, or the tendons are stiffer than in the file.
+
+    The reason is reported.
+    """
     case = two_encoder_case("pulley_slip:joint", 0, short=True)
     assert case.bench is not None
     rig = case.bench.rig

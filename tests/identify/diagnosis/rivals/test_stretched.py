@@ -1,4 +1,7 @@
-"""Names that the torque leaves, and the angles of both pulleys beside it: on logs that the package did not make."""
+"""Causes that the torque cannot separate are separated by the angles of both pulleys.
+
+The logs are independent of the package.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from tsa_ctrl.model.parameters import model_from
 
 
 def names(case: Case) -> list[set[str]]:
-    """What is named, a set for each cause."""
+    """Return one set per cause: the identified effect and its alternatives."""
     logs = [Dataset.from_arrays(log.columns, log.name) for log in case.logs]
     found = diagnose(logs, model_from(tomllib.loads(case.model), "nominal.toml"))
     return [{cause.effect, *cause.alternatives} for cause in found.causes]
@@ -27,7 +30,10 @@ def names(case: Case) -> list[set[str]]:
     "seed", [pytest.param(1, id="evenly bent"), pytest.param(2, id="bent at the motor", marks=pytest.mark.soak)]
 )
 def test_the_stretch_parts_shape_from_torque_constant(seed: int) -> None:
-    """Twins to the torque sensor; friction before the bends stretches the tendons, the motor's scale does not."""
+    """The torque sensor cannot distinguish them.
+
+    Friction ahead of the bends elongates the tendons; a scale error of the motor does not.
+    """
     case = two_encoder_case("elongation_or_gain:joint", seed, short=True)
     (group,) = names(without_motor_angle(case))
     assert {"elongation_coupling", "torque_constant_error"} <= group
@@ -43,9 +49,9 @@ def test_a_cause_that_the_stretch_contradicts_gives_its_place_to_a_rival() -> No
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # angles that contradict the file: test_by_stretch.py, too
+@pytest.mark.soak  # test_by_stretch.py also tests angles that contradict the file
 def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
-    """A motor's encoder on another shaft: its angle has nothing to do with the tendons."""
+    """The motor's encoder is on another shaft, so its angle is unrelated to the tendons."""
     case = two_encoder_case("elongation_or_gain:joint", 1, short=True)
     logs = []
     for log in case.logs:
@@ -58,5 +64,6 @@ def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
     assert {"elongation_coupling", "torque_constant_error"} <= group
 
 
-ALL_ALONG = [40.0, 2.0, 2.5, 3.0, 2.2, 1.8, 9.0, 2.1, 2.6, 3.1, 1.9, 2.4]  # what blocks gain, very unequally
-NOW_AND_THEN = [40.0, -2.0, 2.5, -3.0, 2.2, -1.8, 9.0, -2.1, 2.6, -3.1, 1.9, -2.4]  # two say all of it
+ALL_ALONG = [40.0, 2.0, 2.5, 3.0, 2.2, 1.8, 9.0, 2.1, 2.6, 3.1, 1.9, 2.4]  # gain of each block, very unequal
+# two blocks account for the whole gain
+NOW_AND_THEN = [40.0, -2.0, 2.5, -3.0, 2.2, -1.8, 9.0, -2.1, 2.6, -3.1, 1.9, -2.4]

@@ -1,4 +1,4 @@
-"""How small an effect these logs would have shown; the log is one of the blind ones, the drive's noise is known."""
+"""Smallest effect that the logs would have shown. The log is a blind one, and the noise of the drive is known."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from tsa_ctrl.model.parameters import model_from
 
 @pytest.mark.slow
 def test_what_is_left_unexplained_hides_what_is_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cause that explains less than what nothing explains would be a guess: it is not named, and not promised."""
+    """A cause that explains less than the unexplained residual would be a guess.
+
+    It is neither identified nor given a detection limit that small.
+    """
     asked: list[tuple[Any, float]] = []
 
     def noted(chosen: Any, structure: float) -> DetectionLimits:
@@ -44,7 +47,7 @@ def test_what_is_left_unexplained_hides_what_is_smaller(monkeypatch: pytest.Monk
 
 @pytest.mark.slow
 def test_what_the_logs_hold_of_an_effect_must_first_be_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of either sign: a spring of 0.2 N*m that is not named hides one of 0.2 N*m that pulls the other way."""
+    """An unidentified spring of 0.2 N*m hides a spring of -0.2 N*m, for either sign."""
     asked: list[Any] = []
 
     def noted(chosen: Any, structure: float) -> DetectionLimits:
@@ -64,7 +67,7 @@ def test_what_the_logs_hold_of_an_effect_must_first_be_made_up_for(monkeypatch: 
     )
     clean = detection_limits(chosen, 0.0).sizes
     risen = []
-    for strength in (-30.0, 30.0):  # white units, of which noise shows one
+    for strength in (-30.0, 30.0):  # in units of the white noise
         holding = dataclasses.replace(first.fitted, residual=first.fitted.residual + strength * white[:, 0])
         again = dataclasses.replace(chosen, rounds=(dataclasses.replace(first, fitted=holding), *chosen.rounds[1:]))
         risen.append(detection_limits(again, 0.0).sizes[effect] - clean[effect])

@@ -1,4 +1,4 @@
-"""The selection ends: what pruning takes away again does not enter a second time."""
+"""The selection terminates: a cause that pruning removes does not enter a second time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _fit(*names: str) -> Any:
 def _selected(
     monkeypatch: pytest.MonkeyPatch, order: Sequence[str], pruned: dict[frozenset[str], tuple[str, ...]]
 ) -> Any:
-    """Causes selected where each of `order` enters whenever it is tried, and pruning leaves what `pruned` says."""
+    """Return the causes selected when each of `order` always enters and pruning returns `pruned`."""
     rounds: list[int] = []
 
     def one_round(_problem: Any, fitted: Any, *_: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Numbers that are no claims: at a bound, or several times the torque; written without the package's own data."""
+"""Fits that are not causes: a value at its bound, or several times the torque. No data of the package are used."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DRIVE = RigidDrive(inertia=0.002, coulomb_friction=0.05, viscous_friction=0.01)
 
 
 def fitted(*names: str) -> tuple[Problem, Fit]:
-    """A drive with a constant torque, moved by 0.1 rad only, and its fit with these effects."""
+    """Return the problem of a drive with a constant torque that moves by 0.1 rad only, and its fit with these effects."""
     t = np.arange(round(RATE * SECONDS)) / RATE
     q, omega = 0.1 * np.sin(3.0 * t), 0.3 * np.cos(3.0 * t)
     noise = np.random.default_rng(5).normal(0.0, 0.01, len(t))
@@ -49,7 +49,7 @@ def test_an_offset_inside_the_torque_is_a_claim() -> None:
 
 
 def test_a_spring_that_rests_far_outside_the_motion_is_an_offset() -> None:
-    """The torque is constant: a spring that explains it hardly changes over the motion. A stiff one is a claim."""
+    """A spring that explains a constant torque hardly changes over the motion. A stiff spring is a cause."""
     problem, found = fitted("joint_stiffness")
     (values,) = found.hypothesis.effects(found.point).values()
     assert abs(values["rest_angle"]) > 10.0 * 0.1
@@ -62,7 +62,7 @@ def test_a_spring_that_rests_far_outside_the_motion_is_an_offset() -> None:
 def test_giants_that_cancel_are_no_claims() -> None:
     problem, found = fitted("gravity_load", "torque_offset")
     own = found.point.copy()
-    own[-3:] += [0.0, 6.0 / 0.06, -6.0 / 0.06]  # sine against offset, of the same scale
+    own[-3:] += [0.0, 6.0 / 0.06, -6.0 / 0.06]  # the sine cancels the offset; both have the same scale
     giants = dataclasses.replace(found, point=own)
     assert meaningless(problem, giants) == [0, 1]
 
@@ -74,7 +74,7 @@ def test_a_number_that_its_bound_holds_against_the_data_is_no_claim() -> None:
     column = problem.whiten(
         problem.predicted(found.hypothesis.model(bound - np.eye(len(bound))[-1] * 1e-2)) - predicted
     )
-    for push, named in ((-1.0, [0]), (-0.001, [])):  # beyond the bound lies what is left, or next to nothing
+    for push, named in ((-1.0, [0]), (-0.001, [])):  # the data push beyond the bound strongly, or hardly at all
         residual = push * 1e3 * column / float(np.linalg.norm(column))
         at = dataclasses.replace(found, point=bound, residual=residual, jacobian=found.jacobian[:, :-1])
         assert meaningless(problem, at) == named
@@ -86,8 +86,8 @@ def test_a_rival_is_beaten_elsewhere_by_visibly_more_that_blocks_do_not_scatter(
     rng = np.random.default_rng(1)
     own = Elsewhere(rng.uniform(0.5, 1.5, 24))
     assert own.clearly_beats(Elsewhere(3.0 * own.squares))
-    assert not own.clearly_beats(Elsewhere(1.2 * own.squares))  # no worse to a user
+    assert not own.clearly_beats(Elsewhere(1.2 * own.squares))  # not worse for a user
     one_block = own.squares.copy()
     one_block[3] += 40.0
-    assert not own.clearly_beats(Elsewhere(one_block))  # one block's doing
+    assert not own.clearly_beats(Elsewhere(one_block))  # caused by a single block
     assert not Elsewhere(3.0 * own.squares).clearly_beats(own)
