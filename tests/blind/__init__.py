@@ -5,7 +5,7 @@ c = case("single", "stribeck_friction", seed=3)
 c.logs[0].columns["tau_j"], c.model, c.truth.effects
 """
 
-if __name__ != "tests.blind":  # compiled functions are kept under this name
+if __name__ != "tests.blind":  # the cache of compiled functions uses this name
     raise ImportError("import this package as tests.blind, from the project's folder")
 
 from .cases import Case, Truth

@@ -1,4 +1,4 @@
-"""A test bench: one rig and one or several runs of it, drawn by a recipe."""
+"""A test bench: one rig and one or several runs of it, drawn at random by a recipe."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Disturbance = Callable[["Bench", "Run", Array], Array]
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to excite and what to record; None and empty leave it to chance."""
+    """How to excite the rig and what to record. None and an empty string mean a random choice."""
 
     motion: str = "rich"  # "rich", "one_way" or a kind of motion.KINDS
     torque: str = ""  # "independent", "levels", "one_sign", "loaded", "spring", "free", "weight", "one_load"
@@ -34,19 +34,19 @@ class Recipe:
     joint_angle: bool | None = None
     velocity: str = ""  # "tachometer", "encoder", "derived" (only q_j is recorded)
     seconds: tuple[float, float] = (25.0, 60.0)
-    runs: int = 0  # 0: one to four
+    runs: int = 0  # 0: random, one to four
     rate: int = 0
     x: tuple[float, float] = (0.12, 0.9)
-    sign_noise: float = 2.0  # how far errors in the sign of the velocity may exceed the torque noise
+    sign_noise: float = 2.0  # largest torque error by wrong velocity signs, as a multiple of the torque noise
     velocity_noise: float | None = None  # rad/s RMS of a tachometer; None: a share of the peak speed
     blind: bool = False  # the temperature moves but is not recorded
-    bare: bool = False  # no columns but those that the recipe names
+    bare: bool = False  # only the columns that the recipe requires
     short: bool = False  # the quick gate: 12 to 20 s, one run
 
 
 @dataclass
 class Run:
-    """One log to be: the scene on the fine grid and which of its samples the log keeps."""
+    """One future log: the scene on the fine grid, and the samples of it that the log keeps."""
 
     scene: Scene
     every: int
@@ -59,7 +59,7 @@ class Run:
 
     @cached_property
     def sparse(self) -> Scene:
-        """The scene at the log's samples only: enough where no effect has a memory."""
+        """Return the scene at the log's samples only, which suffices for effects without memory."""
         s = self.scene
         t, q, omega, acceleration, q_m, tau_m, theta, temperature = (
             self.pick(c) for c in (s.t, s.q, s.omega, s.acceleration, s.q_m, s.tau_m, s.theta, s.temperature)
@@ -69,13 +69,16 @@ class Run:
         return Scene(t, q, omega, acceleration, q_m, tau_m, theta, temperature, 0, sigma, friction, pretension)
 
     def plain(self, rig: Rig, motor_angle: bool) -> Array:
-        """Joint torque without effects on the fine grid; kept, because a disturbance is tried at several strengths."""
+        """Return the joint torque (N*m) without effects on the fine grid.
+
+        It is cached, because a disturbance is tried at several strengths.
+        """
         if self._plain is None:
             self._plain = simulate(rig, self.scene, {}, motor_angle).joint_torque
         return self._plain
 
     def simulate(self, rig: Rig, effects: Effects, motor_angle: bool) -> Tensions:
-        """Tensions and joint torque at the log's samples."""
+        """Return tensions (N) and joint torque (N*m) at the log's samples."""
         if not MEMORY & effects.keys():
             return simulate(rig, self.sparse, effects, motor_angle)
         fine = simulate(rig, self.scene, effects, motor_angle)
@@ -84,7 +87,7 @@ class Run:
 
 @dataclass
 class Bench:
-    """The rig with its runs, and everything about the instruments that stays the same from run to run."""
+    """The rig with its runs, and the properties of the instruments that all runs share."""
 
     rig: Rig
     nominal: Rig
@@ -95,17 +98,17 @@ class Bench:
     velocity: str
     temperature: bool
     counts: int
-    window: float  # s, over which the drive differences its encoder
+    window: float  # s, over which the drive differentiates its encoder signal
     extras: tuple[str, ...] = ()
     clock_start: float = 0.0
     scale: float = 0.0  # RMS of the joint torque without effects, N·m
 
     def ideal(self, effects: Effects) -> list[Array]:
-        """Joint torque of every run on its log's grid, without any noise."""
+        """Return the noise-free joint torque (N*m) of every run at its log's samples."""
         return [run.simulate(self.rig, effects, self.motor_angle).joint_torque for run in self.runs]
 
     def ideal_as_seen(self, effects: Effects, log_effects: Effects) -> list[Array]:
-        """The same with the direction that the log's velocity shows when it carries `log_effects`."""
+        """Return `ideal(effects)` with the direction of the logged velocity under `log_effects`."""
         torques = []
         for run in self.runs:
             sigma = memory.direction(self.seen_velocity(run, log_effects))
@@ -114,19 +117,19 @@ class Bench:
         return torques
 
     def disturbed(self, disturb: Disturbance) -> list[Array]:
-        """The same with a cause outside the catalogue instead of effects."""
+        """Return the noise-free joint torque (N*m) of every run with a cause outside the catalogue instead of effects."""
         torques = []
         for run in self.runs:
             torques.append(run.pick(disturb(self, run, run.plain(self.rig, self.motor_angle))))
         return torques
 
     def slack_share(self, effects: Effects) -> float:
-        """Share of all samples in which a tendon would have to push."""
+        """Return the share of all samples in which the force of a tendon at the motor would be negative."""
         all_tensions = [run.simulate(self.rig, effects, self.motor_angle) for run in self.runs]
         return float(np.mean(np.concatenate([(each.t1 < 0.0) | (each.t3 < 0.0) for each in all_tensions])))
 
     def seen_velocity(self, run: Run, effects: Effects) -> Array:
-        """Velocity on the fine grid as the log would have it without noise."""
+        """Return the noise-free velocity (rad/s) of the log on the fine grid."""
         lag = effects.get("velocity_lag", {}).get("time_constant", 0.0)
         if lag == 0.0:
             return run.scene.omega
@@ -134,7 +137,7 @@ class Bench:
 
     @property
     def reading(self) -> float:
-        """What the torque sensor is made for, N·m: the joint's torque, at least the jump at a reversal."""
+        """Return the design range of the torque sensor (N*m): the RMS joint torque, and at least the friction torque."""
         half_loop = 2.0 * self.rig.pretension * self.rig.joint_radius * float(np.sinh(self.rig.x))
         return max(self.scale, half_loop)
 
@@ -144,7 +147,7 @@ class Bench:
 
     @property
     def reach(self) -> float:
-        """Half of the range of the joint angle, rad."""
+        """Return half the range of the joint angle, rad."""
         return 0.5 * max(float(np.ptp(run.scene.q)) for run in self.runs)
 
     @property
@@ -153,7 +156,10 @@ class Bench:
 
 
 def draw_bench(rng: np.random.Generator, recipe: Recipe, like: Bench | None = None) -> Bench:
-    """A rig with its runs; no effects, no noise yet. `like`: the rig and its papers are those of another bench."""
+    """Return a rig with its runs, without effects and noise.
+
+    `like`: take the rig and its nominal model from that bench.
+    """
     rig = draw_rig(rng, recipe.x) if like is None else like.rig
     nominal = draw_nominal(rng, rig) if like is None else like.nominal
     count = 1 if recipe.short else recipe.runs or int(rng.choice([1, 1, 1, 2, 3, 4]))
@@ -237,7 +243,7 @@ def _draw_run(
 
 def _draw_motion(rng: np.random.Generator, recipe: Recipe, t: Array, velocity: str) -> Motion:
     if recipe.motion == "rich":
-        # Standstill only where the counts of an encoder stand still too.
+        # The joint rests only if the counts of its encoder rest as well.
         return rich_motion(rng, t, recipe.amplitude, dwell=velocity == "encoder" and rng.random() < 0.3)
     if recipe.motion == "one_way":
         fast = recipe.speed or rng.uniform(0.5, 3.0)
@@ -250,7 +256,10 @@ def _draw_motion(rng: np.random.Generator, recipe: Recipe, t: Array, velocity: s
 def _draw_torque(
     rng: np.random.Generator, recipe: Recipe, rig: Rig, nominal: Rig, motion: Motion, theta: Array
 ) -> Array:
-    """Motor torque, reported and acting alike; within the range in which both tendons pull, by `level`."""
+    """Return the motor torque (N*m), whose reported and acting values are equal.
+
+    `recipe.level` limits it relative to the torque at which one tendon goes slack.
+    """
     kind = recipe.torque or str(rng.choice(["independent", "levels", "loaded"], p=[0.5, 0.25, 0.25]))
     pretension = rig.pretension + rig.tension_per_bending * (theta - rig.bending)
     limit = 2.0 * float(np.min(pretension)) * rig.motor_radius
@@ -260,19 +269,19 @@ def _draw_torque(
         return level * limit * torque_programme(rng, t)
     if kind == "one_sign":
         return level * limit * torque_programme(rng, t, sign=int(rng.choice([-1, 1])))
-    if kind == "one_load":  # so far from zero that friction never turns the sign of the joint's torque
+    if kind == "one_load":  # so far from zero that friction never reverses the sign of the joint torque
         least = np.tanh(float(np.max(rig.mu * theta))) + 0.08
         share = np.abs(torque_programme(rng, t, sign=1))
         return float(rng.choice([-1.0, 1.0])) * limit * (least + max(level - least, 0.15) * share)
     if kind == "levels":
         return level * limit * held_levels(rng, t, rng.uniform(2.0, 6.0))
-    # The joint carries a load and a controller with the nominal numbers compensates the friction.
+    # The joint carries a load, and a controller with the nominal values compensates the friction.
     load = _draw_load(rng, kind, motion)
     x, sigma = nominal.mu * theta, memory.direction(motion.omega)
     compensation = nominal.motor_radius * 2.0 * nominal.pretension / rig.pretension * pretension * sigma * np.tanh(x)
     compensation = smoothed(compensation, rng.uniform(0.006, 0.02) / step)
     room = level * limit - float(np.max(np.abs(compensation)))
-    if kind == "loaded" and room < 0.25 * limit:  # friction takes it all: little would be learned from such a log
+    if kind == "loaded" and room < 0.25 * limit:  # friction takes the whole torque, so the log would be uninformative
         return level * limit * torque_programme(rng, t)
     room = max(room, 0.12 * limit)
     tau_m = compensation + room * load
@@ -280,7 +289,7 @@ def _draw_torque(
 
 
 def _draw_load(rng: np.random.Generator, kind: str, motion: Motion) -> Array:
-    """The load's torque, peak 1."""
+    """Return the load torque. Its peak is 1, or small if the joint is free."""
     q, omega = motion.q, motion.omega / motion.speed
     spring = q / np.max(np.abs(q))
     weight = np.sin(q + rng.uniform(0.4, 1.2))

@@ -1,4 +1,4 @@
-"""Cases: logs with a hidden truth, drawn by family, name and seed; the same three give the same case."""
+"""Cases: logs with a hidden truth, drawn by family, name and seed. The same three arguments give the same case."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from .strength import NAMES, Strength, draw_strength, solve
 
 @dataclass
 class Truth:
-    """What was hidden. Sizes are RMS in N·m after recalibration; noise is the RMS of the torque noise."""
+    """The hidden effects. Sizes are RMS in N·m after recalibration; noise is the RMS of the torque noise."""
 
     effects: dict[str, dict[str, Any]]
     noise: float = 0.0
-    sign_noise: float = 0.0  # RMS that wrong signs of the recorded velocity add
+    sign_noise: float = 0.0  # RMS of the torque error by wrong signs of the recorded velocity
     size: float = 0.0
-    sizes: dict[str, float] = field(default_factory=dict)  # of each effect beside the others
+    sizes: dict[str, float] = field(default_factory=dict)  # of each effect in the presence of the others
     outside: str = ""  # kind of cause outside the catalogue
-    twins: tuple[str, ...] = ()  # what no diagnosis can part in this case, the truth included
-    exact: bool = True  # False: the twins differ a little, so the true name alone is right as well
+    twins: tuple[str, ...] = ()  # effects that no diagnosis can distinguish in this case, including the truth
+    exact: bool = True  # False: the effects differ a little, so the true name alone is also right
     numbers: dict[str, float] = field(default_factory=dict)  # true friction_angle, pretension, slope, half_loop_torque
-    setting: str = ""  # the excitation in words
+    setting: str = ""  # description of the excitation
 
 
 @dataclass
 class Case:
-    """Logs and the nominal model for a diagnosis, and the truth for who marks it."""
+    """Logs and the nominal model for a diagnosis, and the truth for its marking."""
 
     family: str
     name: str
@@ -43,8 +43,8 @@ class Case:
     logs: list[HiddenLog]
     model: str  # text of an actuator model file
     truth: Truth
-    experiment: Case | None = None  # logs of the same rig that part the twins
-    bench: Bench | None = field(default=None, repr=False)  # for who marks: what made the logs
+    experiment: Case | None = None  # logs of the same rig that separate the indistinguishable effects
+    bench: Bench | None = field(default=None, repr=False)  # for the marking: the source of the logs
 
     @property
     def key(self) -> str:
@@ -60,7 +60,7 @@ def generator(family: str, name: str, seed: int, attempt: int = 0) -> np.random.
     return np.random.default_rng(int.from_bytes(digest[:8], "little"))
 
 
-# What an effect needs, to be told from all others: its columns, and the excitation outside the table of twins.
+# Requirements of an effect that make it distinguishable: columns, and excitation outside the table of twins.
 NEEDS: dict[str, dict[str, Any]] = {
     "velocity_lag": {"velocity": "tachometer", "sign_noise": 0.7},
     "torque_constant_error": {"bending": "varied"},
@@ -68,7 +68,8 @@ NEEDS: dict[str, dict[str, Any]] = {
     "motor_side_friction": {"bending": "varied"},
     "configuration_dependent_bending": {"joint_angle": True, "amplitude": 1.2, "level": (0.3, 0.6)},
     "stiffness_nonlinearity": {"bending": "varied", "level": (0.2, 0.5)},
-    "pretension_relaxation": {"level": (0.2, 0.4), "temperature": "cycle"},  # unrecorded warmth would be a twin
+    # unrecorded temperature would be indistinguishable
+    "pretension_relaxation": {"level": (0.2, 0.4), "temperature": "cycle"},
     "thermal_friction_drift": {"temperature": "cycle"},
     "tension_dependent_friction": {"x": (0.2, 0.9), "level": (0.7, 0.95), "torque": "independent"},
     "presliding_hysteresis": {"joint_angle": True, "sign_noise": 0.7},
@@ -86,11 +87,11 @@ NEEDS: dict[str, dict[str, Any]] = {
     "torque_sensor_lag": {"sign_noise": 0.7, "torque": "independent"},
 }
 
-# What pairs are drawn of: without what came in later, so that the same numbers give the same draws as ever
+# Effects of the pairs. Later effects are excluded, so that the same seeds keep giving the same random trials.
 LATER = ("pulley_eccentricity", "torque_saturation", "torque_sensor_lag")
 PAIRED = tuple(name for name in NAMES if name not in LATER)
 
-# Rows of twins: two effects of one row are no pair.
+# Rows of indistinguishable effects: two effects of one row do not form a pair.
 TWIN_ROWS = (
     {"elongation_coupling", "torque_constant_error"},
     {"inertia", "joint_stiffness", "torque_offset"},
@@ -107,12 +108,15 @@ TWIN_ROWS = (
 )
 
 HIDDEN_DIRECTION = ("slow_gait", "slow_multisine", "slow_walk", "plateaus")
-TACHOMETER_NOISE = 0.012  # rad/s, at which 4 of 24 logs of slow motion without an effect were called structure
+TACHOMETER_NOISE = 0.012  # rad/s; with it, 4 of 24 logs of slow motion without an effect were classified as structure
 POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
 
 
 def none_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
-    """No effect: wrong nominal numbers and noise. `name`: "rich...", "plain" or a poor excitation. `like`: its rig."""
+    """Return a case without effect: wrong nominal values and noise.
+
+    `name`: "rich...", "plain" or an uninformative excitation. `like`: use the rig of that bench.
+    """
     rng = generator("none", name, seed)
     if name.startswith("rich"):
         recipe = Recipe(bending=str(rng.choice(["fixed", "fixed", "varied"])), sign_noise=8.0)
@@ -135,7 +139,9 @@ def none_case(name: str, seed: int, short: bool = False, like: Bench | None = No
 
 
 def hidden_direction_case(name: str, seed: int, short: bool = False) -> Case:
-    """No effect, and a motion so slow that a noisy tachometer hides its direction for long."""
+    """Return a case without effect whose motion is so slow that a noisy tachometer hides its direction for long
+    periods.
+    """
     rng = generator("hidden_direction", name, seed)
     fast = log_uniform(rng, 0.05, 0.25)
     recipe = Recipe(
@@ -153,9 +159,9 @@ def hidden_direction_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def single_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
-    """One effect, well excited, one to six times the noise, that no other effect imitates within the noise.
+    """Return a case with one well excited effect that no other effect imitates within the noise.
 
-    `like`: on the rig of that bench.
+    Its size is one to six times the noise. `like`: use the rig of that bench.
     """
     for attempt in range(200):
         rng = generator("single", name, seed, attempt)
@@ -174,7 +180,7 @@ def single_case(name: str, seed: int, short: bool = False, like: Bench | None = 
 
 
 def timing_case(name: str, seed: int, short: bool = False) -> Case:
-    """One effect in one log of 60 s at 1 kHz."""
+    """Return a case with one effect in one log of 60 s at 1 kHz."""
     rng = generator("timing", name, seed)
     bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), seconds=(60.0, 60.0), rate=1000, runs=1, short=short))
     parameters, reached = _strong(rng, name, bench, 0.04 * bench.scale)
@@ -182,9 +188,10 @@ def timing_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def pair_case(name: str, seed: int, short: bool = False) -> Case:
-    """Two effects, each visible beside the other and without a rival that would do as well.
+    """Return a case with two effects, each visible in the presence of the other and without an equivalent competing
+    effect.
 
-    `name` is "a+b", or "any" for a drawn pair.
+    `name` is "a+b", or "any" for a random pair.
     """
     for attempt in range(200):
         rng = generator("pair", name, seed, attempt)
@@ -213,7 +220,10 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def outside_case(name: str, seed: int, short: bool = False) -> Case:
-    """A cause outside the catalogue; what the whole catalogue cannot imitate of it is 2.2 to 6 times the noise."""
+    """Return a case with a cause outside the catalogue.
+
+    The part that the whole catalogue cannot imitate is 2.2 to 6 times the noise.
+    """
     stranger = STRANGERS[name]
     for attempt in range(200):
         rng = generator("outside", name, seed, attempt)
@@ -247,7 +257,7 @@ def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:
 
 
 def _needs_of_both(first: str, second: str) -> dict[str, Any]:
-    """The stricter of two lists of needs."""
+    """Return the stricter requirements of two effects."""
     needs = dict(NEEDS.get(first, {}))
     for key, value in NEEDS.get(second, {}).items():
         mine = needs.get(key)
@@ -263,12 +273,12 @@ def _needs_of_both(first: str, second: str) -> dict[str, Any]:
 
 
 def _strong(rng: np.random.Generator, name: str, bench: Bench, wanted: float) -> tuple[dict[str, Any], float]:
-    """Parameters of `name` with about the wanted size, and the size that they have."""
+    """Return parameters of `name` whose size is about `wanted` (N*m), and the size reached."""
     return solve(draw_strength(rng, name, bench), wanted, lambda parameters: size(bench, {name: parameters}))
 
 
 def in_domain(bench: Bench, effects: dict[str, dict[str, Any]]) -> bool:
-    """Both tendons pull nearly always, unless slack is what is hidden."""
+    """Return True if both tendons are under tension in nearly all samples, or if slack is the hidden effect."""
     return "tendon_slack" in effects or bench.slack_share(effects) < 1e-3
 
 

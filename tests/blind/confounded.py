@@ -1,4 +1,4 @@
-"""Cases in which no diagnosis can name one cause, from the table of twins, each with the log that parts the twins."""
+"""Cases in which no diagnosis can identify a single cause, each with an experiment that separates the effects."""
 
 from __future__ import annotations
 
@@ -31,15 +31,16 @@ class Row:
     truth: str
     twins: tuple[str, ...]
     recipe: dict[str, Any]
-    absorbed: bool = False  # recalibration removes it: nothing need be found
+    absorbed: bool = False  # recalibration removes it: no cause need be found
     exact: bool = True
-    parted_by: dict[str, Any] | None = None  # excitation of the experiment beside the truth's own needs; None: no log
+    # excitation of the experiment in addition to the truth's own needs; None: no experiment
+    parted_by: dict[str, Any] | None = None
     ratio: tuple[float, float] = (1.3, 4.0)
     draw: Callable[[np.random.Generator, Bench, float], dict[str, Any] | None] | None = None
 
 
 def _like_elongation(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """The gain error that gives the slope of an evenly bent sheath."""
+    """Return the gain error that gives the slope of an evenly bent sheath."""
     rig = bench.rig
     spring = rig.axial_stiffness / rig.series_stiffness / rig.length if rig.series_stiffness else 0.0
     x = rig.x
@@ -49,21 +50,24 @@ def _like_elongation(rng: np.random.Generator, bench: Bench, wanted: float) -> d
 
 
 def _positive_direction(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """The difference by direction that viscous friction imitates: its sign follows the one direction of motion."""
+    """Return the difference by direction that viscous friction imitates.
+
+    Its sign follows the single direction of motion.
+    """
     sign = float(np.sign(np.mean(bench.runs[0].scene.omega)))
     strength = Strength("", {}, "viscous_difference", 0.05 * sign * bench.scale / bench.speed, sign * bench.scale)
     return _sized("direction_asymmetric_friction", strength, bench, wanted)
 
 
 def _opposite_asymmetry(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """The asymmetry that friction with the load imitates: of the sign that takes torque away."""
+    """Return the asymmetry that load-dependent friction imitates. Its sign reduces the torque."""
     sign = -float(np.sign(np.mean(np.concatenate(bench.ideal({})))))
     strength = Strength("", {}, "relative_difference", 0.1 * sign, 0.06 * sign / (0.5 * bench.rig.x))
     return _sized("sheath_asymmetry", strength, bench, wanted)
 
 
 def _weak_load_friction(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """So weak that its second order, in which the twins differ, drowns in the noise."""
+    """Return a friction so weak that the noise hides its second order, in which the two effects differ."""
     return _sized("load_dependent_friction", Strength("", {}, "coefficient", 0.02, 0.05), bench, wanted)
 
 
@@ -86,7 +90,7 @@ def _hanging_weight(rng: np.random.Generator, bench: Bench, wanted: float) -> di
 
 
 def _within_recalibration(name: str, key: str) -> Callable[[np.random.Generator, Bench, float], dict[str, Any] | None]:
-    """As strong as recalibration can still take up: nothing is left of it."""
+    """Return a function that draws an effect as strong as recalibration can compensate completely."""
 
     def draw(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any] | None:
         strength = draw_strength(rng, name, bench)
@@ -100,15 +104,15 @@ def _within_recalibration(name: str, key: str) -> Callable[[np.random.Generator,
 
 
 def _cooling_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """Friction that falls as the rig warms up, as it would with a relaxing pretension."""
+    """Return friction that falls as the rig warms up, as it would with a relaxing pretension."""
     strength = Strength("", {}, "temperature_coefficient", -0.005, -0.03)
     return _sized("thermal_friction_drift", strength, bench, wanted)
 
 
 def _relaxation_like_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """A relaxation with the time constant of the warm-up that is not recorded."""
+    """Return a relaxation with the time constant of the unrecorded warm-up."""
     scene = bench.runs[0].scene
-    rises = np.diff(scene.temperature[:1001:500])  # of an exponential: their ratio is exp(-interval / T)
+    rises = np.diff(scene.temperature[:1001:500])  # for an exponential, their ratio is exp(interval / T)
     time_constant = float((scene.t[500] - scene.t[0]) / np.log(rises[0] / rises[1]))
     strength = Strength("", {"time_constant": time_constant, "law": "exponential"}, "relaxed_fraction", 0.1, 0.5)
     return _sized("pretension_relaxation", strength, bench, wanted)
@@ -251,7 +255,7 @@ ROWS: dict[str, Row] = {
 
 
 def confounded_case(name: str, seed: int, short: bool = False) -> Case:
-    """One row of twins in the kind of log in which they cannot be parted, and the experiment that parts them."""
+    """Return a case with one row of indistinguishable effects, and the experiment that separates them."""
     row = ROWS[name]
     for attempt in range(200):
         rng = generator("confounded", name, seed, attempt)
@@ -268,7 +272,7 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
         reached = size(other, effects)
         if reached < 1e-3 * other.scale or not in_domain(other, effects):
             continue
-        if not is_unique(other, effects, min(noise, reached / 1.5)):  # it is to part the twins
+        if not is_unique(other, effects, min(noise, reached / 1.5)):  # the experiment must separate the effects
             continue
         case.experiment = finish(
             rng, "experiment", name, seed, other, effects, min(noise, reached / 1.5), "parts " + " and ".join(row.twins)
@@ -279,7 +283,9 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def drawn(rng: np.random.Generator, row: Row, short: bool) -> tuple[Bench, dict[str, dict[str, Any]], float] | None:
-    """A bench, the effect that a row hides in it, and the torque's noise (N*m); None where this draw has none."""
+    """Return a bench, the hidden effect of a row, and the torque noise (N*m); None if this random trial has no valid
+    case.
+    """
     bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
     ratio = log_uniform(rng, *row.ratio)
     noise = bench.reading * log_uniform(rng, 0.005, 0.02)

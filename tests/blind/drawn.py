@@ -1,4 +1,4 @@
-"""Cases that several tests look at, each drawn once by the worker that has them all."""
+"""Cases that several tests share. One worker runs these tests and draws each case once."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ together = pytest.mark.xdist_group("blind draws")
 
 @cache
 def drawn(family: str, name: str, seed: int) -> Case:
-    """A short case; nobody may change it."""
+    """Return a short case. It is cached, so do not modify it."""
     return case(family, name, seed, short=True)

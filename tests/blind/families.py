@@ -1,4 +1,4 @@
-"""The families of cases under one roof."""
+"""The families of cases and a common function that makes a case of any of them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .rigid import NAMES as RIGID_NAMES
 from .rigid import rigid_case
 from .strength import NAMES
 
-# Names of each family, to be drawn in turn.
+# Names of each family, used in turn.
 FAMILIES: dict[str, tuple[str, ...]] = {
     "none": ("rich", "rich_again", "rich_once_more", "plain", *POOR),
     "hidden_direction": HIDDEN_DIRECTION,
@@ -49,12 +49,15 @@ _MAKERS: dict[str, Callable[[str, int, bool], Case]] = {
 
 
 def case(family: str, name: str, seed: int, short: bool = False) -> Case:
-    """One case; the same arguments give the same numbers. `short`: 12-20 s and one run, as the quick gate uses."""
+    """Return one case; the same arguments give the same numbers.
+
+    `short`: 12 to 20 s and one run, as in the quick gate.
+    """
     return _MAKERS[family](name, seed, short)
 
 
 def make_cases(n: int, families: Iterable[str] = tuple(FAMILIES), seed: int = 0, short: bool = False) -> Iterator[Case]:
-    """`n` cases of each family, its names in turn."""
+    """Yield `n` cases of each family, with its names in turn."""
     for family in families:
         names = FAMILIES[family]
         for i in range(n):

@@ -1,4 +1,4 @@
-"""What a named extension is worth on a motion that nobody has seen, without the package's own simulation."""
+"""Gain of an extended model on a motion that was not recorded, without the package's own simulation."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ from .size import channels, recalibrated
 
 
 def fresh_gain(case: Case, causes: list[dict[str, Any]]) -> float | None:
-    """Share of the hidden effects' mean square that the named ones, with their reported parameters, take away.
+    """Return the share of the hidden effects' mean square that the identified causes remove with their reported
+    parameters.
 
-    On a new motion of the same rig, without noise; friction angle and pretension are fitted anew both times. None where
-    the case has no bench or a name is not among the hidden effects: then there is nothing to compare.
+    The motion is a new one of the same rig without noise. Friction angle and pretension are fitted again both times.
+    Return None without a bench, without causes, with a cause that is not hidden, or with a hidden velocity lag.
     """
     bench, hidden = case.bench, case.truth.effects
     if bench is None or not causes or any(cause["effect"] not in hidden for cause in causes):
@@ -29,7 +30,7 @@ def fresh_gain(case: Case, causes: list[dict[str, Any]]) -> float | None:
     before = rms(recalibrated(bench.nominal, seen, torque)[2])
     named = {cause["effect"]: _parameters(cause, hidden[cause["effect"]]) for cause in causes}
     if "velocity_lag" in hidden:
-        return None  # the lag is in the log's velocity, not in the torque
+        return None  # the lag is in the logged velocity, not in the torque
 
     def after(scales: np.ndarray) -> float:
         rig = replace(bench.rig, mu=bench.rig.mu * scales[0], pretension=bench.rig.pretension * scales[1])
@@ -40,7 +41,7 @@ def fresh_gain(case: Case, causes: list[dict[str, Any]]) -> float | None:
 
 
 def _parameters(cause: dict[str, Any], hidden: dict[str, Any]) -> dict[str, Any]:
-    """Reported values; what the report does not mention is taken to be right."""
+    """Return the reported values, and the true values of parameters that the report does not mention."""
     out = dict(hidden)
     for key, quantity in cause["parameters"].items():
         out[key] = quantity["value"] if isinstance(quantity, dict) else quantity

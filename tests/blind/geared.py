@@ -34,12 +34,12 @@ NAMES = (
     "backlash",
     "transport_delay",
 )
-STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # a held joint shows these
+STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # effects that a locked joint shows
 
 
 @dataclass(frozen=True)
 class Drive:
-    """True numbers of the base model, SI, friction at the joint."""
+    """True values of the base model in SI units. The friction acts at the joint."""
 
     ratio: float
     efficiency: float
@@ -48,7 +48,7 @@ class Drive:
 
 
 def torque(drive: Drive, motion: Motion, tau_m: Array, effects: dict[str, dict[str, Any]]) -> Array:
-    """Torque that the joint's sensor reports, on the motion's grid."""
+    """Return the noise-free torque (N*m) of the joint sensor, on the motion's grid."""
     sigma = memory.direction(motion.omega)
     if "torque_saturation" in effects:
         limit = effects["torque_saturation"]["limit"]
@@ -82,7 +82,10 @@ def torque(drive: Drive, motion: Motion, tau_m: Array, effects: dict[str, dict[s
 
 
 def geared_case(name: str, seed: int, short: bool = False) -> Case:
-    """A geared drive with one hidden effect, or with "none"; one and a half to eight times the noise."""
+    """Return a geared drive with one hidden effect, or with "none".
+
+    The effect is one and a half to eight times the noise.
+    """
     for attempt in range(200):
         rng = generator("geared", name, seed, attempt)
         rate = int(rng.choice([250, 500, 1000]))
@@ -106,7 +109,7 @@ def geared_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def held_case(name: str, seed: int) -> Case:
-    """A joint that is held while the motor torque climbs stairs of both signs: K_t, offset and saturation."""
+    """Return a locked joint whose motor torque climbs stairs of both signs. It shows K_t, offset and saturation."""
     for attempt in range(200):
         rng = generator("held", name, seed, attempt)
         rate, every = 500, 8

@@ -1,4 +1,4 @@
-"""Loops over samples that cannot be vectorised: direction with hold, presliding, play, lag."""
+"""Loops over samples that cannot be vectorised: direction with hold, presliding, backlash, lag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Array = np.ndarray
 
 @njit(cache=True)
 def direction(velocity: Array) -> Array:
-    """Sign of the velocity; at standstill the last one, before the first motion the first one."""
+    """Return the sign of the velocity, (n,).
+
+    At standstill it is the last sign; before the first motion it is the first sign.
+    """
     n = velocity.size
     out = np.zeros(n)
     last = 0.0
@@ -30,7 +33,10 @@ def direction(velocity: Array) -> Array:
 
 @njit(cache=True)
 def bristle(displacement: Array, distance: float, start: float) -> Array:
-    """Dahl: z relaxes to the direction of motion over `distance`; the exact solution for each step."""
+    """Return the state z of the Dahl model, (n,).
+
+    z relaxes to the direction of motion over `distance`. Each step is exact.
+    """
     n = displacement.size
     out = np.empty(n)
     z = start
@@ -47,7 +53,10 @@ def bristle(displacement: Array, distance: float, start: float) -> Array:
 
 @njit(cache=True)
 def slip_elements(displacement: Array, distance: float, count: int, start: float) -> Array:
-    """Mean of `count` elastic sliders, the i-th saturating after distance * i / count from rest."""
+    """Return the mean state of `count` elastic sliders, (n,).
+
+    The i-th saturates after distance * i / count from rest.
+    """
     n = displacement.size
     out = np.empty(n)
     z = np.full(count, start)
@@ -65,7 +74,10 @@ def slip_elements(displacement: Array, distance: float, count: int, start: float
 
 @njit(cache=True)
 def engaged(angle: Array, sigma: Array, gap: float, first: int) -> Array:
-    """1 where the play after the last reversal has been crossed, else 0; 1 before the first reversal after `first`."""
+    """Return 0 while the joint crosses the backlash after a reversal, else 1, (n,).
+
+    Reversals up to `first` are ignored.
+    """
     n = angle.size
     out = np.ones(n)
     turned = False
@@ -81,7 +93,7 @@ def engaged(angle: Array, sigma: Array, gap: float, first: int) -> Array:
 
 @njit(cache=True)
 def first_order_lag(signal: Array, step: float, time_constant: float) -> Array:
-    """signal through 1/(1 + T s), exact for a signal that is linear between samples."""
+    """Return the signal filtered by 1/(1 + T s), exact for a signal that is linear between samples, (n,)."""
     n = signal.size
     out = np.empty(n)
     out[0] = signal[0]
@@ -96,7 +108,7 @@ def first_order_lag(signal: Array, step: float, time_constant: float) -> Array:
 
 @njit(cache=True)
 def rest_time(velocity: Array, step: float, threshold: float) -> Array:
-    """Seconds that the joint had rested, held from the break-away until the next rest."""
+    """Return the duration of the last rest (s), held from the break-away until the end of the next rest, (n,)."""
     n = velocity.size
     out = np.zeros(n)
     resting = 0.0
@@ -113,7 +125,7 @@ def rest_time(velocity: Array, step: float, threshold: float) -> Array:
 
 @njit(cache=True)
 def slid_since_rest(angle: Array, velocity: Array, threshold: float) -> Array:
-    """Distance travelled since the joint last rested."""
+    """Return the distance travelled since the joint last rested, (n,)."""
     n = angle.size
     out = np.zeros(n)
     for i in range(1, n):

@@ -1,4 +1,4 @@
-"""Motions of the joint and programmes of torque, drawn at random and smooth enough to be differentiated."""
+"""Random motions of the joint and random torque programmes, smooth enough to be differentiated."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter1d
 
 Array = np.ndarray
 
-# What is drawn from; "walk" and "plateaus" are asked for by name.
+# The kinds of a random choice. "walk" and "plateaus" are chosen only by name.
 KINDS = ("sine", "multisine", "trapezoid", "chirp", "gait", "triangle")
 
 
@@ -26,14 +26,17 @@ class Motion:
 
 
 def grid(seconds: float, rate: float, before: float = 0.0) -> Array:
-    """Sample times from -before to seconds; the log's first sample, t = 0, is one of them."""
+    """Return sample times (s) from -before to seconds. The log's first sample, t = 0, is one of them."""
     return np.arange(-round(before * rate), round(seconds * rate)) / rate
 
 
 def rich_motion(
     rng: np.random.Generator, t: Array, amplitude: float | None = None, dwell: bool = False, rounding: float = 0.0
 ) -> Motion:
-    """Several stretches of different kind, speed and amplitude: reversals at many speeds. `rounding` as below."""
+    """Return a motion of several pieces of different kind, speed and amplitude, with reversals at many speeds.
+
+    `rounding` as in `plain_motion`.
+    """
     seconds = t[-1] - min(t[0], 0.0)
     count = int(np.clip(round(seconds / rng.uniform(5.0, 9.0)), 3, 8))
     largest = amplitude or rng.uniform(0.6, 1.5)
@@ -43,7 +46,7 @@ def rich_motion(
     pieces = []
     for share in np.minimum(shares, 1.0):
         reach = largest * (rng.uniform(0.35, 1.0) if amplitude is None else rng.uniform(0.8, 1.0))
-        reach = min(reach, 1.3 * share * fastest * seconds / count / 4.0)  # a slow stretch still reverses
+        reach = min(reach, 1.3 * share * fastest * seconds / count / 4.0)  # a slow piece still reverses
         pieces.append((str(rng.choice(KINDS)), reach, share * fastest))
     return _assemble(rng, t, pieces, dwell, rounding)
 
@@ -51,12 +54,12 @@ def rich_motion(
 def plain_motion(
     rng: np.random.Generator, t: Array, kind: str, amplitude: float, speed: float, rounding: float = 0.0
 ) -> Motion:
-    """One kind of motion from beginning to end; `rounding` in seconds smooths its corners (0: by chance)."""
+    """Return a motion of one kind. `rounding` (s) smooths its corners; 0 means a random value."""
     return _assemble(rng, t, [(kind, amplitude, speed)], False, rounding)
 
 
 def one_way(rng: np.random.Generator, t: Array, speeds: tuple[float, float]) -> Motion:
-    """Rotation in one direction, with a speed that wanders between two values."""
+    """Return a rotation in one direction whose speed varies between two values."""
     low, high = speeds
     wander = 0.5 * (1.0 + np.sin(2.0 * np.pi * rng.uniform(0.05, 0.2) * t + rng.uniform(0.0, 6.28)))
     omega = (low + (high - low) * wander) * rng.choice([-1.0, 1.0])
@@ -84,7 +87,10 @@ def _assemble(
 
 
 def _ramp(t: Array, edge: float, fade: float, active: bool) -> Array:
-    """0 before the edge, 1 after it, with a smooth passage; an inactive edge has passed already or never comes."""
+    """Return a smooth step (n,) from 0 before the edge to 1 after it.
+
+    An inactive edge gives 1 everywhere if it is at the first sample, and else 0.
+    """
     if not active:
         return np.ones_like(t) if edge <= t[0] else np.zeros_like(t)
     u = np.clip((t - edge) / fade + 0.5, 0.0, 1.0)
@@ -92,7 +98,7 @@ def _ramp(t: Array, edge: float, fade: float, active: bool) -> Array:
 
 
 def _shape(rng: np.random.Generator, kind: str, t: Array, amplitude: float, speed: float, dwell: bool) -> Array:
-    """One stretch: |q| about `amplitude`, peak speed about `speed`."""
+    """Return one piece (n,) with |q| of about `amplitude` and a peak speed of about `speed`."""
     rate = speed / amplitude  # angular frequency of a sine with this reach and speed, rad/s
     phase = rng.uniform(0.0, 2.0 * np.pi)
     match kind:
@@ -120,16 +126,16 @@ def _shape(rng: np.random.Generator, kind: str, t: Array, amplitude: float, spee
             forward = np.clip(cycle * (travel + hold) / travel, 0.0, 1.0)
             back = np.clip((cycle - 1.0) * (travel + hold) / travel, 0.0, 1.0)
             return amplitude * (2.0 * _soft(forward, 0.2) - 2.0 * _soft(back, 0.2) - 1.0)
-        case "walk":  # as a person moves a joint: to and fro without a period, now fast, now hardly
+        case "walk":  # as a person moves a joint: to and fro without a period, with varying speed
             return amplitude * wander(rng, t, 2.0 * np.pi * amplitude / speed)
-        case "plateaus":  # from one angle to another, and rest there
+        case "plateaus":  # from one angle to another, with a rest at each
             travel = 2.0 * amplitude / speed
             return amplitude * smoothed(_levels(rng, t, 1.5 * travel), 0.15 * travel / (t[1] - t[0]))
     raise ValueError(f"unknown kind of motion: {kind}")
 
 
 def _soft(u: Array, share: float) -> Array:
-    """0 to 1 at constant speed, with parabolic ends that take `share` of the time each."""
+    """Return the motion from 0 to 1 at constant speed, with parabolic ends that take `share` of the time each."""
     top = 1.0 / (1.0 - share)
     first = 0.5 * top * u * u / share
     last = 1.0 - 0.5 * top * (1.0 - u) ** 2 / share
@@ -137,7 +143,7 @@ def _soft(u: Array, share: float) -> Array:
 
 
 def torque_programme(rng: np.random.Generator, t: Array, sign: int = 0, slow: bool = False) -> Array:
-    """A torque of peak 1 that has nothing to do with the motion: sines, steps and held levels.
+    """Return a torque (n,) of peak 1 that is independent of the motion: sines, steps and held levels.
 
     `sign` +1 or -1 keeps it on one side (0.1 to 1).
     """
@@ -158,7 +164,7 @@ def torque_programme(rng: np.random.Generator, t: Array, sign: int = 0, slow: bo
 
 
 def held_levels(rng: np.random.Generator, t: Array, hold: float, sign: int = 0) -> Array:
-    """Steps between levels that are held for about `hold` seconds, peak 1."""
+    """Return steps between levels that are held for about `hold` seconds, with values in -1..1."""
     levels = smoothed(_levels(rng, t, hold), 0.03 / (t[1] - t[0]))
     return sign * np.abs(levels) if sign else levels
 
@@ -170,7 +176,10 @@ def _levels(rng: np.random.Generator, t: Array, hold: float) -> Array:
 
 
 def smoothed(values: Array, samples: float) -> Array:
-    """Three moving averages in a row: nearly a Gaussian of `samples` standard deviation, without phase."""
+    """Return the values after three moving averages.
+
+    This is nearly a zero-phase Gaussian filter with a standard deviation of `samples`.
+    """
     width = 2 * round(samples) + 1
     for _ in range(3):
         values = uniform_filter1d(values, width, mode="nearest")
@@ -178,7 +187,7 @@ def smoothed(values: Array, samples: float) -> Array:
 
 
 def wander(rng: np.random.Generator, t: Array, slowest: float) -> Array:
-    """A slow smooth path within -1..1 that goes both ways, with periods from `slowest` down to a fifth of it."""
+    """Return a slow smooth path within -1..1 in both directions, with periods from `slowest` down to a fifth of it."""
     out = sum(
         np.sin(2.0 * np.pi * t / period + rng.uniform(0.0, 6.28)) * period
         for period in slowest * np.array([1.0, rng.uniform(0.4, 0.7), rng.uniform(0.2, 0.35)])

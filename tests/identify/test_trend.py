@@ -127,7 +127,10 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_lever_is_told_where_the_bending_varied(tmp_path: Path) -> None:
-    """k_t = EA/l of a rig by independent code, at the true friction coefficient; a softer tendon is a change."""
+    """The reference is k_t = EA/l of a rig by independent code, at the true friction coefficient.
+
+    A softer tendon is reported as a change.
+    """
     rng = np.random.default_rng(8)
     rig: Rig = draw_rig(rng, "joint_end")
     runs = []

@@ -124,7 +124,7 @@ def test_deviations_of_twin_terms_are_numbers(values: float, sure: bool) -> None
     ],
 )
 def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: int, starts: str) -> None:
-    """Blind logs: every identified cause has alternatives, and the formula explains most of the error above the noise."""
+    """Blind logs: every cause has alternatives, and the formula explains most of the error above the noise."""
     hidden = case("outside", kind, seed, short=True)
     logs = [Dataset.from_arrays(log.columns, log.name) for log in hidden.logs]
     found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
