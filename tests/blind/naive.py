@@ -1,8 +1,8 @@
-"""Strategies that name effects without asking whether anything is there: what a diagnosis has to be better than.
+"""Baseline strategies that always look for effects. A diagnosis must be better than they are.
 
-Four of them on one bank of features: forward selection by BIC, the model with the best validation error, the LASSO with
-cross-validation, and sequentially thresholded least squares. Each sees the logs and the nominal model that the
-diagnosis sees, recalibrates first, and names the effects of the features that it keeps.
+Four strategies use one bank of features: forward selection by BIC, the model with the best validation error, the
+LASSO with cross-validation, and sequentially thresholded least squares. Each gets the same logs and nominal model as
+the diagnosis, recalibrates first, and reports the effects of the features that it keeps.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from .recording import HiddenLog
 
 Array = np.ndarray
 
-SAMPLES = 4000  # of all logs together: more changes no strategy's mind
-SHARE_KEPT = 0.1  # of the residual's RMS: thresholded least squares drops smaller terms
+SAMPLES = 4000  # of all logs together: more samples do not change the result of any strategy
+SHARE_KEPT = 0.1  # of the residual's RMS: thresholded least squares removes smaller terms
 
 
 @dataclass(frozen=True)
 class Bank:
-    """Standardised features, the effect that each stands for, and the residual of the recalibrated plain model."""
+    """Standardised features, the effect of each feature, and the residual of the recalibrated plain model."""
 
     columns: Array  # (n, features), mean square 1
     names: tuple[str, ...]
@@ -35,7 +35,10 @@ class Bank:
 
 
 def name_effects(logs: list[HiddenLog], model: str) -> dict[str, list[str]]:
-    """What each strategy names on these logs of a tendon-sheath actuator, given its nominal model file."""
+    """Return the effects that each strategy reports for these logs of a tendon-sheath actuator.
+
+    `model` is the text of the nominal model file.
+    """
     bank = feature_bank(logs, tomllib.loads(model))
     strategies: dict[str, Callable[[Bank], list[int]]] = {
         "bic": forward_bic,
@@ -47,7 +50,7 @@ def name_effects(logs: list[HiddenLog], model: str) -> dict[str, list[str]]:
 
 
 def forward_bic(bank: Bank) -> list[int]:
-    """Add the feature that lowers the residual most while BIC falls."""
+    """Return the indices of the features that greedy forward selection adds up to the minimum of BIC."""
     n = bank.residual.size
     path, sums = _forward_path(bank.columns, bank.residual, most=10)
     scores = [n * np.log(total / n) + k * np.log(n) for k, total in enumerate(sums)]
@@ -55,7 +58,10 @@ def forward_bic(bank: Bank) -> list[int]:
 
 
 def best_validation(bank: Bank) -> list[int]:
-    """Fit forward models on the first 70 % of the samples, keep the one with the smallest error on the rest."""
+    """Return the indices of the forward model with the smallest validation error.
+
+    The models are fitted on the first 70 % of the samples and validated on the rest.
+    """
     cut = int(0.7 * bank.residual.size)
     train, check = slice(0, cut), slice(cut, None)
     path, _ = _forward_path(bank.columns[train], bank.residual[train], most=10)
@@ -68,7 +74,10 @@ def best_validation(bank: Bank) -> list[int]:
 
 
 def lasso(bank: Bank, folds: int = 5) -> list[int]:
-    """L1-penalised least squares, the penalty from cross-validation over contiguous folds."""
+    """Return the indices that L1-penalised least squares keeps.
+
+    The penalty comes from cross-validation over contiguous folds.
+    """
     x, y = bank.columns, bank.residual
     largest = float(np.max(np.abs(x.T @ y))) / y.size
     penalties = largest * np.logspace(0.0, -2.5, 20)
@@ -84,7 +93,7 @@ def lasso(bank: Bank, folds: int = 5) -> list[int]:
 
 
 def thresholded(bank: Bank, rounds: int = 15) -> list[int]:
-    """Sequentially thresholded least squares as in sparse identification of dynamics."""
+    """Return the indices that sequentially thresholded least squares keeps, as in sparse identification of dynamics."""
     active = np.arange(bank.columns.shape[1])
     limit = SHARE_KEPT * float(np.sqrt(np.mean(bank.residual**2)))
     for _ in range(rounds):
@@ -101,7 +110,11 @@ def thresholded(bank: Bank, rounds: int = 15) -> list[int]:
 
 
 def _forward_path(columns: Array, target: Array, most: int) -> tuple[list[int], list[float]]:
-    """Orthogonal greedy selection: indices in order of entry, and the residual's sum of squares after each."""
+    """Return the indices in order of entry by orthogonal greedy selection, and the residual's sum of squares after
+    each.
+
+    The first sum is the one before the first entry.
+    """
     work, left = columns.copy(), target.copy()
     path: list[int] = []
     sums = [float(left @ left)]
@@ -122,7 +135,10 @@ def _forward_path(columns: Array, target: Array, most: int) -> tuple[list[int], 
 
 @njit(cache=True)
 def _descend(gram: Array, moment: Array, penalties: Array) -> Array:
-    """Coordinate descent on the normal equations, warm-started from penalty to penalty; one row per penalty."""
+    """Return the LASSO coefficients, one row per penalty.
+
+    Coordinate descent on the normal equations starts each penalty at the solution of the one before.
+    """
     beta = np.zeros(moment.size)
     out = np.empty((penalties.size, moment.size))
     for row in range(penalties.size):
@@ -140,7 +156,10 @@ def _descend(gram: Array, moment: Array, penalties: Array) -> Array:
 
 
 def feature_bank(logs: list[HiddenLog], nominal: dict[str, dict[str, float]]) -> Bank:
-    """Recalibrate, then one or a few columns per effect, whichever the logs' columns allow."""
+    """Return the bank of features: one or a few columns for each effect that the logs' columns allow.
+
+    The plain model is recalibrated first.
+    """
     r_m, r_j = nominal["actuator"]["motor_pulley_radius"], nominal["actuator"]["joint_pulley_radius"]
     x0 = nominal["sheath"]["friction_coefficient"] * nominal["sheath"]["bending_angle"]
     tension0 = nominal["pretension"]["value"]
@@ -190,7 +209,7 @@ def _tension_per_bending(nominal: dict[str, dict[str, float]]) -> float:
 
 
 def _motion(log: HiddenLog) -> tuple[Array, Array, Array]:
-    """Velocity, acceleration and angle, however they were recorded."""
+    """Return velocity, acceleration and angle of the joint, measured or derived."""
     step = float(log.columns["t"][1] - log.columns["t"][0])
     width = max(3, round(0.02 / step)) | 1
 
@@ -222,7 +241,7 @@ def _features(
     tension: float,
     r_m: float,
 ) -> tuple[list[str], Array]:
-    """Columns to which each effect of the catalogue is roughly linear."""
+    """Return the names and columns of features, to which each effect of the catalogue is roughly linear."""
     t = log.columns["t"] - log.columns["t"][0]
     step, fast = float(t[1] - t[0]), float(np.quantile(np.abs(omega), 0.98))
     over = np.maximum(np.abs(tau_m) - 2.0 * tension * r_m, 0.0)

@@ -1,4 +1,4 @@
-"""Causes that no catalogue of ours has: drawn so that most of them stays when the whole catalogue is fitted."""
+"""Causes outside the catalogue, drawn such that most of each remains when the whole catalogue is fitted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Torque = Callable[[Bench, Run, Array], Array]
 
 @dataclass(frozen=True)
 class Stranger:
-    """A kind of cause: what it does to the joint torque at a strength, and the excitation that it needs."""
+    """A kind of cause: its effect on the joint torque as a function of its strength, and the required excitation."""
 
     describe: str
     draw: Callable[[np.random.Generator, Bench], Callable[[float], Torque]]
@@ -61,7 +61,7 @@ def _anchor_slip(rng: np.random.Generator, bench: Bench) -> Callable[[float], To
 
 
 def _ageing(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """Break-away friction that grows with the time at rest and wears off over a distance."""
+    """Return break-away friction that grows with the time at rest and decays over a distance."""
     ageing_time, wear = rng.uniform(0.05, 0.2), 0.25 * bench.reach
 
     def at(strength: float) -> Torque:
@@ -79,7 +79,7 @@ def _ageing(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]
 
 
 def _viscoelastic(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """A Maxwell element in the tendon: part of the torque creeps away within a second or so."""
+    """Return a Maxwell element in the tendon: part of the torque relaxes within about a second."""
     time_constant = rng.uniform(0.25, 1.5)
 
     def at(strength: float) -> Torque:
@@ -93,7 +93,7 @@ def _viscoelastic(rng: np.random.Generator, bench: Bench) -> Callable[[float], T
 
 
 def _resonance(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """A torque sensor on a soft mount rings after every step."""
+    """Return a torque sensor on a soft mount that rings after every step."""
     frequency, damping = rng.uniform(5.0, 15.0), rng.uniform(0.02, 0.08)
 
     def at(strength: float) -> Torque:
@@ -110,7 +110,7 @@ def _resonance(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torq
 
 
 def _kink(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """One place in the sheath where the tendon rubs: a bump of friction at one joint angle."""
+    """Return a kink where the tendon rubs: a bump of friction at one joint angle."""
     q = np.concatenate([run.scene.q for run in bench.runs])
     place, width = np.quantile(q, rng.uniform(0.3, 0.7)), rng.uniform(0.04, 0.1) * np.ptp(q)
 
@@ -125,7 +125,7 @@ def _kink(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
 
 
 def _sensor_hysteresis(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """The torque sensor's reading depends on whether the torque rose or fell before."""
+    """Return a torque sensor whose reading depends on the previous direction of the torque."""
     width = rng.uniform(0.2, 0.6) * bench.scale
 
     def at(strength: float) -> Torque:
@@ -143,7 +143,7 @@ def _dead_zone(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torq
 
 
 def _beating(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """The pretension oscillates by itself, slowly."""
+    """Return a pretension that oscillates slowly without an external cause."""
     frequency, phase = rng.uniform(0.2, 1.2), rng.uniform(0.0, 2.0 * np.pi)
 
     def at(strength: float) -> Torque:
@@ -157,7 +157,7 @@ def _beating(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque
 
 
 def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """Torque telegrams get lost now and then: the last value is held for a tenth of a second or more."""
+    """Return torque telegrams that are lost occasionally. The last value is held for a tenth of a second or more."""
     seed = int(rng.integers(2**31))
 
     def at(strength: float) -> Torque:
@@ -176,7 +176,7 @@ def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]
 
 
 def _oval(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """A joint pulley that is not round: the lever arm changes twice a turn."""
+    """Return an oval joint pulley, whose lever arm changes twice per turn."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
     def at(strength: float) -> Torque:
@@ -186,7 +186,7 @@ def _oval(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
 
 
 def _zero_drift(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """The torque sensor's zero walks."""
+    """Return a torque sensor whose zero drifts."""
     seed = int(rng.integers(2**31))
 
     def at(strength: float) -> Torque:
@@ -203,7 +203,7 @@ def _zero_drift(rng: np.random.Generator, bench: Bench) -> Callable[[float], Tor
 
 
 def _bridge(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """A torque sensor with another gain for pull than for push."""
+    """Return a torque sensor whose gains for positive and negative torque differ."""
 
     def at(strength: float) -> Torque:
         return lambda bench, run, tau: np.where(tau > 0.0, (1.0 + strength) * tau, (1.0 - strength) * tau)
@@ -232,7 +232,7 @@ STRANGERS: dict[str, Stranger] = {
     "bridge_asymmetry": Stranger("the torque sensor has two gains", _bridge, 0.05, 0.3, {}),
 }
 
-# Those that are a function of what a log has at one instant; the others have a memory or a clock of their own
+# Functions of logged signals at one instant; the other causes have memory or depend on time
 OF_AN_INSTANT = (
     "sensor_clipping",
     "temperature_crosstalk",
@@ -243,14 +243,14 @@ OF_AN_INSTANT = (
 )
 
 
-# Those whose memory is that of a filter of the load itself, which a formula may have, too
+# Causes with the memory of a filter of the load, which a formula can represent as well
 OF_A_FILTER = ("viscoelastic_tendon", "sensor_resonance", "sensor_hysteresis")
-# Those that a clock tells: from one moment on, or in a rhythm of their own
+# Causes that depend on time: from one moment on, or with a frequency
 OF_A_CLOCK = ("anchor_slip", "tension_beating")
 
 
 class CatalogueSpan:
-    """What the whole catalogue together can imitate, as a linear space about the rig without effects."""
+    """The linear space of the changes that the whole catalogue can imitate, about the rig without effects."""
 
     def __init__(self, bench: Bench) -> None:
         self.thin = Thinned(bench)
@@ -262,6 +262,6 @@ class CatalogueSpan:
         self.basis = left[:, values > 1e-5 * values[0]]
 
     def leftover(self, torques: list[Array]) -> float:
-        """RMS in N·m of a change of the joint torque that no mixture of the catalogue imitates."""
+        """Return the RMS (N·m) of the part of a change of joint torque that no mixture of the catalogue imitates."""
         change = self.thin.join(torques) - self.thin.plain
         return rms(change - self.basis @ (self.basis.T @ change))

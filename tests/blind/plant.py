@@ -1,7 +1,8 @@
 """The transmission from its four tensions, with hidden effects, on a fine time grid.
 
-Nothing here is shared with the package under test: each tendon is followed from the motor through its sheath to the
-joint, and the joint torque is what the two ends pull. Names and parameters of effects are those of model files.
+No code is shared with the package under test. Each tendon is followed from the motor through its sheath to the
+joint, and the joint torque follows from the tensions at the joint. Names and parameters of effects are those of model
+files.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # along the sheath: exac
 
 @dataclass
 class Scene:
-    """What really happens, on one grid: time, joint motion, motor angle and torque, bending, temperature (°C)."""
+    """The true signals on one grid: time, joint motion, motor angle and torque, wrap angle, temperature (°C)."""
 
     t: Array
     q: Array
@@ -33,9 +34,9 @@ class Scene:
     tau_m: Array
     theta: Array
     temperature: Array
-    first: int = 0  # the log's first sample; what lies before it is history
-    sigma: Array | None = None  # direction of sliding where it is not just the sign of omega
-    friction_scale: Array | None = None  # factors on mu and on the pretension: causes outside the catalogue
+    first: int = 0  # the log's first sample; earlier samples are history
+    sigma: Array | None = None  # direction of sliding if it is not the sign of omega
+    friction_scale: Array | None = None  # factors of mu and of the pretension for causes outside the catalogue
     pretension_scale: Array | None = None
 
     def direction(self) -> Array:
@@ -44,7 +45,7 @@ class Scene:
 
 @dataclass
 class Tensions:
-    """Both ends of both tendons, N, and the torque they give the joint, N·m."""
+    """Tensions at both ends of both tendons (N), and the resulting joint torque (N·m)."""
 
     t1: Array
     t2: Array
@@ -54,12 +55,15 @@ class Tensions:
 
 
 def joint_torque(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Array:
-    """Joint torque as a sensor without noise sees it, one value per sample of the scene."""
+    """Return the joint torque of a noise-free sensor (N·m), one value per sample of the scene."""
     return simulate(rig, scene, effects, motor_log_angle).joint_torque
 
 
 def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Tensions:
-    """The chain motor -> tendons -> joint -> sensor. `motor_log_angle`: presliding follows the motor's angle."""
+    """Return the tensions and joint torque of the chain motor, tendons, joint and sensor.
+
+    `motor_log_angle`: presliding follows the motor angle by default.
+    """
     sigma = sliding_state(scene, effects, motor_log_angle)
     torque = _motor_torque(scene, effects, sigma)
     theta, pretension = _bending_and_pretension(rig, scene, effects)
@@ -88,14 +92,14 @@ def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = T
 
 
 def sliding_state(scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Array:
-    """sigma, or with presliding the state z that takes its place."""
+    """Return sigma, or the presliding state z that replaces it, (n,)."""
     sigma = scene.direction()
     if "presliding_hysteresis" not in effects:
         return sigma
     effect = effects["presliding_hysteresis"]
     where = effect.get("displacement", "motor" if motor_log_angle else "joint")
     path = scene.q_m if where == "motor" else scene.q
-    state = sigma.copy()  # before the log begins the tendons slide
+    state = sigma.copy()  # before the log begins, the tendons slide
     start = float(sigma[scene.first]) if scene.omega[scene.first] != 0.0 else 0.0
     elements = int(effect.get("elements", 1))
     path = path[scene.first :]
@@ -107,7 +111,7 @@ def sliding_state(scene: Scene, effects: Effects, motor_log_angle: bool = True) 
 
 
 def joint_side(scene: Scene, effects: Effects) -> Array:
-    """Torque that is lost between the joint pulley and the sensor."""
+    """Return the torque lost between the joint pulley and the sensor (N·m)."""
     lost = np.zeros_like(scene.t)
     for name, effect in effects.items():
         match name:
@@ -127,7 +131,7 @@ def joint_side(scene: Scene, effects: Effects) -> Array:
 
 
 def stribeck_factor(omega: Array, effect: Mapping[str, Any]) -> Array:
-    """How much more friction than at high speed."""
+    """Return the ratio of the friction to the friction at high speed, (n,)."""
     ratio = np.abs(omega) / effect["stribeck_velocity"]
     return 1.0 + effect["static_excess"] * np.exp(-(ratio ** effect.get("shape", 2.0)))
 
@@ -165,7 +169,7 @@ def _bending_and_pretension(rig: Rig, scene: Scene, effects: Effects) -> tuple[A
 
 
 def remaining_pretension(t: Array, effect: Mapping[str, Any], log_start: float) -> Array:
-    """Share of the pretension that is left at time t."""
+    """Return the remaining share of the pretension at time t (s), (n,)."""
     age = np.maximum(t - effect.get("start_time", log_start), 0.0) / effect["time_constant"]
     if effect.get("law", "exponential") == "logarithmic":
         return 1.0 - effect["relaxed_fraction"] * np.log10(1.0 + age)
@@ -185,7 +189,10 @@ def _friction_angle(rig: Rig, scene: Scene, effects: Effects, theta: Array) -> A
 
 
 def _sliding(rig: Rig, torque: Array, pretension: Array, x: Array, sigma: Array, effects: Effects) -> Tensions:
-    """Capstan friction along each sheath; the elongation does not couple back into the tensions."""
+    """Return the tensions with capstan friction along each sheath.
+
+    The elongation does not change the tensions.
+    """
     half = torque / (2.0 * rig.motor_radius)
     t1, t3 = pretension - half, pretension + half
     if "tendon_slack" in effects:
@@ -204,7 +211,9 @@ def _sliding(rig: Rig, torque: Array, pretension: Array, x: Array, sigma: Array,
 
 
 def _pull_only(t1: Array, t3: Array) -> tuple[Array, Array]:
-    """A slack tendon carries nothing, the other one the whole torque."""
+    """Return T1 and T3 of tendons that cannot push: a slack tendon has no tension, and the other takes the whole
+    torque.
+    """
     difference = t3 - t1
     slack_1, slack_3 = t1 < 0.0, t3 < 0.0
     return (
@@ -214,9 +223,10 @@ def _pull_only(t1: Array, t3: Array) -> tuple[Array, Array]:
 
 
 def _elongating(rig: Rig, torque: Array, pretension: Array, sigma_x: Array, profile: str) -> Tensions:
-    """Tension falls along the sheath, so does the strain: the two elongations share one path-length change.
+    """Return the tensions with elongation: tension and strain fall along the sheath.
 
-    The strain is integrated numerically over the tendon (quadrature), with the series springs at the motor end.
+    The two elongations share one path-length change. The strain is integrated numerically over the tendon (quadrature),
+    with the series springs at the motor end.
     """
     s = 0.5 * (_NODES + 1.0)
     bent = np.ones_like(s) if profile == "motor_end" else s

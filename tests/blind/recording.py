@@ -1,4 +1,4 @@
-"""What the bench's instruments write down: the log, with the noise, the counts and the wrong signs of real ones."""
+"""Recording of the bench's instruments: logs with realistic noise, encoder counts and wrong velocity signs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 
 @dataclass
 class HiddenLog:
-    """A log as a diagnosis gets it: columns by name, SI units."""
+    """A log as input of a diagnosis: columns by name, SI units."""
 
     name: str
     columns: dict[str, Array]
@@ -24,17 +24,16 @@ class HiddenLog:
 def record(
     rng: np.random.Generator, bench: Bench, effects: Effects, noise: float, disturb: Disturbance | None = None
 ) -> tuple[list[HiddenLog], float, float]:
-    """Write the logs with torque noise of `noise` (RMS, N·m of joint torque, motor side included).
+    """Return the logs, the RMS torque noise and the RMS torque error by wrong velocity signs (N·m).
 
-    Returns the logs, the RMS of the torque noise as it came out, and the RMS of what errors in the sign of the
-    velocity add to it.
+    `noise` is the intended RMS noise in N·m of joint torque and includes the motor side.
     """
     motor_share = rng.uniform(0.05, 0.4)
     gain = bench.rig.joint_radius / bench.rig.motor_radius * np.cosh(bench.rig.x)
     peak = max(float(np.max(np.abs(run.scene.tau_m))) for run in bench.runs)
     per_mille = 1e-3 * peak * rng.uniform(1.02, 1.6)
     motor_noise = noise * np.sqrt(motor_share) / gain
-    per_mille = min(per_mille, 2.0 * motor_noise)  # a drive whose steps are not the noise itself
+    per_mille = min(per_mille, 2.0 * motor_noise)  # the resolution of the drive stays small compared with the noise
     velocity_noise = bench.speed * np.exp(rng.uniform(np.log(3e-4), np.log(6e-3)))
     velocity_noise = bench.recipe.velocity_noise or velocity_noise
     smooth = int(rng.choice([1, 3, 5]))
@@ -66,7 +65,10 @@ def record(
 def _velocity(
     rng: np.random.Generator, bench: Bench, run: Run, effects: Effects, noise: float, smooth: int, limit: float
 ) -> tuple[Array, Array, Array]:
-    """Velocity and angle as recorded, and the torque error of the wrong signs; noise is lowered to keep to `limit`."""
+    """Return recorded velocity and angle, and the torque error by wrong velocity signs (N·m).
+
+    Velocity noise, encoder step and window are reduced until the RMS of that error is at most `limit`, up to 12 times.
+    """
     seen = bench.seen_velocity(run, effects)
     step = run.scene.t[1] - run.scene.t[0]
     true_sign = run.pick(memory.direction(seen))
@@ -90,7 +92,7 @@ def _velocity(
 
 
 def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str, Array], tensions: Tensions) -> None:
-    """The optional columns."""
+    """Add the optional columns to `columns`."""
     scene = run.scene
     if bench.motor_angle:
         columns["q_m"] = run.pick(sensors.encoder(rng, scene.q_m, 4 * bench.counts))

@@ -1,4 +1,4 @@
-"""A drawn tendon-sheath rig: the true numbers, and the wrong nominal ones that a diagnosis is given."""
+"""A random tendon-sheath rig: its true values, and the wrong nominal values that a diagnosis gets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rig:
-    """Two tendons between a motor and a joint pulley, SI units; `pretension` holds at `bending` without torque."""
+    """Two tendons between a motor and a joint pulley, SI units. `pretension` holds at `bending` without torque."""
 
     motor_radius: float
     joint_radius: float
@@ -28,7 +28,7 @@ class Rig:
 
     @property
     def tendon_stiffness(self) -> float:
-        """Tension per path-length change of one tendon and its series spring, N/m."""
+        """Return the tension per path-length change of one tendon and its series spring, N/m."""
         compliance = self.length / self.axial_stiffness
         if self.series_stiffness:
             compliance += 1.0 / self.series_stiffness
@@ -36,17 +36,17 @@ class Rig:
 
     @property
     def tension_per_bending(self) -> float:
-        """How the pretension follows the bending angle, N/rad."""
+        """Return the change of pretension per bending angle, N/rad."""
         return self.tendon_stiffness * (self.contact_offset + 0.5 * self.diameter)
 
     @property
     def torque_limit(self) -> float:
-        """Motor torque at which one tendon goes slack, N·m."""
+        """Return the motor torque at which one tendon goes slack, N·m."""
         return 2.0 * self.pretension * self.motor_radius
 
 
 def draw_rig(rng: np.random.Generator, x_range: tuple[float, float] = (0.12, 0.9)) -> Rig:
-    """A rig of plausible size: radii 8-40 mm, pretension 15-150 N, friction angle within `x_range`."""
+    """Return a random rig of plausible size: radii from 8 mm, pretension 15-150 N, friction angle within `x_range`."""
     bending = rng.uniform(1.2, 6.0)
     motor_radius = _log_uniform(rng, 0.008, 0.04)
     return Rig(
@@ -64,13 +64,13 @@ def draw_rig(rng: np.random.Generator, x_range: tuple[float, float] = (0.12, 0.9
 
 
 def draw_nominal(rng: np.random.Generator, rig: Rig) -> Rig:
-    """What the rig's papers say: friction and pretension wrong by up to 20 % each, the rest right."""
+    """Return the nominal rig: friction and pretension are wrong by up to 20 % each, and all other values are right."""
     x_error, tension_error = rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2)
     return replace(rig, mu=rig.mu / (1.0 + x_error), pretension=rig.pretension / (1.0 + tension_error))
 
 
 def model_file(nominal: Rig, state_uncertainty: bool = False) -> str:
-    """The nominal rig as the text of an actuator model file."""
+    """Return the nominal rig as the text of an actuator model file."""
     series = f"series_stiffness = {nominal.series_stiffness!r}\n" if nominal.series_stiffness else ""
     uncertainty = "\n[uncertainty]\nfriction_angle = 0.25\npretension = 0.25\n" if state_uncertainty else ""
     return (

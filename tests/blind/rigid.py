@@ -1,6 +1,6 @@
-"""Plain drives: motor torque from acceleration, Coulomb and viscous friction and an offset, with hidden effects.
+"""Plain drives with hidden effects. Their motor torque consists of inertia, Coulomb and viscous friction and an offset.
 
-The torque is balanced at the drive's own shaft; what the base file does not mention is a hidden cause.
+The torque is balanced at the drive's own shaft. A term that the base file does not contain is a hidden cause.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ NAMES = (
     "transport_delay",
 )
 
-# Base parameters whose absence from the file makes the effect of the same meaning a cause.
+# Base parameters whose absence from the file makes the corresponding effect a cause.
 ABSENT = {"torque_offset": "torque_offset", "viscous_friction": "viscous_friction", "inertia": "inertia"}
 
 
 @dataclass(frozen=True)
 class Drive:
-    """True numbers of the base model, SI."""
+    """True values of the base model in SI units."""
 
     inertia: float
     coulomb: float
@@ -49,7 +49,7 @@ class Drive:
 
 
 def torque(drive: Drive, motion: Motion, temperature: Array, effects: dict[str, dict[str, Any]]) -> Array:
-    """Motor torque that moves the drive, on the motion's grid."""
+    """Return the motor torque (N*m) that moves the drive, on the motion's grid."""
     sigma = memory.direction(motion.omega)
     coulomb = np.full_like(motion.t, drive.coulomb)
     if "presliding_hysteresis" in effects:
@@ -70,7 +70,7 @@ def torque(drive: Drive, motion: Motion, temperature: Array, effects: dict[str, 
             case "inertia":
                 out = out + e["inertia"] * motion.acceleration
             case "torque_offset":
-                out = out - e["offset"]  # an offset of tau_J, which this drive has not, enters with the other sign
+                out = out - e["offset"]  # this drive has no tau_J, whose offset enters with the opposite sign
             case "gravity_load":
                 out = out + e["amplitude"] * np.sin(motion.q + e["phase"])
             case "joint_stiffness":
@@ -85,15 +85,17 @@ def torque(drive: Drive, motion: Motion, temperature: Array, effects: dict[str, 
 
 
 def rigid_case(name: str, seed: int, short: bool = False) -> Case:
-    """A plain drive with one hidden effect, or with "none"; one to six times the noise."""
+    """Return a plain drive with one hidden effect, or with "none". The effect is one to six times the noise."""
     for attempt in range(200):
         rng = generator("rigid", name, seed, attempt)
         rate = int(rng.choice([250, 500, 1000]))
         every = 4000 // rate
         seconds = rng.uniform(14.0, 20.0) if short else rng.uniform(25.0, 60.0)
-        # A drive's own torque limits its jerk: corners are wider than those of a joint that something else moves.
+        # The torque of a drive limits its jerk, so its corners are wider than those of a joint that is moved
+        # externally.
         t = grid(seconds, float(rate * every), before=0.25)
-        reach = rng.uniform(1.6 if name in ("gravity_load", "joint_stiffness") else 0.8, 3.0)  # a weight is no spring
+        # at a small angle a weight resembles a spring
+        reach = rng.uniform(1.6 if name in ("gravity_load", "joint_stiffness") else 0.8, 3.0)
         motion = rich_motion(rng, t, reach, rounding=rng.uniform(0.035, 0.08))
         drive = _draw_drive(rng, motion, name)
         temperature = 25.0 + rng.uniform(5.0, 12.0) * (1.0 + wander(rng, motion.t, seconds / 1.5))
@@ -148,7 +150,10 @@ def _base_columns(motion: Motion, name: str) -> Array:
 def _draw_effect(
     rng: np.random.Generator, name: str, drive: Drive, motion: Motion, scale: float, wanted: float, sample: float
 ) -> dict[str, Any]:
-    """Parameters whose size is near `wanted`; what has no strength is drawn as drives have it."""
+    """Return parameters whose size is near `wanted` (N*m).
+
+    Parameters without a strength are drawn from a typical range.
+    """
     speed, reach = motion.speed, 0.5 * float(np.ptp(motion.q))
     sign = float(rng.choice([-1.0, 1.0]))
     match name:
@@ -196,7 +201,7 @@ def _columns(
 
 
 def _file(rng: np.random.Generator, drive: Drive, name: str) -> str:
-    """The nominal drive; what is hidden is absent."""
+    """Return the nominal drive as model text, without the hidden parameter. Its values are wrong by up to 20 %."""
     lines = ['[actuator]\nkind = "rigid_drive"']
     values = {
         "inertia": drive.inertia,

@@ -1,5 +1,7 @@
-"""Which other effect comes nearest to a hidden one in the very logs, and what it leaves: a draw that some other effect
-imitates within the noise has no unique name, whoever looks at it."""
+"""The best imitation of a hidden effect by another effect in the same logs, and its remaining error.
+
+A case has no unique answer if another effect imitates the hidden one within the noise.
+"""
 
 from __future__ import annotations
 
@@ -14,16 +16,16 @@ from .plant import Effects
 Array = np.ndarray
 
 SAMPLES = 6000  # of all runs together
-CORRELATED = 15.0  # samples of coloured noise that say as much as one of white noise
-CERTAIN = 7.0  # standard deviations by which the nearest rival must miss
+CORRELATED = 15.0  # samples of coloured noise that carry as much information as one sample of white noise
+CERTAIN = 7.0  # standard deviations by which the best imitation must miss
 
 
 @dataclass(frozen=True)
 class Imitation:
     """Columns by which effect `name` changes the joint torque.
 
-    `scaled`: the first column may be multiplied, by a number not below 0 if `positive`; else it stands as it is.
-    Further columns are free.
+    `scaled`: the first column has a free factor, which is not below 0 if `positive`; otherwise its factor is 1.
+    Further columns have free factors.
     """
 
     name: str
@@ -48,7 +50,7 @@ class Thinned:
         return np.concatenate([torque[:: self.stride] for torque in torques])
 
     def change(self, effects: Effects) -> Array:
-        """What these effects do to the joint torque."""
+        """Return the change of joint torque by these effects (N*m)."""
         if "velocity_lag" not in effects:
             return self.of(effects) - self.plain
         others = {key: value for key, value in effects.items() if key != "velocity_lag"}
@@ -61,7 +63,7 @@ class Thinned:
 
 
 def imitations(thin: Thinned) -> list[Imitation]:
-    """Every effect of the catalogue that the logs' columns allow, at several of its non-linear parameters."""
+    """Return every effect of the catalogue that the logs' columns allow, at several values of its nonlinear parameters."""
     bench = thin.bench
     speed, reach = bench.speed, bench.reach
     path = bench.motor_reach if bench.motor_angle else reach
@@ -146,9 +148,9 @@ def _of_the_angle(thin: Thinned, one: Any, ones: Array) -> list[Imitation]:
 
 
 def nearest(bench: Bench, effects: Effects, name: str) -> tuple[str, float]:
-    """The rival of effect `name` beside the other effects, and the RMS in N·m by which it misses.
+    """Return the best imitation of effect `name` in the presence of the other effects, and its RMS error (N·m).
 
-    Recalibration and the strengths of the other effects are free, all as linear about the truth.
+    Recalibration and the strengths of the other effects are free, all linearised about the truth.
     """
     thin = Thinned(bench)
     others = {key: dict(value) for key, value in effects.items() if key != name}
@@ -159,7 +161,7 @@ def nearest(bench: Bench, effects: Effects, name: str) -> tuple[str, float]:
     best = ("nothing", rms(_residual(free, target)))
     for imitation in imitations(thin):
         if imitation.name in effects or (name == "torque_offset" and len(imitation.columns) > 1):
-            continue  # an offset is the limit of a spring or a weight of no strength
+            continue  # an offset is the limit of a spring or a weight of zero strength
         left = rms(_imitated(free, imitation, target))
         if left < best[1]:
             best = imitation.name, left
@@ -167,7 +169,7 @@ def nearest(bench: Bench, effects: Effects, name: str) -> tuple[str, float]:
 
 
 def is_unique(bench: Bench, effects: Effects, noise: float) -> bool:
-    """Does every effect stand out from all its rivals by much more than the noise allows to doubt?"""
+    """Return True if no other effect imitates any of the effects within the noise, with a clear margin."""
     count = sum(run.sparse.t.size for run in bench.runs)
     needed = CERTAIN * noise / np.sqrt(count / CORRELATED)
     return all(nearest(bench, effects, name)[1] >= needed for name in effects)

@@ -1,7 +1,7 @@
 """Logs of a sheath that other joints bend, and a model file whose `[routing]` is absent, wrong or right.
 
-The rig's wrap angle moves by the angles of a hip and an ankle, and friction and pretension follow it by the four
-tensions of `plant`. Nothing here is shared with the package under test.
+The angles of a hip and an ankle change the rig's wrap angle, and friction and pretension follow it by the four
+tensions of `plant`. No code is shared with the package under test.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ COUNTS = 2**16  # per turn, of the other joints' encoders
 
 @dataclass(frozen=True)
 class Gains:
-    """rad of wrap angle per rad of a joint: of the rig, and in the model file."""
+    """Gains in rad of wrap angle per rad of a joint: those of the rig, and those of the model file."""
 
     true: dict[str, float]
     file: dict[str, float]

@@ -1,4 +1,4 @@
-"""Marks for a diagnosis, by what was hidden; and the table that counts them beside the targets."""
+"""Marks of a diagnosis, given the hidden effects, and the targets of the benchmark."""
 
 from __future__ import annotations
 
@@ -13,34 +13,35 @@ from .cases import Case
 from .outside import OF_A_CLOCK, OF_A_FILTER, OF_AN_INSTANT
 
 MOST_ALTERNATIVES = 2
-LEAST_DESCRIBED = 0.7  # of what is left, that a formula must take to count as a description of it
+LEAST_DESCRIBED = 0.7  # of the residual: smallest share that a formula must explain to count as a description of it
 WHOLE = ("cycles_per_revolution", "elements")  # parameters without an interval
 
 
 @dataclass
 class Mark:
-    """How one diagnosis did. None where a question does not apply to the family."""
+    """The result of one diagnosis. None if a question does not apply to the family."""
 
     named: bool = False  # something is listed as a cause
-    unique: bool | None = None  # the truth alone, without alternatives
-    within: bool | None = None  # one cause, the truth among it and at most two alternatives
-    wrong: bool = False  # a confident name that is not the truth
-    both: bool | None = None  # pairs: both names, at most two alternatives each, and nothing else
+    unique: bool | None = None  # only the truth is listed, without alternatives
+    within: bool | None = None  # one cause that includes the truth and has at most two alternatives
+    wrong: bool = False  # a cause without alternatives that is not the truth
+    both: bool | None = None  # pairs: both effects, at most two alternatives each, and no other cause
     both_within: bool | None = None
     flagged: bool | None = None  # outside: unexplained or partly explained
     falsely_explained: bool | None = None
-    described: bool | None = None  # outside: a formula takes most of what is left beside the noise
-    grouped: bool | None = None  # confounded: a group with truth and twin (or what the case allows), not one name
-    advised: bool | None = None  # confounded: an experiment is named
-    resolved: bool | None = None  # confounded: the experiment's log names the truth alone
-    covered: dict[str, bool] = field(default_factory=dict)  # parameter: its interval holds the truth
+    described: bool | None = None  # outside: a formula explains most of the residual above the noise
+    # confounded: a group with the truth and an indistinguishable effect (or another allowed answer), not one cause
+    grouped: bool | None = None
+    advised: bool | None = None  # confounded: an experiment is proposed
+    resolved: bool | None = None  # confounded: the experiment's log identifies the truth alone
+    covered: dict[str, bool] = field(default_factory=dict)  # parameter: True if its interval contains the truth
 
     def as_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
 def mark(case: Case, report: dict[str, Any], experiment: dict[str, Any] | None = None) -> Mark:
-    """Mark the report (the contents of diagnosis.json) on a case, and the one on its experiment."""
+    """Return the marks of a report (the contents of diagnosis.json) on a case, and of the report on its experiment."""
     causes = report["causes"]
     truth = set(case.truth.effects)
     out = Mark(named=bool(causes))
@@ -84,7 +85,7 @@ def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: 
     group = truth <= names and bool((twins - truth) & names)
     absorbed = "parameter_error" in twins
     out.grouped = group or report["verdict"] == "insufficient"
-    if absorbed:  # recalibration takes it up: to find nothing is right
+    if absorbed:  # recalibration absorbs it, so that finding no cause is right
         out.grouped = out.grouped or report["verdict"] == "consistent"
     if not case.truth.exact:
         out.grouped = out.grouped or is_unique(causes, truth)
@@ -94,7 +95,7 @@ def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: 
 
 
 def _covered(cause: dict[str, Any], case: Case) -> dict[str, bool]:
-    """Which intervals hold the hidden parameter; only where the same law was fitted."""
+    """Return for each parameter whether its interval contains the hidden value; empty if a different law was fitted."""
     hidden = case.truth.effects[cause["effect"]]
     found = cause["parameters"]
     defaults = {"elements": 1, "displacement": "motor" if any("q_m" in log.columns for log in case.logs) else "joint"}
@@ -124,7 +125,7 @@ def _base_covered(errors: dict[str, Any], numbers: dict[str, float]) -> dict[str
 
 
 def _taken_by_the_formula(report: dict[str, Any], noise: float) -> float:
-    """Share of the mean square on held-out data, less that of the noise (N*m RMS), that a formula takes; 0 without."""
+    """Return the share of the held-out mean square above the noise (N*m RMS) that a formula explains; 0 without one."""
     formula = report.get("formula")
     if formula is None:
         return 0.0
@@ -133,7 +134,7 @@ def _taken_by_the_formula(report: dict[str, Any], noise: float) -> float:
 
 
 def interval(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Clopper-Pearson: the binomial shares that `count` of `total` does not contradict."""
+    """Return the Clopper-Pearson interval: the binomial shares that are consistent with `count` of `total`."""
     if total == 0:
         return 0.0, 1.0
     tail = 0.5 * (1.0 - level)
@@ -144,7 +145,7 @@ def interval(count: int, total: int, level: float = 0.95) -> tuple[float, float]
 
 @dataclass(frozen=True)
 class Target:
-    """One line of the table: which results count, when one succeeds, and the wanted share."""
+    """One row of the table: its results, the criterion of success, and the required share."""
 
     text: str
     family: str
@@ -176,7 +177,7 @@ TARGETS = (
 
 
 def _described_of(names: Sequence[str]) -> Callable[[dict[str, Any]], bool | None]:
-    """Whether a formula takes most of what is left; None for a cause that is not one of these."""
+    """Return a criterion: True if a formula explains most of the residual; None for a cause not in `names`."""
     return lambda result: bool(result["mark"]["described"]) if result["name"] in names else None
 
 
@@ -209,7 +210,7 @@ def family_of(result: dict[str, Any]) -> str:
 
 
 def counted(target: Target, results: Iterable[dict[str, Any]]) -> tuple[int, int]:
-    """Successes and trials of one line."""
+    """Return successes and trials of one row."""
     answers = [target.success(r) for r in results if family_of(r) == target.family]
     answers = [answer for answer in answers if answer is not None]
     return sum(bool(answer) for answer in answers), len(answers)

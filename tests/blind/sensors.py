@@ -1,4 +1,4 @@
-"""What instruments do to the truth: coloured noise, encoder counts, per mille of rated torque."""
+"""Models of instruments: coloured noise, encoder counts, resolution of the torque."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Array = np.ndarray
 
 
 def coloured_noise(rng: np.random.Generator, count: int, rate: float) -> Array:
-    """Unit-RMS noise: white, a low-pass part with 3 to 40 ms, and a part with a 1/f spectrum above 0.2 Hz."""
+    """Return noise of RMS 1, (count,).
+
+    It is a sum of white noise, low-pass noise of 3 to 40 ms, and noise with a 1/f power spectrum above 0.2 Hz.
+    """
     white = rng.standard_normal(count)
     pole = np.exp(-1.0 / (rate * rng.uniform(0.003, 0.04)))
     low = lfilter([1.0], [1.0, -pole], rng.standard_normal(count + 2000))[2000:]
@@ -29,23 +32,23 @@ def quantised(value: Array, step: float) -> Array:
 
 
 def encoder(rng: np.random.Generator, angle: Array, counts: int, jitter: float = 0.25) -> Array:
-    """Angle in whole counts; mechanical jitter, as a share of one count, comes before the rounding."""
+    """Return the angle in whole counts. Mechanical jitter, as a share of one count, is added before the rounding."""
     count = 2.0 * np.pi / counts
     return quantised(angle + jitter * count * rng.standard_normal(angle.size), count)
 
 
 def differenced(angle: Array, step: float, window: float) -> Array:
-    """Velocity from encoder counts over a window centred on the sample: no lag."""
+    """Return the velocity from encoder counts over a window centred on the sample, without lag."""
     half = max(1, round(0.5 * window / step))
     padded = np.concatenate([np.full(half, angle[0]), angle, np.full(half, angle[-1])])
     difference = (padded[2 * half :] - padded[: -2 * half]) / (2 * half * step)
-    difference[:half] = difference[half]  # the padding at the ends would halve the velocity
+    difference[:half] = difference[half]  # the padding would halve the velocity at the ends
     difference[-half:] = difference[-half - 1]
     return difference
 
 
 def tachometer(rng: np.random.Generator, omega: Array, noise: float, smooth: int) -> Array:
-    """Velocity with additive noise, partly averaged over neighbours; without lag."""
+    """Return the velocity with additive noise that may be averaged over neighbouring samples, without lag."""
     eta = rng.standard_normal(omega.size)
     if smooth > 1:
         eta = uniform_filter1d(eta, smooth, mode="nearest") * np.sqrt(smooth)

@@ -1,4 +1,4 @@
-"""The size of an effect: what of it is left after the friction angle and the pretension are fitted anew."""
+"""Size of an effect: its residual after friction angle and pretension are fitted again."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .rig import Rig
 
 Array = np.ndarray
 
-UNCERTAINTY = 0.25  # factor either way, minus 1: how far recalibration may go from nominal
-ENOUGH = 5000  # samples that fix two numbers well enough
+UNCERTAINTY = 0.25  # factor minus 1, in both directions: largest deviation of recalibration from nominal
+ENOUGH = 5000  # number of samples that determine two values well enough
 
 
 @dataclass(frozen=True)
 class Channels:
-    """What the plain model needs of all runs, without noise: motor torque, bending, direction as recorded."""
+    """Input of the plain model for all runs, without noise: motor torque, wrap angle, and direction as recorded."""
 
-    rig: Rig  # of which x and the pretension are not looked at
+    rig: Rig  # its x and pretension are not used
     tau_m: Array
     theta: Array
     sigma: Array
@@ -31,7 +31,7 @@ class Channels:
         return Channels(self.rig, self.tau_m[::stride], self.theta[::stride], self.sigma[::stride])
 
     def plain(self, x: float, pretension: float) -> Array:
-        """Joint torque of the plain model with friction angle x and pretension at the rig's bending."""
+        """Return the joint torque (N*m) of the plain model with friction angle x and pretension at the rig's bending."""
         angle = x * self.theta / self.rig.bending
         half = self.tau_m / (2.0 * self.rig.motor_radius)
         tension = pretension + self.rig.tension_per_bending * (self.theta - self.rig.bending)
@@ -40,7 +40,7 @@ class Channels:
         return self.rig.joint_radius * (t4 - t2)
 
     def best_pretension(self, x: float, torque: Array, low: float, high: float) -> tuple[float, Array]:
-        """The pretension within bounds that fits `torque` best at this x, and the residual."""
+        """Return the pretension within bounds that fits `torque` best at this x, and the residual."""
         at_zero = self.plain(x, 0.0)
         slope = self.plain(x, 1.0) - at_zero
         best = float(slope @ (torque - at_zero)) / max(float(slope @ slope), 1e-300)
@@ -49,7 +49,10 @@ class Channels:
 
 
 def channels(bench: Bench, effects: Effects) -> Channels:
-    """Noise-free channels; with a velocity lag among the effects the direction is the lagged one."""
+    """Return noise-free channels.
+
+    With a velocity lag among the effects, the direction is that of the lagged velocity.
+    """
     sigma: list[Array] = []
     for run in bench.runs:
         late = "velocity_lag" in effects
@@ -60,7 +63,7 @@ def channels(bench: Bench, effects: Effects) -> Channels:
 
 
 def recalibrated(nominal: Rig, seen: Channels, torque: Array) -> tuple[float, float, Array]:
-    """x, T_p and residual of the plain model that fits best, both within the uncertainty about nominal."""
+    """Return x, T_p and residual of the best plain model. Both lie within the uncertainty about nominal."""
     low, high = 1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY
     bounds = low * nominal.pretension, high * nominal.pretension
     stride = max(1, torque.size // ENOUGH)
@@ -77,15 +80,15 @@ def recalibrated(nominal: Rig, seen: Channels, torque: Array) -> tuple[float, fl
 
 
 def size(bench: Bench, effects: Effects) -> float:
-    """RMS in N·m of what recalibration leaves of all these effects together."""
+    """Return the RMS (N·m) of the residual of all these effects together after recalibration."""
     torque = np.concatenate(bench.ideal(effects))
     return rms(recalibrated(bench.nominal, channels(bench, effects), torque)[2])
 
 
 def added_size(bench: Bench, effects: Effects, name: str) -> float:
-    """RMS in N·m of what effect `name` adds to the others, recalibration and the others' strengths fitted anew.
+    """Return the RMS (N·m) that effect `name` adds to the others.
 
-    The freedom of the other effects is taken as linear in their parameters about the truth.
+    Recalibration and all parameters of the other effects are fitted again, linearised about the truth.
     """
     others = {key: dict(value) for key, value in effects.items() if key != name}
     whole = np.concatenate(bench.ideal(effects))

@@ -1,4 +1,4 @@
-"""Parameters of a hidden effect: drawn, then made as strong as wanted."""
+"""Random parameters of a hidden effect, scaled to a desired size."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NAMES = (
 
 @dataclass
 class Strength:
-    """One effect with the parameter that sets its size, where to start, and how far it may go."""
+    """An effect and the parameter that sets its size, with its start value and its limit."""
 
     name: str
     parameters: dict[str, Any]
@@ -55,7 +55,7 @@ class Strength:
 
 
 def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength:
-    """Draw the kind of effect `name` for this bench; sign and shape are final, its strength is not."""
+    """Return a random effect `name` for this bench. Sign and shape are final; the strength is not."""
     tau, speed, reach = bench.scale, bench.speed, bench.reach
     limit = bench.rig.torque_limit
     sign = float(rng.choice([-1.0, 1.0]))
@@ -91,7 +91,7 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
         case "thermal_friction_drift":
             return Strength(name, {}, "temperature_coefficient", sign * 0.005, sign * 0.03)
         case "tension_dependent_friction":
-            # The reference is not fitted: what a diagnosis takes for it is the nominal pretension.
+            # The reference is not fitted: a diagnosis uses the nominal pretension for it.
             return Strength(name, {"reference_tension": bench.nominal.pretension}, "exponent", 0.2, 0.9)
         case "presliding_hysteresis":
             elements = int(rng.choice([1, 1, 1, 2, 4, 8]))
@@ -135,7 +135,7 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
 
 
 def solve(strength: Strength, target: float, size: Callable[[dict[str, Any]], float]) -> tuple[dict[str, Any], float]:
-    """Parameters whose size comes near `target` (N·m), within the effect's bounds, and the size they have."""
+    """Return parameters whose size is near `target` (N·m) within the effect's bounds, and the size reached."""
     if not strength.key:
         return strength.at(0.0), size(strength.at(0.0))
     sign = 1.0 if strength.start > 0.0 else -1.0

@@ -1,4 +1,4 @@
-"""Hidden effects that only the angles of both pulleys show, by their definitions; imports nothing of the package."""
+"""Hidden effects that only the angles of both pulleys show, by definition. No code of the package is imported."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ NAMES = ("series_spring", "tendon_creep", "pulley_slip", "joint_play")
 
 
 def added(name: str, parameters: dict[str, Any], tensions: Tensions, t: Array, joint_radius: float) -> Array:
-    """m that the effect adds to r_M q_M - r_J q_J; t from the log's first sample on, s, as the log has it."""
+    """Return the amount (m) that the effect adds to r_M q_M - r_J q_J, (n,). t (s) is the time column of the log."""
     match name:
-        case "series_spring":  # of each tendon: half the difference of both springs' lengths
+        case "series_spring":  # half the difference of the lengths of both tendons' springs
             a, b = (
                 (tensions.t2, tensions.t4) if parameters.get("end", "motor") == "joint" else (tensions.t1, tensions.t3)
             )
@@ -25,13 +25,13 @@ def added(name: str, parameters: dict[str, Any], tensions: Tensions, t: Array, j
             return parameters["length"] * (1.0 - np.exp((t[0] - t) / parameters["time_constant"]))
         case "pulley_slip":
             return np.where(t >= parameters["time"], parameters["length"], 0.0)
-        case "joint_play":  # the pulley is ahead of the joint by half of the gap, the way it pulls
+        case "joint_play":  # the pulley leads the joint by half of the gap in the direction in which it pulls
             return joint_radius * 0.5 * parameters["gap"] * np.sign(tensions.t4 - tensions.t2)
     raise ValueError(f"unknown effect: {name}")
 
 
 def draw(rng: np.random.Generator, name: str, bench: Bench, run: Run, reach: float) -> dict[str, Any]:
-    """Parameters of a size between 0.3 and 1 of `reach`, m: what the tendons stretch by in that run."""
+    """Return random parameters with a size of 0.3 to 1 times `reach` (m), the tendon elongation of that run."""
     size = rng.uniform(0.3, 1.0) * reach
     sign = float(rng.choice([-1.0, 1.0]))
     t = run.pick(run.scene.t)

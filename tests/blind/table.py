@@ -1,4 +1,4 @@
-"""The table of targets: counts with binomial intervals, naive strategies beside them, wrong answers to look into."""
+"""The table of targets: counts with binomial intervals, baseline strategies, and wrong answers."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from scipy.stats import binom
 from .score import FURTHER, TARGETS, Target, counted, interval
 
 STRATEGIES = ("bic", "validation", "lasso", "stlsq")
-GAIN = (0.97, 0.9)  # wanted of the median and of the tenth percentile
-COVERED = (0.93, 0.97)  # wanted of 95 % intervals
-SIGNIFICANT = 0.02  # a gate with few cases fails only where chance does not explain it
+GAIN = (0.97, 0.9)  # required of the median and of the tenth percentile
+COVERED = (0.93, 0.97)  # required of 95 % intervals
+SIGNIFICANT = 0.02  # a gate with few cases fails only if chance does not explain the count
 
 Result = dict[str, Any]
 
 
 def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> None:
-    """Everything the benchmark has to say, on stdout."""
+    """Print all results of the benchmark on stdout."""
     _row("draws", "target", "found", "95 % interval", "the target is", STRATEGIES)
     for target in (*TARGETS, *FURTHER):
         _line(target, results)
@@ -35,7 +35,7 @@ def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> Non
 
 
 def failed(results: Sequence[Result]) -> list[str]:
-    """Targets that these results miss by more than chance."""
+    """Return the targets that these results miss by more than chance, and print each of them."""
     out = []
     for target in TARGETS:
         count, total = counted(target, results)
@@ -61,7 +61,7 @@ def _line(target: Target, results: Sequence[Result]) -> None:
 
 
 def _row(text: str, target: str, found: str, spread: str, met: str, theirs: Sequence[str] = ("-",) * 4) -> None:
-    """A line of the table: the manual reads its columns by the blanks between them, so that none may be empty."""
+    """Print a row of the table. The manual separates its columns by the blanks, so no column may be empty."""
     print(
         f"{text:62s}  {target:>14s}  {found:>16s}  {spread:>24s}  {met:>14s}"
         + "".join(f"  {each:>10s}" for each in theirs)
@@ -125,7 +125,7 @@ def _coverage(results: Sequence[Result]) -> None:
 
 
 def _per_name(results: Sequence[Result]) -> None:
-    """Each effect, kind and row by itself."""
+    """Print the results of each effect, kind of cause and row."""
     keys = {
         "single": "unique",
         "outside": "flagged",
@@ -152,7 +152,7 @@ def _per_name(results: Sequence[Result]) -> None:
 
 
 def _wrong(results: Sequence[Result], most: int = 60) -> None:
-    """What was hidden and what was said instead; family, name and seed make the case again."""
+    """Print the wrong cases with the hidden and the reported effects. Family, name and seed reproduce a case."""
     lines = []
     for r in results:
         m = r["mark"]

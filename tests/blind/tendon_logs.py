@@ -1,7 +1,8 @@
-"""Measured-like logs from the elongation equilibrium of two tendons; imports nothing of the package.
+"""Synthetic logs from the elongation equilibrium of two tendons. No code of the package is imported.
 
-Per sample: T3 - T1 = tau_M / r_M and delta_a + delta_b = 2 Delta l, where delta integrates the local strain T(s)/EA
-over the sheath on a fine grid; T2, T4 follow from the capstan at its end. At 4x the log rate, then averaged down.
+Per sample: T3 - T1 = tau_M / r_M and delta_a + delta_b = 2 Delta l. delta integrates the local strain T(s)/EA over
+the sheath on a fine grid. T2 and T4 follow from the capstan equation at its end. The samples are computed at four
+times the log rate and averaged.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 GRID = 400  # strain samples along the sheath
-LEAST_PRETENSION = 0.2  # of the rig's: a tendon that goes slack while its sheath straightens is another rig
+LEAST_PRETENSION = 0.2  # of the rig's pretension: a tendon must not go slack while its sheath straightens
 OVERSAMPLING = 4
 PROFILES = ("joint_end", "uniform", "motor_end")
 
@@ -30,7 +31,7 @@ class Rig:
     half_width: float  # p + d/2, m
 
     def truth(self) -> dict[str, float]:
-        """Slope and half loop in closed form for the three profiles."""
+        """Return slope, half loop (N*m), friction angle and pretension (N) in closed form for the three profiles."""
         x = self.mu * self.theta
         ratio, loop = self.r_j / self.r_m, 2.0 * self.pretension * self.r_j
         slope, half = {
@@ -56,7 +57,7 @@ def draw_rig(rng: np.random.Generator, profile: str) -> Rig:
 
 
 def wrong(value: float, rng: np.random.Generator) -> float:
-    """A nominal value, off by up to 20 %."""
+    """Return a nominal value that is wrong by up to 20 %."""
     return value * (1.0 + rng.uniform(-0.2, 0.2))
 
 
@@ -74,7 +75,7 @@ def record(
     rig: Rig, rng: np.random.Generator, *, seconds: float = 40.0, rate: float = 500.0, tensioner: float = 0.0,
     theta_swing: float = 0.0, tensions: bool = False, noise: float | None = None,
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """One log. `tensioner`: N added to the pretension; `theta_swing`: rad, slow sine of the bending angle."""
+    """Return one log. `tensioner`: N added to the pretension; `theta_swing`: rad, slow sine of the bending angle."""
     n = int(seconds * rate) * OVERSAMPLING
     t = np.arange(n) / (rate * OVERSAMPLING)
     omega = _motion(t, rng)
@@ -108,7 +109,8 @@ def _tensions(rig, tau_m, sigma, theta, pretension):  # type: ignore[no-untyped-
     s = (np.arange(GRID) + 0.5) / GRID
     share = {"joint_end": 0.0 * s, "uniform": s, "motor_end": 0.0 * s + 1.0}[rig.profile]
     x = rig.mu * theta
-    knots = np.linspace(x.min(), x.max() + 1e-12, 64)  # friction angle varies slowly: tabulate the mean strain factors
+    # the friction angle varies slowly, so the mean strain factors are tabulated
+    knots = np.linspace(x.min(), x.max() + 1e-12, 64)
     mean_up = np.interp(x, knots, [np.mean(np.exp(k * share)) for k in knots])
     mean_down = np.interp(x, knots, [np.mean(np.exp(-k * share)) for k in knots])
     a = np.where(sigma > 0, mean_up, mean_down)  # mean of T(s)/T1 over tendon a
@@ -134,7 +136,7 @@ def _load(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _measured(x: np.ndarray, level: float, step: float, rate: float, rng: np.random.Generator) -> np.ndarray:
-    """Coloured (two time constants) and white noise, then quantised."""
+    """Return the signal with coloured noise (two time constants) and white noise, rounded to `step`."""
     noise = 0.5 * rng.normal(size=x.size)
     for tau in (rng.uniform(0.003, 0.02), rng.uniform(0.02, 0.1)):
         pole = np.exp(-1.0 / (rate * tau))

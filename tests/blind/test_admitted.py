@@ -1,4 +1,4 @@
-"""The package lets every drawn log in: units, kinematics and signs are those of a sound rig."""
+"""The package admits every random log: units, kinematics and signs are those of a sound rig."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from . import FAMILIES
 from .drawn import drawn, together
 
 pytestmark = together
-# Whose logs the gate diagnoses: of each the first name is enough here
+# Families whose logs the gate diagnoses: for each, the first name is enough here
 ASKED = ("none", "single", "pair", "outside", "confounded")
-SEEDS = {"single": 1}  # those that other tests draw, too; of the other families 0
+SEEDS = {"single": 1}  # seeds that other tests also use; 0 for the other families
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Twins are twins in the log given, and the experiment's log shows the effect."""
+"""The effects of a row are indistinguishable in the given log, and the experiment's log shows the hidden effect."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .size import UNCERTAINTY
 
 pytestmark = together
 
-# Parameters of a twin as a function of free numbers of order one, given a torque and a velocity scale.
+# Parameters of an imitating effect as a function of free numbers of order one; torque and speed scale of the bench.
 FREE: dict[str, Any] = {
     "torque_constant_error": lambda b, p: {"relative_error": 0.1 * p[0]},
     "joint_stiffness": lambda b, p: {"stiffness": b.scale * p[0], "rest_angle": 0.1 * p[1]},
@@ -36,7 +36,9 @@ STARTS = ((0.3, 1.5), (0.3, -1.5), (0.5, 1.0))
 
 
 def leftover(hidden: Case, twin: str) -> float:
-    """RMS in N·m by which the twin misses the hidden effect, with x and T_p free within their uncertainty."""
+    """Return the RMS error (N·m) of the best imitation of the hidden effect, with x and T_p free within their
+    uncertainty.
+    """
     bench = hidden.bench
     assert bench is not None
     torque = np.concatenate(bench.ideal(hidden.truth.effects))
@@ -68,7 +70,7 @@ def _fit(bench: Bench, torque: np.ndarray, parameters: Any, twin: str) -> float:
 
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.exact])
 def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
-    """Some strength of the twin leaves next to nothing against the noise."""
+    """At some strength of the imitating effect, the residual is small compared with the noise."""
     hidden = drawn("confounded", name, 0)
     twin = next(other for other in hidden.truth.twins if other not in hidden.truth.effects)
     assert leftover(hidden, twin) < 0.1 * hidden.truth.noise
@@ -76,7 +78,7 @@ def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_the_experiment_shows_the_hidden_effect(name: str) -> None:
-    """On the log that parts the twins the effect stands above the noise."""
+    """In the experiment's log, the effect is larger than the noise."""
     hidden = drawn("confounded", name, 0)
     if hidden.experiment is None:
         assert ROWS[name].parted_by is None

@@ -38,18 +38,19 @@ from .cases import Case
 from .naive import name_effects
 from .score import Mark, mark
 
-SEED = 5000  # first of the draws; nothing was tuned on them
-UNLIKELY = 0.02  # a count that the target share explains with less than this chance is a failure
+SEED = 5000  # seed of the first random trial; these seeds were not used in development
+UNLIKELY = 0.02  # a count is a failure if its probability under the target share is smaller
 
 
 class Sample(NamedTuple):
-    """How many draws are asked of each family."""
+    """Number of random trials of each family."""
 
     none: int
     single: int
     outside: tuple[str, ...]
     pairs: int
-    unlikely: float  # that of a count; draws are fixed, so that a sound diagnosis fails at none or at each run
+    # probability of a count; the trials are fixed, so a sound diagnosis fails either never or in every run
+    unlikely: float
 
     @property
     def singles(self) -> int:
@@ -67,24 +68,24 @@ others = pytest.mark.xdist_group("gate none")
 
 
 def ask(hidden: Case) -> dict[str, Any]:
-    """The contents of diagnosis.json."""
+    """Return the contents of diagnosis.json."""
     logs = {log.name: log.columns for log in hidden.logs}
     report: dict[str, Any] = json.loads(diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal")).to_json())
     return report
 
 
 class Answer(NamedTuple):
-    """A case with what was said of it."""
+    """A case with its report and marks."""
 
     key: str
-    effects: dict[str, Any]  # that were hidden
+    effects: dict[str, Any]  # hidden effects
     report: dict[str, Any]
     marks: Mark
 
 
 @cache
 def asked(family: str, name: str, seed: int) -> Answer:
-    """A case is drawn and asked once, whoever marks it; its logs are not kept."""
+    """Return the answer to a case. It is cached, so each case is drawn and diagnosed once; its logs are not kept."""
     hidden = case(family, name, seed, short=True)
     report = ask(hidden)
     experiment = None if hidden.experiment is None else ask(hidden.experiment)
@@ -92,14 +93,14 @@ def asked(family: str, name: str, seed: int) -> Answer:
 
 
 def answers(family: str, count: int, names: tuple[str, ...] = ()) -> list[tuple[str, Mark, str]]:
-    """Case, mark and verdict of `count` cases of a family, its names (or those given) in turn."""
+    """Return case, mark and verdict of `count` cases of a family. Its names (or the given ones) are used in turn."""
     names = names or FAMILIES[family]
     found = [asked(family, names[i % len(names)], SEED + i // len(names)) for i in range(count)]
     return [(each.key, each.marks, each.report["verdict"]) for each in found]
 
 
 def likely(count: int, total: int, share: float, unlikely: float = UNLIKELY) -> bool:
-    """May `count` of `total` come from a share of at least `share`?"""
+    """Return True if `count` of `total` is consistent with a share of at least `share`."""
     return bool(binom.cdf(count, total, share) > unlikely)
 
 
@@ -123,7 +124,7 @@ def test_no_structure_is_claimed_where_nothing_is_hidden(of: Sample) -> None:
 @sampled
 @pytest.mark.parametrize("number", ["slope", "half_loop_torque"])
 def test_what_logs_know_of_the_base_has_an_interval_that_holds_it(of: Sample, number: str) -> None:
-    """These, and not x or T_p, are what logs of one configuration tell: told by the logs, not by the file's x."""
+    """Logs of one configuration determine these two numbers, but not x or T_p, independently of the file's x."""
     held = [marks.covered[number] for _, marks, _ in answers("none", of.none) if number in marks.covered]
     assert len(held) >= of.none // 2
     assert likely(sum(held), len(held), 0.95, of.unlikely)
@@ -196,7 +197,8 @@ def test_two_effects_are_both_named(of: Sample) -> None:
         "weight_or_spring",
         "relaxation_or_warmth",
         "gain_or_parameters",
-        pytest.param("elongation_or_gain", marks=pytest.mark.soak),  # tests/identify/diagnosis/test_pipeline.py, too
+        # tests/identify/diagnosis/test_pipeline.py covers it as well
+        pytest.param("elongation_or_gain", marks=pytest.mark.soak),
         pytest.param("load_or_asymmetry", marks=pytest.mark.soak),
     ],
 )
@@ -207,9 +209,9 @@ def test_twins_are_a_group_and_an_experiment_is_named(row: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # of the gate, not of the diagnosis
+@pytest.mark.soak  # tests the gate, not the diagnosis
 def test_a_strategy_that_always_names_something_does_not_pass() -> None:
-    """The gate's first demand, put to a naive strategy on the same logs."""
+    """The first requirement of the gate, applied to a baseline strategy on the same logs."""
     drawn = [case("none", name, SEED, short=True) for name in FAMILIES["none"][:4]]
     assert any(name_effects(hidden.logs, hidden.model)["bic"] for hidden in drawn)
 
@@ -233,6 +235,6 @@ def test_too_few_right_answers_are_a_failure(count: int, share: float) -> None:
     ],
 )
 def test_a_diagnosis_that_got_worse_fails(total: int, target: float, worse: float, told: float) -> None:
-    """In as many of a hundred cases as the text of this module says."""
+    """The probability is the one in the docstring of this module."""
     failures = [count for count in range(total + 1) if not likely(count, total, target, EACH_CHANGE.unlikely)]
     assert int(100.0 * float(np.sum(binom.pmf(failures, total, worse)))) == round(100.0 * told)

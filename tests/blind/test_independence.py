@@ -1,4 +1,4 @@
-"""The generator stands on its own: nothing of the package under test makes or marks a log."""
+"""The generator is independent: no code of the package under test makes or marks a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals where they are hard: numbers that hang on single moments, and motor torques that compensate friction."""
+"""Intervals in difficult cases: values that depend on single moments, and motor torques that compensate friction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .test_gate import EACH_CHANGE, SEED, asked, likely
 
 none = pytest.mark.xdist_group("gate none")
 single = pytest.mark.xdist_group("gate single")
-AND_SOAK = pytest.mark.soak  # each change: what the gate asks anyway, and an interval that is too wide shows in one log
+AND_SOAK = pytest.mark.soak  # each change: the cases of the gate, and an interval that is too wide shows in one log
 
 
 @pytest.mark.slow
@@ -28,7 +28,7 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
     ("effect", "parameter"),
     [("velocity_lag", "time_constant"), ("backlash", "gap"), ("transport_delay", "delay")],
 )
-@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=AND_SOAK)])  # of three one may be outside
+@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=AND_SOAK)])  # one of three may be outside
 def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str, draws: int) -> None:
     inside = []
     for seed in range(SEED, SEED + draws):

@@ -1,4 +1,4 @@
-"""The hidden plant obeys the tensions it is built from, and agrees with the reference values of the catalogue."""
+"""The hidden plant agrees with the tensions that it is built from and with the reference values of the catalogue."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RIG = rig_of(VECTORS["actuator"])
 
 
 def scene(rng: np.random.Generator, rig: Rig, level: float = 0.8) -> Scene:
-    """Ten seconds of a sine with an unrelated slower torque."""
+    """Return ten seconds of a sine motion with an unrelated slower torque."""
     t = grid(10.0, 4000.0)
     motion = plain_motion(rng, t, "sine", 0.8, 2.0)
     tau_m = level * rig.torque_limit * np.sin(2.0 * np.pi * 0.23 * t + 0.4)
@@ -53,12 +53,12 @@ def scene(rng: np.random.Generator, rig: Rig, level: float = 0.8) -> Scene:
 
 @pytest.mark.parametrize("reference", VECTORS["cases"], ids=lambda c: "+".join(c["effects"]) or "plain")
 def test_agrees_with_the_reference_values(reference: dict[str, Any]) -> None:
-    """Every memoryless effect, alone and composed, to 1e-9 N·m."""
+    """Every memoryless effect agrees to 1e-9 N·m, alone and in combination."""
     for state, expected in zip(VECTORS["states"], reference["expected"], strict=True):
         one = {key: np.array([value]) for key, value in state.items()}
         effects = dict(reference["effects"])
         sigma = None
-        if "velocity_lag" in effects:  # the state gives the recorded velocity, the scene holds the true one
+        if "velocity_lag" in effects:  # the state contains the recorded velocity, and the scene the true one
             lag = effects.pop("velocity_lag")["time_constant"]
             sigma = np.sign(one["omega_j"] + lag * one["acceleration_j"])
         moment = Scene(
@@ -77,7 +77,7 @@ def test_agrees_with_the_reference_values(reference: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_motor_side_tensions_carry_the_motor_torque(seed: int) -> None:
-    """r_M (T3 - T1) is the motor torque, (T1 + T3) / 2 the pretension, r_J (T4 - T2) the joint torque."""
+    """r_M (T3 - T1) is the motor torque, (T1 + T3) / 2 the pretension, and r_J (T4 - T2) the joint torque."""
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng)
     moved = scene(rng, rig)
@@ -89,7 +89,7 @@ def test_motor_side_tensions_carry_the_motor_torque(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_plain_rig_follows_the_closed_form(seed: int) -> None:
-    """Four capstans make tau_J = r_J (tau_M / r_M cosh x - 2 T_p sigma sinh x)."""
+    """The four tensions give tau_J = r_J (tau_M / r_M cosh x - 2 T_p sigma sinh x)."""
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng)
     moved = scene(rng, rig)
@@ -114,7 +114,7 @@ LOSSES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", LOSSES)
 @pytest.mark.parametrize("seed", range(4))
 def test_friction_never_creates_power(name: str, seed: int) -> None:
-    """Sample by sample, the motor puts in at least what the joint gives out, while both tendons pull."""
+    """In every sample, the motor supplies at least the power that the joint delivers while both tendons pull."""
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng)
     moved = scene(rng, rig)
@@ -127,7 +127,7 @@ def test_friction_never_creates_power(name: str, seed: int) -> None:
 @pytest.mark.parametrize("profile", ["uniform", "motor_end"])
 @pytest.mark.parametrize("spring", [None, 2e4])
 def test_elongations_share_the_path_length_change(profile: str, spring: float | None) -> None:
-    """Both tendons' stretch, summed strip by strip along the sheath with their springs, is what the tensioner gave."""
+    """The elongations of both tendons, summed along the sheath with their springs, equal the path of the tensioner."""
     rng = np.random.default_rng(3)
     rig = Rig(0.02, 0.025, 6e4, 1.2, 0.6e-3, 0.4e-3, 0.2, 2.6, 45.0, spring)
     moved = scene(rng, rig)
@@ -154,7 +154,7 @@ def test_a_slack_tendon_leaves_all_to_the_other() -> None:
 
 
 def test_delay_shifts_the_torque() -> None:
-    """The joint torque at t is the undelayed one at t minus the delay."""
+    """The joint torque at t is the undelayed torque at t minus the delay."""
     rng = np.random.default_rng(1)
     moved = scene(rng, RIG)
     late = joint_torque(RIG, moved, {"transport_delay": {"delay": 0.02}})
@@ -166,7 +166,7 @@ def test_delay_shifts_the_torque() -> None:
     [("exponential", 1.0 - 0.3 * (1.0 - np.exp(-1.0)), 1.0 - 0.3 * (1.0 - np.exp(-9.0))), ("logarithmic", None, 0.7)],
 )
 def test_relaxation_follows_its_law(law: str, after_one: float | None, after_nine: float) -> None:
-    """The half loop shrinks to what the law leaves after one and after nine time constants; log10(1 + 9) = 1."""
+    """The pretension after one and after nine time constants follows the law; log10(1 + 9) = 1."""
     rng = np.random.default_rng(2)
     moved = scene(rng, RIG, level=0.2)
     effect = {"relaxed_fraction": 0.3, "time_constant": 1.0, "law": law}

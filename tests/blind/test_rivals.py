@@ -1,4 +1,4 @@
-"""Near twins are found, so that the drawn cases have one right answer."""
+"""Nearly indistinguishable effects are detected, so that the random cases have one right answer."""
 
 from __future__ import annotations
 

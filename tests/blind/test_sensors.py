@@ -1,4 +1,4 @@
-"""Instruments add what they are said to add, and no lag."""
+"""Instruments add the specified errors and no lag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from . import memory, sensors
 
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_has_unit_rms_and_colour(seed: int) -> None:
-    """RMS 1, and neighbours are correlated: it is not white."""
+    """The RMS is 1, and neighbouring samples are correlated, so the noise is not white."""
     noise = sensors.coloured_noise(np.random.default_rng(seed), 20000, 500.0)
     assert np.std(noise) == pytest.approx(1.0, abs=1e-9)
     assert np.corrcoef(noise[1:], noise[:-1])[0, 1] > 0.02
@@ -23,7 +23,7 @@ def test_encoder_is_off_by_half_a_count() -> None:
 
 
 def test_differenced_velocity_is_centred() -> None:
-    """The sign of a differenced sine turns where the sine's velocity turns, within one sample."""
+    """The sign of a differentiated sine changes within one sample of the change of the sine's velocity."""
     step = 2.5e-4
     t = np.arange(0.0, 2.0, step)
     omega = sensors.differenced(np.sin(2.0 * np.pi * t), step, 0.01)

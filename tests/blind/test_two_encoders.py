@@ -1,4 +1,4 @@
-"""The stretch of the blind rigs, by hand; and what the logs of both angles hold."""
+"""The tendon elongation of the blind rigs by an independent calculation, and the logs with both angles."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Confounded cases once more, with the angles of both pulleys in the log: what the tendons' stretch tells beside.
+"""Confounded cases with the angles of both pulleys in the log: additional information from the tendon elongation.
 
-The stretch is that of the four tensions of `plant`: a tendon's elongation is its tension summed along it, where the
-sheath bends at the joint, evenly or at the motor. The model file says where (within its [uncertainty]), unless it is
-the shape that is hidden. Nothing here is shared with the package under test.
+The elongation follows from the four tensions of `plant`: the tension is integrated along each tendon, whose sheath
+bends at the joint, evenly or at the motor. The model file states where the sheath bends (within its [uncertainty]),
+unless the profile is the hidden effect. No code is shared with the package under test.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from .rig import Rig
 Array = np.ndarray
 SHAPES = ("joint", "even", "motor")
 _PROFILES = {"even": "uniform", "motor": "motor_end"}
-_COURSE = np.linspace(0.0, 1.0, 201)  # along the sheath; the strain is summed by trapezia
-_AT_JOINT = "bending_centre = 0.99\n"  # as near to 1 as a file may say
-NOTHING = "nothing"  # a log of a rig as its file says
-BESIDE = (*stretch_effects.NAMES, NOTHING)  # rows without a twin in the torque
-_ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # they are, or exclude, another shape
+_COURSE = np.linspace(0.0, 1.0, 201)  # along the sheath; the strain is integrated by trapezia
+_AT_JOINT = "bending_centre = 0.99\n"  # as near to 1 as a file may state
+NOTHING = "nothing"  # a log of a rig that agrees with its file
+BESIDE = (*stretch_effects.NAMES, NOTHING)  # rows without a competing effect in the torque
+_ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # these effects are, or exclude, another profile
 
 
 def names() -> tuple[str, ...]:
-    """ROW:SHAPE, for all that can be."""
+    """Return ROW:SHAPE for all possible combinations."""
     out = [f"{name}:joint" for name in ROWS]
     for shape in _PROFILES:
         out += [f"{name}:{shape}" for name, row in ROWS.items() if not _ONLY_AT_JOINT & set(row.twins)]
@@ -39,7 +39,11 @@ def names() -> tuple[str, ...]:
 
 
 def stretch(rig: Rig, tensions: Tensions, shape: str) -> Array:
-    """r_M q_M - r_J q_J, m: half the difference of elongations, or what one tendon alone has over the pretension's."""
+    """Return r_M q_M - r_J q_J (m), (n,).
+
+    It is half the difference of elongations. If a tendon is slack, it is the other's elongation beyond that of the
+    pretension.
+    """
     share = {"joint": 0.0 * _COURSE, "even": _COURSE, "motor": 0.0 * _COURSE + 1.0}[shape]
     spring = 1.0 / rig.series_stiffness if rig.series_stiffness else 0.0
     a, b = (
@@ -47,12 +51,12 @@ def stretch(rig: Rig, tensions: Tensions, shape: str) -> Array:
         for near, far in ((tensions.t1, tensions.t2), (tensions.t3, tensions.t4))
     )
     half = 0.5 * (b - a)
-    path = rig.pretension / rig.tendon_stiffness  # that each has without torque, at the rig's bending
+    path = rig.pretension / rig.tendon_stiffness  # elongation of each without torque, at the rig's bending
     return np.where(tensions.t1 <= 0.0, b - path, np.where(tensions.t3 <= 0.0, path - a, half))
 
 
 def _elongation(rig: Rig, near: Array, far: Array, share: Array) -> Array:
-    """m: the integral of the strain from the motor to the joint."""
+    """Return the elongation (m): the integral of the strain from the motor to the joint."""
     growth = np.log(np.maximum(far, 1e-12) / np.maximum(near, 1e-12))
     factor = np.zeros_like(near)
     for weight, place in zip(np.gradient(_COURSE) * _ends_half(len(_COURSE)), share, strict=True):
@@ -67,7 +71,7 @@ def _ends_half(count: int) -> Array:
 
 
 def two_encoder_case(name: str, seed: int, short: bool = False) -> Case:
-    """A row of twins on a sheath of a shape ("ROW:SHAPE"); the logs have q_j and q_m. `without` takes them out."""
+    """Return a case of a confounded row on a sheath with a given profile ("ROW:SHAPE"). The logs have q_j and q_m."""
     label, _, shape = name.partition(":")
     if label in BESIDE:
         return _beside_the_torque(label, shape, seed, short)
@@ -97,7 +101,10 @@ def two_encoder_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def _beside_the_torque(label: str, shape: str, seed: int, short: bool) -> Case:
-    """A rig in whose torque nothing is hidden; in one of its logs, or in all, the angles show what `label` says."""
+    """Return a case without a hidden effect in the torque.
+
+    The angles of all its logs, or of one log for a pulley slip, show the effect `label`.
+    """
     for attempt in range(200):
         rng = generator("two_encoders", f"{label}:{shape}", seed, attempt)
         bench = draw_bench(rng, Recipe(joint_angle=True, bare=True, short=short))
@@ -130,7 +137,7 @@ def _beside_the_torque(label: str, shape: str, seed: int, short: bool) -> Case:
 
 
 def _told_the_shape(case: Case, shape: str) -> Case:
-    """With a model file that says where the sheath bends."""
+    """Return the case with a model file that states where the sheath bends."""
     if shape in _PROFILES:
         case.model += f'\n[effects.elongation_coupling]\ncurvature_profile = "{_PROFILES[shape]}"\n'
     else:
@@ -139,7 +146,7 @@ def _told_the_shape(case: Case, shape: str) -> Case:
 
 
 def without_motor_angle(case: Case) -> Case:
-    """The same rig and logs before it had an encoder at the motor."""
+    """Return the same rig and logs without a motor encoder."""
     logs = [replace(log, columns={k: v for k, v in log.columns.items() if k != "q_m"}) for log in case.logs]
     return replace(case, logs=logs)
 
