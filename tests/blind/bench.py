@@ -117,7 +117,7 @@ class Bench:
         return torques
 
     def disturbed(self, disturb: Disturbance) -> list[Array]:
-        """Return the noise-free joint torque (N*m) of every run with a cause outside the catalogue instead of effects."""
+        """Return the noise-free joint torque (N*m) of every run with a disturbance instead of effects."""
         torques = []
         for run in self.runs:
             torques.append(run.pick(disturb(self, run, run.plain(self.rig, self.motor_angle))))
@@ -137,7 +137,7 @@ class Bench:
 
     @property
     def reading(self) -> float:
-        """Return the design range of the torque sensor (N*m): the RMS joint torque, and at least the friction torque."""
+        """Return the design range of the torque sensor (N*m): the RMS joint torque or the friction torque, if larger."""
         half_loop = 2.0 * self.rig.pretension * self.rig.joint_radius * float(np.sinh(self.rig.x))
         return max(self.scale, half_loop)
 
@@ -289,7 +289,7 @@ def _draw_torque(
 
 
 def _draw_load(rng: np.random.Generator, kind: str, motion: Motion) -> Array:
-    """Return the load torque. Its peak is 1, or small if the joint is free."""
+    """Return the load torque with a peak of 1, or of at most 0.03 if the joint is free."""
     q, omega = motion.q, motion.omega / motion.speed
     spring = q / np.max(np.abs(q))
     weight = np.sin(q + rng.uniform(0.4, 1.2))

@@ -26,7 +26,7 @@ ONE_WAY: dict[str, Any] = {"motion": "one_way", "velocity": "tachometer", "runs"
 
 @dataclass(frozen=True)
 class Row:
-    """One row of twins: which is hidden (`name` of the case), what it is confounded with, in which kind of log."""
+    """One row of indistinguishable effects: the hidden effect (`truth`), the group (`twins`) and the kind of log."""
 
     truth: str
     twins: tuple[str, ...]

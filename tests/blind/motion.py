@@ -15,7 +15,7 @@ KINDS = ("sine", "multisine", "trapezoid", "chirp", "gait", "triangle")
 
 @dataclass
 class Motion:
-    """Joint angle with its exact derivatives on the fine grid, and what it is made of."""
+    """Joint angle with its derivatives on the fine grid, and the kinds of its pieces."""
 
     t: Array
     q: Array

@@ -63,7 +63,7 @@ class Thinned:
 
 
 def imitations(thin: Thinned) -> list[Imitation]:
-    """Return every effect of the catalogue that the logs' columns allow, at several values of its nonlinear parameters."""
+    """Return every effect of the catalogue that the logs allow, at several values of its nonlinear parameters."""
     bench = thin.bench
     speed, reach = bench.speed, bench.reach
     path = bench.motor_reach if bench.motor_angle else reach

@@ -31,7 +31,9 @@ class Channels:
         return Channels(self.rig, self.tau_m[::stride], self.theta[::stride], self.sigma[::stride])
 
     def plain(self, x: float, pretension: float) -> Array:
-        """Return the joint torque (N*m) of the plain model with friction angle x and pretension at the rig's bending."""
+        """Return the joint torque (N*m) of the plain model with friction angle x and pretension (N) at the rig's
+        bending.
+        """
         angle = x * self.theta / self.rig.bending
         half = self.tau_m / (2.0 * self.rig.motor_radius)
         tension = pretension + self.rig.tension_per_bending * (self.theta - self.rig.bending)

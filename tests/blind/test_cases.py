@@ -40,7 +40,7 @@ def test_a_single_effect_is_at_least_as_large_as_the_noise(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["stribeck_friction", "transport_delay", "tendon_slack", "pretension_relaxation"])
 def test_the_noise_is_what_the_truth_says(name: str) -> None:
-    """Recorded minus ideal joint torque is the noise of the joint sensor, which is the larger part of the whole noise."""
+    """Recorded minus ideal joint torque is the noise of the joint sensor, which is most of the whole noise."""
     given = drawn("single", name, 2)
     bench = given.bench
     assert bench is not None

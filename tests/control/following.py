@@ -1,6 +1,7 @@
-"""A loop without a bus around a joint whose sheath is bent more on the way; that joint shares no code with the loop.
+"""A loop without a bus around a joint whose wrap angle increases during the run.
 
-T2 = T1 e^x, T4 = T3 e^-x with x = sigma mu Theta, T3 - T1 = tau_M / r_M, T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2).
+The joint shares no code with the loop: T2 = T1 e^x, T4 = T3 e^-x with x = sigma mu Theta, T3 - T1 = tau_M / r_M,
+T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ MU, THETA, PRETENSION = 0.10, 2.6, 45.0
 
 @dataclass(frozen=True)
 class Change:
-    """The bending angle rises by `share` from `at` s on, within `within` s."""
+    """An increase of the wrap angle by `share`, from `at` s on and within `within` s."""
 
     share: float = 0.4
     at: float = 10.0
@@ -35,9 +36,9 @@ class Change:
 
 
 def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time (s), joint torque error (N*m) and the estimated friction angle of each cycle.
+    """Return time (s), joint torque error (N*m) and estimated friction angle of each cycle, (n,) each.
 
-    `use`: whether the law uses the estimate; the joint is moved from outside, noise and quantisation as measured.
+    `use`: the law uses the estimate. The joint is moved from outside. Noise and quantisation are realistic.
     """
     model = actuator()
     settings = EstimatorSettings(kind="sensor", use=use)
@@ -72,6 +73,6 @@ def _delivered(tau_m: float, sigma: float, theta: float) -> float:
 
 
 def rms(t: np.ndarray, error: np.ndarray, first: float, last: float) -> float:
-    """RMS error (N*m) from `first` to `last` s."""
+    """Return the RMS error (N*m) from `first` to `last` s."""
     part = (t >= first) & (t < last)
     return float(np.sqrt(np.mean(np.square(error[part]))))

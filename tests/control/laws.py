@@ -1,4 +1,4 @@
-"""A law on its own: with a motion, a direction and a plan, without a configuration."""
+"""A separate control law with its motion, direction and plan, without a configuration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COUNT = 2.0 * math.pi / (1 << 20)  # rad, of a joint encoder
 
 
 def plan(model: TendonSheath, **changes: Any) -> Plan:
-    """At 1 kHz with rpdo = "sync", limits that are out of the way."""
+    """Return the plan at 1 kHz with rpdo = "sync" and limits that do not act."""
     limits = Limits(rate=1e4, torque=10.0)
     limits = limits._replace(**{key: changes.pop(key) for key in Limits._fields if key in changes})
     given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "limits": limits}
@@ -26,7 +26,10 @@ def plan(model: TendonSheath, **changes: Any) -> Plan:
 
 
 def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) -> Law:
-    """`settings`: those of [axis.law], `encoder` (default True), and `unsure` of a joint torque sensor in N*m."""
+    """Return a law.
+
+    `settings` are those of [axis.law], `encoder` (default True), and `unsure` of a torque sensor (N*m).
+    """
     has_encoder = settings.pop("encoder", True)
     unsure = settings.pop("unsure", math.inf)
     chosen = LawSettings(**settings)

@@ -1,4 +1,4 @@
-"""Measured data of a sliding joint, written out from the four tensions and apart from the package."""
+"""Synthetic data of a sliding joint from its four tensions, independent of the package."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def actuator() -> TendonSheath:
 
 @dataclass
 class Sliding:
-    """A joint on a sine, its torque another; noise and quantisation as of a drive and a strain gauge."""
+    """A joint that moves along a sine under a sinusoidal torque, with the noise and quantisation of a drive and strain
+    gauge.
+    """
 
     x: float
     pretension: float
@@ -41,7 +43,7 @@ class Sliding:
     seed: int = 7
 
     def samples(self) -> Iterator[tuple[float, float, float, float]]:
-        """sigma, omega_j, tau_m, tau_j of every cycle."""
+        """Yield sigma, omega_j (rad/s), tau_m and tau_j (N*m) of every cycle."""
         random = np.random.default_rng(self.seed)
         for n in range(round(self.seconds / PERIOD)):
             t = n * PERIOD

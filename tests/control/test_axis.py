@@ -1,4 +1,4 @@
-"""One axis: how its parts start, stop and reset together."""
+"""One axis: common start, stop and reset of its parts."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def wanted(axis: ControlAxis) -> Request:
 
 
 def use(axis: ControlAxis, friction_angle: float, pretension: float) -> None:
-    """Have the estimator determine these parameters, and the law use them."""
+    """Set the estimate to these parameters and let the law use them."""
     axis.estimator.friction_angle, axis.estimator.pretension, axis.estimator.use = friction_angle, pretension, True
     axis.adapt()
 
 
 def test_a_new_axis_wants_nothing_and_did_nothing(axis: ControlAxis) -> None:
-    """Its terms are what a descent or a record before the first cycle reads."""
+    """A shutdown or a log record before the first cycle reads these terms."""
     assert (wanted(axis), axis.ramp) == (Request.DISABLE, 1.0)
     terms = axis.terms
     assert (terms.tau_j_des, terms.tau_m_cmd, terms.reason, terms.permitted) == (0.0, 0.0, Reason.DISABLED, False)
@@ -52,19 +52,19 @@ def test_at_rest_is_disabled_or_in_fault(axis: ControlAxis, phase: Phase) -> Non
 
 
 def test_a_stop_turns_any_request_into_a_disable(axis: ControlAxis) -> None:
-    """A reset that stands ends with it; a ramp that is running is left to end by itself."""
+    """A stop ends a pending reset. A running ramp continues to its end."""
     axis.request = Request.RESET
     axis.stop()
     assert wanted(axis) is Request.DISABLE
     axis.enable()
     axis.stop()
     assert wanted(axis) is Request.ENABLE
-    axis.release()  # torque is not permitted any more
+    axis.release()  # torque is no longer permitted
     assert wanted(axis) is Request.DISABLE
 
 
 def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
-    """An enable that waits for the drive, and a reset that was asked for after the stop."""
+    """It keeps an enable that waits for the drive, and a reset that was requested after the stop."""
     axis.enable()
     axis.release()
     assert wanted(axis) is Request.ENABLE
@@ -76,7 +76,7 @@ def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, again: bool) -> None:
-    """Every one of them: from one period below full to exactly 0, and only there the drive is disabled."""
+    """The ramp falls from one period below 1 to exactly 0 at every stop, and the drive is disabled only at 0."""
     if again:
         axis.enable()
         axis.stop()
@@ -93,7 +93,7 @@ def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, aga
 
 
 def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
-    """One that comes after its end finds 0, never a negative share."""
+    """A cycle after the end of the ramp finds 0, never a negative share."""
     axis.enable()
     axis.stop()
     axis.since_enable(16.0)
@@ -102,7 +102,7 @@ def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
 
 
 def test_every_enable_begins_without_the_ramp_of_the_last_stop(axis: ControlAxis) -> None:
-    """Full share, from the time of the first permitted cycle on."""
+    """The share is 1 from the first permitted cycle on."""
     axis.enable()
     assert axis.since_enable(10.0) == 0.0
     assert axis.since_enable(10.5) == 0.5
@@ -118,7 +118,7 @@ def test_every_enable_begins_without_the_ramp_of_the_last_stop(axis: ControlAxis
 
 
 def test_without_an_encoder_the_joint_is_where_the_motor_says(axis: ControlAxis) -> None:
-    """Angle and velocity of the motor, geared by the pulleys."""
+    """Angle and velocity are those of the motor, converted by the pulley radii."""
     axis.image.q_j, axis.image.omega_j, axis.image.q_m, axis.image.omega_m = 0.1, 0.2, 2.0, 3.0
     assert axis.joint() == (0.1, 0.2)
     axis._has_encoder = False
@@ -126,7 +126,7 @@ def test_without_an_encoder_the_joint_is_where_the_motor_says(axis: ControlAxis)
 
 
 def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Back-off, set-point, estimate, and parameters that the law took over: disabled means reset."""
+    """A release resets back-off, set-point and estimate, and restores the parameters that the law uses."""
     reset: list[str] = []
     for part in PARTS:
         monkeypatch.setattr(getattr(axis, part), "reset", lambda part=part: reset.append(part))
@@ -140,7 +140,7 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
     assert axis.terms.tau_j_des == 0.0
     assert told == [(0.1, 20.0), (axis.model.friction_angle, axis.model.pretension)]
     reset.clear()
-    axis.release()  # once is enough
+    axis.release()  # a second release resets nothing
     assert reset == []
 
 
@@ -151,7 +151,10 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
 def test_a_set_point_counts_from_when_its_client_wanted_it(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, time: float, t: float
 ) -> None:
-    """Since the enable at 10 s, seen in the cycle of 12.25 s; a time to come is now, and none is none."""
+    """The time is relative to the enable at 10 s, in the cycle of 12.25 s.
+
+    A future time becomes the time of the cycle, and -inf stays -inf.
+    """
     received: list[tuple[float, float]] = []
     monkeypatch.setattr(axis.set_point, "receive", lambda value, t: received.append((value, t)))
     axis.connect(iter([(0.2, time), None]).__next__)
@@ -162,7 +165,7 @@ def test_a_set_point_counts_from_when_its_client_wanted_it(
 
 
 class Calls(list[tuple[Any, ...]]):
-    """What an axis asked of its parts after a command, in order."""
+    """The calls of an axis to its parts after a command, in order."""
 
     def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: Finding | None = None) -> None:
         super().__init__()
@@ -183,7 +186,7 @@ class Calls(list[tuple[Any, ...]]):
 
 
 def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What was sent, and what was measured."""
+    """Each part gets the command that was sent and the measurements."""
     axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0})
     calls = Calls(axis, monkeypatch)
     monkeypatch.setattr(type(axis.direction), "follows", True)
@@ -214,7 +217,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
 def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The law has it when the cycle ends."""
+    """The law uses the new values when the cycle ends."""
     Calls(axis, monkeypatch)
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
@@ -229,7 +232,7 @@ def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
 
 
 def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They are not compared, and the estimator is told that it may not admit them."""
+    """Stale measurements are not compared, and the estimator must not admit them."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.image.fresh = False
     axis.follow(2.0)
@@ -239,7 +242,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
 
 
 def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Theta and the instruments are read all the same, for the log; the rest is reset."""
+    """Theta and the instruments are still read for the log. All other parts are reset."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.terms.permitted, axis.terms.reason = False, Reason.OVER_SPEED
     axis.follow(2.0)
@@ -250,7 +253,7 @@ def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest
 
 
 def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the time is that of the cycle."""
+    """The fault has the finding's text and the time of the cycle."""
     finding = Finding(Cause.MOVED_APART, "a tendon is torn")
     Calls(axis, monkeypatch, wrong=finding)
     axis.follow(2.0)
@@ -262,7 +265,7 @@ def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pyte
 def test_over_speed_and_what_is_not_finite_trip(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, reason: Reason
 ) -> None:
-    """The other reasons bend the torque, and that is all."""
+    """The other reasons only modify the torque."""
     Calls(axis, monkeypatch)
     axis.terms.reason = reason
     axis.follow(2.0)
@@ -275,7 +278,7 @@ def test_over_speed_and_what_is_not_finite_trip(
 def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, part: int, change: float, noticed: bool
 ) -> None:
-    """Of what it uses, either parameter, either way; and each value is handed over once."""
+    """It holds for each parameter and both signs. Each value is passed once."""
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     use(axis, 0.2, 40.0)
@@ -289,7 +292,7 @@ def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
 
 
 def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The model file's values are; and once in force they are not told again."""
+    """The model file's values are used, and they are not passed again while they are in force."""
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     nominal = (axis.model.friction_angle, axis.model.pretension)
@@ -305,7 +308,7 @@ def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch:
 def test_periods_without_a_cycle_count_for_the_guard_from_the_enable_on(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A machine that skipped thousands before the torque came has put no energy into the joint."""
+    """Thousands of cycles skipped before the torque was permitted put no energy into the joint."""
     told: list[int] = []
     monkeypatch.setattr(axis.guard, "pass_over", told.append)
     axis.pass_over(7)

@@ -1,4 +1,4 @@
-"""Torques at the tendons, of torques measured behind a joint whose formula remembers."""
+"""Torques at the tendons from torques measured behind a joint whose formula has memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"
 
 
 def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
-    """However often a cycle asks, and however it began before the last reset."""
+    """The result is independent of the number of calls per cycle and of the history before the last reset."""
     tendons = 0.6 * np.sin(7.0 * PERIOD * np.arange(800)) + 0.1
     taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2)) + 0.03 * bristle(tendons, 0.3, 0.0)
     bare = Bare(ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}}), PERIOD)
@@ -30,7 +30,7 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
 
 
 def test_the_estimator_follows_it_through_cycles_that_it_does_not_learn_from() -> None:
-    """The half loop of a joint that swings is that of its tendons, though what is learned from is steady sliding."""
+    """The half loop of a swinging joint is that of its tendons, although only steady sliding is used for the estimate."""
     model = ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}})
     estimators = [
         KalmanEstimator(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)

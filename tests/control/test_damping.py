@@ -1,4 +1,4 @@
-"""Damping of the motor's swing on its tendons by a torque that acts late, and the margin of it."""
+"""Damping of the motor's oscillation on its tendons by a delayed torque, and its gain margin."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ GEARING = 1.25
 
 
 def swing(gain: float, inertia: float, delay: int, foretold: bool = True, stiffness: float = K) -> np.ndarray:
-    """Motor angle (rad) once a period after a push, joint held; its own integration, in steps of 10 us."""
+    """Return the motor angle (rad) once per period after a push with a locked joint, (400,).
+
+    The oscillation is integrated independently in steps of 10 us.
+    """
     total = (delay + 0.5) * PERIOD + LAG
     damping = Damping(gain, math.sqrt(K / inertia), total if foretold else 0.0, GEARING, PERIOD)
     q, omega, torque = 0.0, 1.0, 0.0
@@ -37,7 +40,7 @@ def swing(gain: float, inertia: float, delay: int, foretold: bool = True, stiffn
 @pytest.mark.parametrize("delay", [1, 2, 3])
 @pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
 def test_a_swing_dies(inertia: float, delay: int) -> None:
-    """With the gain that the margin allows a tenth of it is left after eight of its periods, where a free one stays."""
+    """With the largest allowed gain, less than a tenth remains after eight periods. A free oscillation persists."""
     gain = largest_gain(inertia, K, (delay + 0.5) * PERIOD + LAG, PERIOD)
     q = swing(gain, inertia, delay)
     ringing = 2.0 * math.pi * math.sqrt(inertia / K)
@@ -48,7 +51,7 @@ def test_a_swing_dies(inertia: float, delay: int) -> None:
 
 
 def test_not_foretold_the_same_gain_drives_it() -> None:
-    """Why it is foretold: 0.05 N*m*s/rad at one period of delay."""
+    """Reason for the prediction: 0.05 N*m*s/rad at one period of delay is unstable without it."""
     plain, foretold = swing(0.05, 1e-4, 1, foretold=False), swing(0.05, 1e-4, 1)
     assert np.abs(plain[-50:]).max() > 10.0 * np.abs(plain[:20]).max()
     assert np.abs(foretold[-50:]).max() < 0.05 * np.abs(foretold[:20]).max()
@@ -57,7 +60,7 @@ def test_not_foretold_the_same_gain_drives_it() -> None:
 @pytest.mark.parametrize("delay", [1, 2, 3])
 @pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
 def test_margin_is_where_the_swing_begins_to_grow(inertia: float, delay: int) -> None:
-    """Below the margin every stiffness within its range is calm, a tenth above it one of them is not."""
+    """Below the margin, every stiffness in its range is stable. One tenth above it, one of them is not."""
     total = (delay + 0.5) * PERIOD + LAG
     gain = SHARE * math.sqrt(K * inertia)
     margin = gain_margin(gain, inertia, K, total, PERIOD)
@@ -80,7 +83,7 @@ def test_the_gain_keeps_the_margin_and_goes_where_there_is_none() -> None:
 
 
 def test_a_swing_that_is_planned_is_none() -> None:
-    """The motor that does what was planned, as late as the command acts, is left alone."""
+    """The damping does not act on a motor that follows the plan with the delay of the command."""
     delay = 2e-3
     damping = Damping(0.02, 632.0, delay, GEARING, PERIOD)
     torques = []
@@ -101,7 +104,7 @@ def test_a_zero_of_the_encoders_and_a_missing_value_do_no_harm() -> None:
 
 
 def test_the_guard_takes_its_share_of_it() -> None:
-    """Half of the torque, or none."""
+    """The guard reduces the torque to a half or to zero."""
     whole, half, none = (Damping(0.02, 600.0, 2e-3, GEARING, PERIOD) for _ in range(3))
     half.share, none.share = 0.5, 0.0
     for n in range(20):
@@ -114,7 +117,7 @@ def test_the_guard_takes_its_share_of_it() -> None:
 
 @pytest.mark.parametrize("cut", [0.5, 0.0])
 def test_a_plan_that_a_limit_cut_asks_for_no_torque(cut: float) -> None:
-    """The motor goes as far as the cut torque takes it, two periods late."""
+    """The motor moves only as far as the reduced torque takes it, two periods late."""
     corrected, uncorrected = (Damping(0.02, 632.0, 2.0 * PERIOD, GEARING, PERIOD) for _ in range(2))
     torques = []
     for n in range(100):

@@ -1,4 +1,4 @@
-"""Direction of the tendon's slip: the joint by speed, the stretch by travel, the last one where nothing slips."""
+"""Direction of the tendon's slip: the joint by its speed, the elongation by its travel, else the last direction."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tsa_ctrl.control.settings import DirectionSettings
 PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad
 LEAD = 6e-3  # s
-REACH = 2e-4  # m of tendon per N*m: 1.2 m, 60 kN, evenly bent
+REACH = 2e-4  # m of tendon per N*m: 1.2 m, 60 kN, even curvature
 R_J = 0.025
 
 
 class Joint:
-    """A joint that moves as told, and the direction found."""
+    """A joint with a prescribed motion, and the direction determined for it."""
 
     def __init__(self, bits: int = 20, give: float | None = None, way: float = 0.0, **settings: float) -> None:
         self.count = 2.0 * math.pi / (1 << bits)
@@ -33,7 +33,7 @@ class Joint:
 
 
 def brought_to_rest(joint: Joint, sign: float, seconds: float = 1.0) -> float:
-    """The joint moves by 0.8 rad, its velocity a raised cosine; returns where it stands, on the edge of a count."""
+    """Move the joint by 0.8 rad with a raised-cosine velocity, and return its final angle (rad) on the edge of a count."""
     end = joint.count * math.ceil(0.8 / joint.count)
     for n in range(round(seconds / PERIOD) + 1):
         y = n * PERIOD / seconds
@@ -49,14 +49,14 @@ def test_nothing_slips_before_anything_has_moved() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_torque_that_is_all_ahead_when_it_is_first_seen_has_a_direction(sign: float) -> None:
-    """A set-point that is constant before a turn would be over: nothing changes any more, but it began from 0."""
+    """The set-point is constant before a reversal would end. Nothing changes any more, but the torque began from 0."""
     joint = Joint()
     assert {joint.step(0.3, sign * 0.5) for _ in range(1000)} == {sign}
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_joints_motion_decides_and_is_kept_at_rest(sign: float) -> None:
-    """While it moves sigma is its sign; after it has come to rest it stays, for as long as nothing else happens."""
+    """During motion sigma is the sign of the velocity. After the motion it stays until something else happens."""
     joint = Joint()
     angle = brought_to_rest(joint, sign)
     assert {joint.step(angle) for _ in range(5000)} == {sign}
@@ -66,7 +66,7 @@ def test_the_joints_motion_decides_and_is_kept_at_rest(sign: float) -> None:
 def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bends(
     give: float, turned_at: float
 ) -> None:
-    """A joint that turns round at 0.5 s, slowly; 10 N*m/s stretch the tendon by 80 mrad/s of the joint."""
+    """The joint reverses slowly at 0.5 s. 10 N*m/s elongate the tendon like 80 mrad/s of the joint."""
     joint = Joint(give=give)
     sigmas = [joint.step(2.5 * (0.25 - (n * PERIOD - 0.5) ** 2), 0.01 * n, 10.0) for n in range(1000)]
     assert PERIOD * sigmas.index(-1.0) == pytest.approx(turned_at - LEAD, abs=2.5e-3)
@@ -74,7 +74,7 @@ def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bend
 
 @pytest.mark.parametrize("way", [0.0, 0.02])
 def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None:
-    """It cannot be told from one when it must be known; where the way of a turn is known, all is soon as before."""
+    """It cannot be distinguished from a reversal in time. If the reversal travel is known, sigma returns quickly."""
     joint = Joint(way=way)
     for n in range(300):
         joint.step(1.0 * n * PERIOD)
@@ -86,18 +86,18 @@ def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None
 
 @pytest.mark.parametrize(("share", "turns"), [(0.02, False), (0.5, True)])
 def test_a_joint_that_trembles_at_rest_has_turned_nothing(share: float, turns: bool) -> None:
-    """A hand pushes it back by a share of the way in which its tendons turn round, and holds it there."""
+    """A hand pushes it back by a share of the travel in which its tendons reverse, and holds it there."""
     way = 0.02  # rad
     joint = Joint(way=way)
     for _ in range(50):
-        joint.step(0.3, 0.5)  # a torque that begins, all of it wanted
+        joint.step(0.3, 0.5)  # a torque that begins; the whole of it is the set-point
     found = [joint.step(0.3 - share * way * min(n / 25, 1.0), 0.5) for n in range(1000)]
     assert -1.0 in found
     assert set(found[200:]) == {-1.0 if turns else 1.0}
 
 
 def test_what_is_wanted_before_the_tendons_have_turned_has_not_arrived() -> None:
-    """The joint trembles back and forth when the torque is first wanted: that begins from none all the same."""
+    """The joint trembles when a torque is first requested, and the torque still begins from zero."""
     joint = Joint(way=0.02)
     for n in range(30):
         joint.step(0.3 + 2e-4 * math.sin(0.2 * n))
@@ -107,7 +107,7 @@ def test_what_is_wanted_before_the_tendons_have_turned_has_not_arrived() -> None
 
 
 def test_a_reversal_is_led() -> None:
-    """sigma turns by the lead before the joint does, and says how old the reversal is."""
+    """sigma reverses before the joint by the lead and reports the age of the reversal."""
     joint = Joint()
     found = {}
     for n in range(2000):
@@ -123,7 +123,7 @@ def test_a_reversal_is_led() -> None:
 @pytest.mark.parametrize("frequency", [2.0, 0.5, 0.05, 0.005])
 @pytest.mark.parametrize("amplitude", [0.5, 0.05])
 def test_a_held_joint_turns_with_the_torque_however_slow_and_small(frequency: float, amplitude: float) -> None:
-    """By travel, not by rate: within the play beyond each extreme of the torque wanted."""
+    """The direction follows the travel, not the rate, within the play beyond each extreme of the desired torque."""
     joint = Joint()
     steps = round(2.0 / frequency / PERIOD)
     play = DirectionSettings().play / (REACH * amplitude)
@@ -144,7 +144,7 @@ def test_a_wanted_torque_that_trembles_within_the_play_turns_nothing() -> None:
 
 
 def test_a_slow_joint_and_a_fast_torque_slip_as_their_sum_says() -> None:
-    """At 0.02 rad/s forward and -4 N*m/s the tendon goes back: 0.5 mm/s against -0.8 mm/s."""
+    """At 0.02 rad/s forward and -4 N*m/s the tendon moves back: 0.5 mm/s against -0.8 mm/s."""
     joint = Joint()
     for n in range(400):
         sigma = joint.step(0.02 * n * PERIOD, 0.5 - 4.0 * n * PERIOD, -4.0)
@@ -156,7 +156,7 @@ def test_a_slow_joint_and_a_fast_torque_slip_as_their_sum_says() -> None:
 
 @pytest.mark.parametrize("bits", [12, 13, 14, 16, 17, 20, 22])
 def test_no_chatter_at_standstill_for_any_encoder(bits: int) -> None:
-    """A joint that trembles about the edge of a count turns nothing, with a torque or without."""
+    """A joint that trembles about the edge of a count causes no reversal, with or without torque."""
     joint = Joint(bits)
     random = np.random.default_rng(bits)
     at = brought_to_rest(joint, 1.0)
@@ -185,7 +185,7 @@ def test_without_torque_the_direction_stays_and_the_next_torque_starts_anew() ->
     assert {joint.step(0.0) for _ in range(10)} == {1.0}
     assert joint.step(0.0, 0.5) == 1.0
     joint.direction.forget()
-    assert joint.step(0.0, -0.4) == -1.0  # from none, not from the 0.5 before
+    assert joint.step(0.0, -0.4) == -1.0  # from zero, not from the 0.5 before
     assert joint.step(0.0, -0.3) == 1.0
 
 
@@ -201,21 +201,21 @@ def test_is_odd() -> None:
 
 
 class Told(Motion):
-    """A motion that is said, not measured."""
+    """A prescribed motion instead of a measured one."""
 
     def __init__(self, noise: float = 0.0) -> None:
         self.angle = self.velocity = self.acceleration = 0.0
         self.noise = noise
 
 
-PLAY = 2.0**-20  # m; all of these are whole powers of two, so that what is equal is so to the last bit
+PLAY = 2.0**-20  # m; these are whole powers of two, so that equal values are equal to the last bit
 TO_M = 2.0**-12  # m per N*m
 RADIUS = 2.0**-5  # m
-TURN = PLAY / TO_M  # N*m that turn back by the play
+TURN = PLAY / TO_M  # N*m that reverse the elongation by the play
 
 
 class By:
-    """Direction, zone 0.0625 rad/s, of a joint whose speed, acceleration and angle are said."""
+    """Direction, zone 0.0625 rad/s, of a joint with prescribed speed, acceleration and angle."""
 
     def __init__(self, lead: float = 0.0, give: float | None = None, **more: float) -> None:
         self.motion = Told()
@@ -265,7 +265,7 @@ def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, tu
     by(speed, turning=turning)
     assert by.direction.age == pytest.approx(age)
     by(speed, turning=turning)
-    assert by.direction.age == 0.0  # of this turn alone
+    assert by.direction.age == 0.0  # only for this reversal
     by(-speed, turning=-turning)
     by.direction.reset()
     assert by.direction.age == 0.0
@@ -287,9 +287,9 @@ def test_what_stretches_while_the_joint_moves_is_what_does_so_at_rest_unless_it_
 def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: float) -> None:
     by = By()
     assert by(way, way * 1.0) == way
-    assert by(0.0, way * (1.0 - TURN)) == way  # from what was wanted while the joint moved: by the play alone
+    assert by(0.0, way * (1.0 - TURN)) == way  # from the torque during the motion of the joint: by the play only
     assert by(0.0, way * (1.0 - 1.5 * TURN)) == -way
-    assert by(0.0, way * (1.0 + 0.5 * TURN)) == -way  # the play is behind it now
+    assert by(0.0, way * (1.0 + 0.5 * TURN)) == -way  # the play is now behind it
     assert by(0.0, way * (1.0 + 0.75 * TURN)) == way
     rested = By()
     assert rested(0.0, way * TURN) == 0.0
@@ -300,7 +300,7 @@ def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: float) -> None:
-    """Of 0.4 rad: 20 mrad, once it has rested for more than 5 ms."""
+    """The travel is 0.4 rad. The limit is 20 mrad, after a rest of more than 5 ms."""
     for gone, back in ((0.0199, True), (0.02, False), (0.0201, False)):
         by = By(way=0.4)
         by(way)
@@ -311,7 +311,7 @@ def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: f
         sigmas = [by(0.0, angle=0.1 - gone) for _ in range(10)]
         told = sigmas.index(way) if way in sigmas else None
         assert told == (5 if back else None), gone
-    alone = By()  # whose way is not known
+    alone = By()  # its reversal travel is not known
     alone(way)
     alone(way, angle=1.0)
     alone(-way, angle=1.0)
@@ -323,7 +323,7 @@ def test_after_one_that_went_back_again_the_next_turn_counts_from_where_it_is() 
     by(1.0)
     for speed, angle in ((-1.0, 0.1), (1.0, 0.095), (-1.0, 0.096)):
         by(speed, angle=angle)
-    assert [by(0.0, angle=0.078) for _ in range(10)][-1] == 1.0  # 18 mrad after it, 22 after the first
+    assert [by(0.0, angle=0.078) for _ in range(10)][-1] == 1.0  # 18 mrad after this reversal, 22 mrad after the first
 
 
 def test_the_first_motion_however_little_has_nothing_before_it() -> None:
@@ -333,19 +333,22 @@ def test_the_first_motion_however_little_has_nothing_before_it() -> None:
 
 
 def test_a_joint_that_trembles_keeps_the_direction_before_and_the_torques_place() -> None:
-    """There and back within the way: the next turn counts from there; and what is wanted meanwhile is not behind it."""
+    """After a motion there and back within the travel, the next reversal counts from there.
+
+    The meanwhile desired torque is not taken as delivered.
+    """
     by = By(way=0.4)
     by(1.0, 1.0)
     by(-1.0, 1.0, angle=0.1)
-    by(-1.0, 1.0 + 8.0 * TURN, angle=0.09)  # of a turn that may be none
-    by(1.0, 1.0 + 8.0 * TURN, angle=0.095)  # back again: as before
+    by(-1.0, 1.0 + 8.0 * TURN, angle=0.09)  # part of a possible reversal
+    by(1.0, 1.0 + 8.0 * TURN, angle=0.095)  # back again, as before
     assert {by(0.0, 1.0 + 8.0 * TURN, angle=0.096) for _ in range(10)} == {1.0}
     assert by(-1.0, 1.0, angle=0.0961) == -1.0
     assert {by(0.0, angle=0.0961) for _ in range(10)} == {-1.0, 1.0}
 
 
 def turns_of(frequency: float, amplitude: float, seconds: float = 2.0) -> list[tuple[float, bool]]:
-    """Of a joint that goes to and fro: times (s) at which the direction turned, and whether that followed the joint."""
+    """Return the times (s) of the reversals of an oscillating joint, and for each whether it follows the joint."""
     joint, found, last = Joint(way=9.4e-3), [], 0.0
     for n in range(round(seconds / PERIOD)):
         sigma = joint.step(0.3 + amplitude * math.sin(2.0 * math.pi * frequency * n * PERIOD))
@@ -366,7 +369,10 @@ def test_turns_no_faster_than_a_hand_trembles_are_said_to_follow_the_joint(frequ
 
 
 def test_turns_faster_than_a_tremor_are_the_joints_play() -> None:
-    """A friction term that throws the joint across its play must not follow it; a wider motion reverses as before."""
+    """A friction term that throws the joint across its backlash must not follow it.
+
+    A wider motion reverses as before.
+    """
     assert len(turns_of(30.0, 2e-3)) <= QUICK + 1
     assert len(turns_of(4.0, 2e-3)) >= 13
     joint = Joint()
@@ -394,7 +400,7 @@ def test_a_turn_that_no_joint_made_follows_none_and_an_old_one_not_any_longer() 
 
 
 def test_a_turn_follows_the_joint_from_a_tremors_time_after_the_last_and_for_as_long() -> None:
-    """In cycles of half that time, so that it is met to the last bit."""
+    """The period is half of that time, so that the limit is met to the last bit."""
     motion = Told()
     direction = Direction(DirectionSettings(), motion, 0.0, TO_M, RADIUS, 0.5 * TREMOR)
     told = []
@@ -412,7 +418,7 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
     by = By()
     by(way, 0.0)
     assert by.direction.follows
-    assert by(0.0, way * 8.0 * TURN) == way  # further the same way
+    assert by(0.0, way * 8.0 * TURN) == way  # further in the same direction
     assert by.direction.follows
     assert by(0.0, 0.0) == -way
     assert not by.direction.follows
@@ -421,7 +427,10 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
 
 
 def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
-    """A joint that moved the `way` and has come to rest, under a torque sensor that agreed with the law meanwhile."""
+    """Return a joint that moved in direction `way` and has come to rest.
+
+    The torque sensor agreed with the law meanwhile.
+    """
     by = By(give=0.0, unsure=UNSURE if by_sensor else math.inf)
     for _ in range(1000):
         by(way * 0.25)
@@ -431,7 +440,7 @@ def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
 
 
 def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) -> float:
-    """The direction after some cycles at rest, with the sensor `excess` N*m above the desired torque."""
+    """Return the direction after some cycles at rest, with the sensor `excess` N*m above the desired torque."""
     sigma = math.nan
     for _ in range(cycles):
         by.direction.measure(excess, turning)
@@ -441,7 +450,10 @@ def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) ->
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_the_torque_sensor_decides_at_rest_if_all_bends_are_at_the_joint(way: float) -> None:
-    """More torque than desired shows tendons that stick. It counts beyond the uncertainty, in this direction alone."""
+    """More torque than desired shows that the tendons stick.
+
+    It counts beyond the uncertainty and only in this direction.
+    """
     assert measured(at_rest_by(True, way), 0.1 * way) == -way
     assert measured(at_rest_by(True, way), 0.03 * way) == way
     assert measured(at_rest_by(True, way), -0.1 * way) == way
@@ -469,7 +481,7 @@ def test_the_joints_motion_overrules_the_torque_sensor() -> None:
 
 
 def test_the_sensor_reverses_a_joint_within_its_play() -> None:
-    """A slow motion back is taken for play, until the sensor shows that too much is delivered."""
+    """A slow motion back is taken for backlash until the sensor shows an excess torque."""
     joint = Joint()
     joint.direction = Direction(DirectionSettings(), joint.motion, LEAD, REACH, R_J, PERIOD, unsure=UNSURE)
     for n in range(1000):
@@ -485,7 +497,7 @@ def test_the_sensor_reverses_a_joint_within_its_play() -> None:
 
 
 def ramped(excess: float, speed: float = 0.0) -> float:
-    """The direction after the desired torque has grown for 0.2 s while the joint moves at `speed`, rad/s."""
+    """Return the direction after the desired torque has grown for 0.2 s while the joint moves at `speed` (rad/s)."""
     by = By(give=1.0, unsure=UNSURE + 1.0)
     for _ in range(1000):
         by(-0.25)
@@ -499,7 +511,7 @@ def ramped(excess: float, speed: float = 0.0) -> float:
 
 @pytest.mark.parametrize("speed", [0.0, -0.125])
 def test_a_growing_torque_reverses_nothing_while_the_sensor_shows_enough(speed: float) -> None:
-    """At rest, and while the joint creeps back more slowly than the tendon stretches."""
+    """It holds at rest, and while the joint creeps back more slowly than the tendon elongates."""
     assert ramped(0.0, speed) == 1.0
     assert ramped(-0.2, speed) == 1.0
     assert ramped(0.2, speed) == -1.0

@@ -1,4 +1,4 @@
-"""On-line estimators: known parameters come back, thin or false data do not move them."""
+"""Online estimators: known parameters are recovered, and insufficient or false data do not change them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def feed(estimator: KalmanEstimator, data: Sliding) -> None:
 @pytest.mark.parametrize("change", [0.7, 0.9, 1.1, 1.4])
 @pytest.mark.parametrize("kind", ["sensor", "motor"])
 def test_follows_a_change_of_bending(kind: str, change: float) -> None:
-    """Within ten seconds of motion, x and T_p are within 4 % of a sheath that is bent 30 % less to 40 % more."""
+    """Within ten seconds of motion, x and T_p are within 4 % of their values at 70 to 140 % of the wrap angle."""
     settings = EstimatorSettings(kind=kind, use=True)  # type: ignore[arg-type]
     estimator = KalmanEstimator(MODEL, settings, PERIOD)
     theta = MODEL.bending_angle * change
@@ -56,7 +56,7 @@ def test_attributes_the_change_as_told(attribute: Attribution, x: float, pretens
 
 
 def test_sensor_offset_is_not_taken_for_friction() -> None:
-    """A constant offset of the torque sensor lands in the offset, not in the half loop."""
+    """A constant offset of the torque sensor is attributed to the offset, not to the half loop."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(X, PRETENSION, seconds=10.0, offset=0.05))
     assert estimator.offset == pytest.approx(0.05, abs=0.01)
@@ -64,7 +64,7 @@ def test_sensor_offset_is_not_taken_for_friction() -> None:
 
 
 def test_one_direction_is_too_little() -> None:
-    """Motion one way only cannot part friction from offset: nothing is claimed, nothing moves."""
+    """Motion in one direction cannot separate friction from an offset, so the estimate does not change."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for sigma, omega, tau_m, tau_j in Sliding(1.3 * X, PRETENSION, seconds=8.0).samples():
         if sigma > 0.0:
@@ -74,7 +74,7 @@ def test_one_direction_is_too_little() -> None:
 
 
 def test_frozen_without_excitation() -> None:
-    """At standstill, and while not admitted, an estimate stays what it was."""
+    """An estimate is kept at standstill and while samples are not admitted."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=12.0))
     before = estimator.half_loop, estimator.state
@@ -85,7 +85,7 @@ def test_frozen_without_excitation() -> None:
 
 
 def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
-    """A sensor that says something else than the model can: invalid, and the outputs go back to the model file's."""
+    """If the sensor contradicts the model, the estimate is invalid and the outputs return to the model file's values."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=8.0))
     noise = np.random.default_rng(5)
@@ -98,10 +98,13 @@ def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
 
 
 def locked_joint(friction: float, amplitude: float, spread: float, seconds: float) -> list[Sample]:
-    """A sine of the motor torque on a locked joint, by plays in parallel, as parts of a sheath slide one by one.
+    """Return samples of a locked joint under a sinusoidal motor torque.
 
-    `friction`: N*m at the joint, half of the loop once all of them slide; `amplitude`: N*m of the motor; `spread`:
-    share by which the plays differ from their mean.
+    Parallel plays represent parts of the sheath that slide one after the other.
+
+    `friction`: N*m at the joint, half the loop once all of them slide. `amplitude`: N*m of the motor. `spread`:
+    relative
+    deviation of the plays from their mean.
     """
     rng = np.random.default_rng()
     slope = R_J / R_M * math.cosh(X)
@@ -140,7 +143,7 @@ def test_a_torque_that_never_slides_all_of_the_sheath_shows_no_friction(spread: 
 
 @pytest.mark.parametrize("stuck", [0.0, 0.4])
 def test_stuck_sensor_is_invalid(stuck: float) -> None:
-    """A torque sensor that always says the same wants a friction beyond the bounds: invalid."""
+    """A constant torque reading implies a friction beyond the bounds, so the estimate is invalid."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor", use=True), PERIOD)
     for sigma, omega, tau_m, _ in Sliding(X, PRETENSION, seconds=20.0).samples():
         estimator.update(Sample(sigma, omega, math.nan, tau_m, stuck, True))
@@ -148,7 +151,7 @@ def test_stuck_sensor_is_invalid(stuck: float) -> None:
 
 
 def test_missing_sensor_value_does_not_poison() -> None:
-    """nan from the sensor for a while is survived."""
+    """The estimator tolerates nan from the sensor for half a second."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for n, (sigma, omega, tau_m, tau_j) in enumerate(Sliding(X, PRETENSION, seconds=16.0).samples()):
         estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan if 2000 < n < 2500 else tau_j, True))
@@ -158,7 +161,7 @@ def test_missing_sensor_value_does_not_poison() -> None:
 
 @pytest.mark.parametrize("kind", ["sensor", "motor"])
 def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
-    """No parameter ever moves faster than the rate, or beyond what the bounds allow, whatever comes in."""
+    """No parameter moves faster than the rate. The friction angle stays within its bounds for random samples."""
     settings = EstimatorSettings(kind=kind, rate=0.3, bounds=0.4)  # type: ignore[arg-type]
     estimator = KalmanEstimator(MODEL, settings, PERIOD)
     random = np.random.default_rng(6)
@@ -176,7 +179,7 @@ def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
 
 
 def test_reset_returns_to_nominal_at_once() -> None:
-    """Every disable resets: nominal values, nothing known."""
+    """Every disable resets the estimate to nominal values."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=10.0))
     estimator.reset()
@@ -185,7 +188,7 @@ def test_reset_returns_to_nominal_at_once() -> None:
 
 
 def test_map_follows_bending_by_its_equations() -> None:
-    """x = mu Theta, and T_p moves by EA/l_us (p + d/2) per radian, as fast as the joint moves."""
+    """x = mu Theta, and T_p changes by EA/l_us (p + d/2) per radian, without delay."""
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map"), PERIOD)
     theta = MODEL.bending_angle + 0.02
     for part in (0.0, 0.5, 1.0):
@@ -197,7 +200,7 @@ def test_map_follows_bending_by_its_equations() -> None:
 
 
 def test_map_approaches_a_jump_at_its_rate_and_follows_the_motion_meanwhile() -> None:
-    """A client's command, or the first value after a gap: 0.2 of the nominal value per second."""
+    """A client's command, or the first value after a gap, is approached at 0.2 of the nominal value per second."""
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map", rate=0.2), PERIOD)
     theta, step = MODEL.bending_angle, 0.2 * MODEL.bending_angle * PERIOD
     for value, behind in ((theta, 0.0), (theta + 0.5, 0.5 - step), (theta + 0.53, 0.5 - 2.0 * step)):
@@ -211,7 +214,7 @@ def test_map_approaches_a_jump_at_its_rate_and_follows_the_motion_meanwhile() ->
 
 @pytest.mark.parametrize("theta", [1.7, 10.0, 1e6])
 def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
-    """`theta` times the model file's bending; x and T_p are those of the most that is allowed."""
+    """`theta` is a multiple of the model file's wrap angle. x and T_p stop at their largest allowed values."""
     settings = EstimatorSettings(kind="map", rate=10.0, bounds=0.6)
     estimator, most = ConfigurationMap(MODEL, settings, PERIOD), ConfigurationMap(MODEL, settings, PERIOD)
     for _ in range(2000):
@@ -233,7 +236,7 @@ def test_map_without_bending_angle_is_invalid_and_frozen(theta: float) -> None:
 
 
 def test_fixed_keeps_what_the_user_set() -> None:
-    """A disable does not undo what somebody set by hand."""
+    """A disable keeps a value that the user set."""
     estimator = Fixed(MODEL)
     estimator.friction_angle = 0.3
     estimator.reset()
@@ -256,7 +259,7 @@ def test_split_inverts_its_half_loop(attribute: Attribution, at_motor: bool, fac
 @pytest.mark.parametrize("at_motor", [True, False])
 @pytest.mark.parametrize("points", [((0.0, 0.0), (1.0, 1.0)), ((0.0, 1.0), (1.0, 1.0)), S_BENT], ids=str)
 def test_split_knows_where_the_sheath_bends(points: Points, at_motor: bool) -> None:
-    """The half loop of a sheath with much more friction, by the capstan equation, gives back its friction angle."""
+    """The half loop of a sheath with much more friction, by the capstan equation, gives its friction angle."""
     bent = MODEL.recalibrated(0.8).with_effects({"elongation_coupling": {"curvature_profile": points}})
     pair = Pair(points, 1.0, axial_stiffness=6e3)
     at_rest = pair.joint_torque(0.0, 1.0)
@@ -269,7 +272,7 @@ def test_split_knows_where_the_sheath_bends(points: Points, at_motor: bool) -> N
 
 @pytest.mark.parametrize("half_loop", [-1.0, 0.0, 1e3])
 def test_split_says_when_the_bounds_do_not_reach(half_loop: float) -> None:
-    """Beyond the bounds the bound is given, and said."""
+    """Beyond the bounds, the value at the bound is returned and reported."""
     angle, pretension, inside = Split(MODEL, Attribution.BENDING, False, bounds=0.3).solve(half_loop)
     assert not inside
     assert X / 1.3 - 1e-9 <= angle <= X * 1.3 + 1e-9
@@ -280,7 +283,7 @@ FRICTION, COULOMB, WEIGHT = 0.12, 0.05, 0.6  # N*m*s/rad, N*m, N*m
 
 
 def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, float, float, float]]]:
-    """A model with these effects, and sigma, omega_j, tau_m, tau_j, q_j as measured where they are there as well."""
+    """Return a model with these effects, and samples (sigma, omega_j, tau_m, tau_j, q_j) measured with them."""
     effects = {
         "viscous_friction": {"coefficient": FRICTION},
         "motor_side_friction": {"coulomb": COULOMB},
@@ -302,7 +305,7 @@ def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, fl
 
 @pytest.mark.parametrize("names", [("viscous_friction",), ("motor_side_friction",), ("gravity_load",)])
 def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ...]) -> None:
-    """Joint torque sensor behind a joint with friction of its own, and a motor with its: the sheath's x comes back."""
+    """The friction of the joint and of the motor lies outside the sheath. The sheath's x is recovered."""
     model, samples = with_effects(*names)
     estimator = KalmanEstimator(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
@@ -312,7 +315,7 @@ def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ..
 
 
 def test_kind_motor_knows_what_the_joint_takes() -> None:
-    """Its known load is what is behind the joint: viscous friction of the joint comes on top, through the tendons."""
+    """Its known load acts behind the joint. The viscous friction of the joint is added to it through the tendons."""
     model = dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": FRICTION}})
     settings = EstimatorSettings(kind="motor", attribute=Attribution.FRICTION)
     estimator = KalmanEstimator(model, settings, PERIOD)

@@ -1,4 +1,4 @@
-"""Which estimator an axis has that names none: by the stretch, in use, and what stands against it in words."""
+"""Default estimator of an axis without a configured kind, and the reasons against the kind "stretch"."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_joint_torque_sensor_comes_first_where_the_model_allows_it() -> None:
 
 
 def test_what_the_file_says_counts() -> None:
-    """A kind that is named is kept, and is not used unless that is said; use = false alone is heard, too."""
+    """A configured kind is kept, but used only if `use` is set. `use = false` alone is respected as well."""
     named, _ = chosen(EstimatorSettings(kind="stretch"), KNOWN, True, False, False)
     assert named.use is False
     unused, _ = chosen(EstimatorSettings(use=False), KNOWN, True, False, False)

@@ -1,4 +1,4 @@
-"""A sheath that is bent 40 % more while the loop runs: the estimate follows, and the torque error with it."""
+"""The wrap angle increases by 40 % while the loop runs. The estimate follows, and the torque error stays small."""
 
 from __future__ import annotations
 

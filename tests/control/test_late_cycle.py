@@ -1,4 +1,4 @@
-"""A cycle that the machine woke late measures a joint that has moved on; this must not look like a reversal."""
+"""A late cycle measures a joint that has moved on. This must not look like a reversal."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from tests.control.laws import COUNT, PERIOD, law
 from tests.control.sliding import actuator
 from tsa_ctrl.control.law import Law
 
-SPEED = 3.0  # rad/s, a knee in a gait
+SPEED = 3.0  # rad/s, of a knee during gait
 STALL = 100  # number of the late cycle
 
 
 def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
-    """Return the lowest turn of the friction term after one late cycle of a joint that moves at SPEED."""
+    """Return the smallest `turn.force` after one late cycle of a joint that moves at SPEED."""
     lowest, number = 1.0, 0
     while number < STALL + 60:
         late = lateness if number == STALL else 0.0
@@ -33,7 +33,7 @@ def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
 
 @pytest.mark.parametrize(("lateness", "skipped"), [(0.4e-3, 0), (0.9e-3, 0), (2.9e-3, 3), (9.5e-3, 10)])
 def test_a_late_cycle_does_not_turn_the_friction_term(lateness: float, skipped: int) -> None:
-    """Without the lateness the term was taken back by all of it for 10 ms: 0.8 N*m at the joint of the demo."""
+    """Regression test: without the lateness, the term was reversed for 10 ms, by 0.8 N*m at the joint of the demo."""
     made = law(actuator(), motor_inertia=1e-4)
     assert lowest_force(made, lateness, skipped, told=True) > 0.99
 

@@ -1,4 +1,4 @@
-"""The feedforward law: ideal plus friction term, compensated, faded in, turned as planned, cut where a tendon ends."""
+"""The feedforward law: ideal torque plus friction term with compensation, fade-in, reversals and limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.steady_sliding import motor_stiffness, sliding
 
 RATIO = 0.8
-SHAPES = {  # the same in the model's words and for the capstan equation, as (share of length, share of bending)
+SHAPES = {  # as profile of the model, and as (share of length, share of bending) for the capstan equation
     "motor_end": ((0.0, 1.0), (1.0, 1.0)),
     "uniform": ((1.0, 1.0),),
     "joint_end": ((1.0, 0.0), (1.0, 1.0)),
@@ -72,7 +72,7 @@ def law_of(size: float = 0.5, **settings: Any) -> Law:
 
 
 class Joint:
-    """Moves at a constant speed and asks the law once a period; the motor follows exactly, or stands."""
+    """A joint that moves at constant speed and calls the law once per period."""
 
     def __init__(self, law: Law, speed: float = 1.0) -> None:
         self.law = law
@@ -92,7 +92,7 @@ class Joint:
 
 
 def test_adds_the_compensated_share() -> None:
-    """Settled: tau_J* r_M/r_J plus the factor times the friction term."""
+    """When settled, the command is tau_J* r_M/r_J plus the factor times the friction term."""
     joint = Joint(law_of(compensation=0.9))
     assert joint.settled(1.0) == pytest.approx(0.8 + 0.45)
     assert (joint.law.ideal, joint.law.friction_term) == pytest.approx((0.8, 0.45))
@@ -101,10 +101,10 @@ def test_adds_the_compensated_share() -> None:
 
 
 def test_fades_in_after_the_enable() -> None:
-    """The friction term grows linearly to its share within the fade-in, and starts anew after a reset."""
+    """The friction term grows linearly to its share within the fade-in, and starts again after a reset."""
     law = law_of(compensation=1.0, fade_in=0.1)
     joint = Joint(law)
-    for _ in range(100):  # the joint moves before there is torque
+    for _ in range(100):  # the joint moves before torque is permitted
         law.observe(joint.angle, math.nan, True, math.nan, 0.0)
         joint.angle += PERIOD
     terms = [joint.step() for _ in range(100)]
@@ -115,7 +115,7 @@ def test_fades_in_after_the_enable() -> None:
 
 
 def test_without_a_direction_there_is_no_friction_term() -> None:
-    """Nothing has moved, nothing is to change."""
+    """Nothing has moved, and the set-point does not change."""
     law = law_of()
     for _ in range(100):
         law.observe(0.3, math.nan, True, math.nan, 0.0)
@@ -123,7 +123,7 @@ def test_without_a_direction_there_is_no_friction_term() -> None:
 
 
 def test_a_reversal_turns_the_term_within_the_turn() -> None:
-    """It takes the time of a turn, a little more with what it takes to see it, and never goes back or beyond."""
+    """The reversal takes its duration and about one period for its detection. It is monotonic."""
     law = law_of(compensation=1.0, turn=0.010)
     joint = Joint(law)
     joint.settled()
@@ -136,7 +136,7 @@ def test_a_reversal_turns_the_term_within_the_turn() -> None:
 
 
 def test_ideal_part_is_not_slewed() -> None:
-    """The slew limit is for the friction term: a set-point passes at once."""
+    """The slew limit applies to the friction term, so a set-point passes at once."""
     law = law_of(0.0, slew=1.0)
     law.observe(0.0, math.nan, True, 2.0, 0.0)
     assert law.update(2.0, math.nan, math.nan, 0.0, 1.0) == pytest.approx(1.6)
@@ -149,12 +149,12 @@ def test_slew_bounds_the_friction_term() -> None:
 
 
 def test_back_off_scales_the_term() -> None:
-    """What watches for too much compensation multiplies the compensation factor."""
+    """The guard against overcompensation multiplies the compensation factor."""
     assert Joint(law_of(compensation=1.0)).settled(back_off=0.5) == pytest.approx(0.25)
 
 
 def test_what_stands_is_settled_and_what_moves_is_not() -> None:
-    """The share `settle` is taken back at rest under a constant set-point alone."""
+    """The share `settle` is removed only at rest under a constant set-point."""
     law = law_of(compensation=1.0, settle=0.1)
     joint = Joint(law, 1.0)
     for _ in range(3000):
@@ -173,7 +173,7 @@ def test_what_stands_is_settled_and_what_moves_is_not() -> None:
 
 
 def test_continues_from_what_was_applied() -> None:
-    """A term that the limiter cut slews on from what was left, without a jump when the limit goes."""
+    """A term that the limiter reduced continues from the reduced value, without a jump when the limit ends."""
     joint = Joint(law_of(compensation=1.0, slew=50.0))
     joint.settled()
     joint.law.applied(0.2)
@@ -182,7 +182,7 @@ def test_continues_from_what_was_applied() -> None:
 
 @pytest.mark.parametrize(("applied", "left"), [(0.5, 0.5), (0.7, 0.5), (-0.1, 0.0), (0.0, 0.0)])
 def test_applied_torque_only_shrinks_the_term(applied: float, left: float) -> None:
-    """More than asked, or a torque of the other sign, never turns the term round or makes it larger."""
+    """A larger torque than commanded, or one of opposite sign, never reverses or increases the term."""
     joint = Joint(law_of(compensation=1.0))
     joint.settled()
     joint.law.applied(applied)
@@ -190,7 +190,7 @@ def test_applied_torque_only_shrinks_the_term(applied: float, left: float) -> No
 
 
 def test_reset_resets_the_inverse() -> None:
-    """Disabled means reset, down to the model's memory."""
+    """A disable resets the memory of the model as well."""
     friction = Friction()
     law = make(actuator(), friction)
     before = friction.resets
@@ -216,11 +216,11 @@ def test_stays_where_both_tendons_pull_and_says_so(sign: float) -> None:
     st.floats(-0.99, 0.99),
 )
 def test_inverts_the_capstan_equation_wherever_both_tendons_pull(x: float, shape: str, way: float, load: float) -> None:
-    """For any friction angle, shape, direction and load up to the torque at which a tendon goes slack."""
+    """It holds for any friction angle, profile, direction and load up to the torque at which a tendon goes slack."""
     points = SHAPES[shape]
     pair = Pair(points, x, axial_stiffness=6e3)
     t1, t3 = pair.motor_tensions(0.0, way)
-    per_torque = pair.motor_tensions(1.0, way)[1] - t3  # N per N*m; T1 changes by this less 1/r_M
+    per_torque = pair.motor_tensions(1.0, way)[1] - t3  # N per N*m; T1 changes by this minus 1/r_M
     bound = t1 / (1.0 / pair.motor_radius - per_torque) if load > 0.0 else t3 / per_torque
     wanted = pair.joint_torque(load * bound, way)
     profile = "uniform" if shape == "uniform" else [[0.0, 0.0], *(list(point) for point in points)]
@@ -234,7 +234,7 @@ def test_inverts_the_capstan_equation_wherever_both_tendons_pull(x: float, shape
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_reports_a_set_point_whose_exact_inverse_is_clipped(sign: float) -> None:
-    """The ideal torque is inside the domain, 1.92 of 2.04 N*m, but not the torque that overcomes friction as well."""
+    """The ideal torque is inside the domain, 1.92 of 2.04 N*m, but not the torque that also overcomes friction."""
     joint = Joint(make(UNIFORM, Feedforward(UNIFORM, PERIOD), fade_in=0.0, compensation=1.0), sign)
     tau_m = joint.settled(sign * 2.4)
     assert joint.law.beyond
@@ -244,7 +244,7 @@ def test_reports_a_set_point_whose_exact_inverse_is_clipped(sign: float) -> None
 
 
 def test_a_pretension_that_is_nearly_gone_is_told() -> None:
-    """With the next look at the half loop."""
+    """It is reported with the next update of the half loop."""
     law = make(UNIFORM, Feedforward(UNIFORM, PERIOD))
     law.set_parameters(UNIFORM.friction_angle, 0.2 * UNIFORM.pretension)
     law.observe(0.0, math.nan, True, 0.0, 0.0)
@@ -256,19 +256,19 @@ def test_a_pretension_that_is_nearly_gone_is_told() -> None:
 
 
 def test_what_is_not_finite_reaches_the_limiter() -> None:
-    """The law hides nothing from the last station before the bus."""
+    """The law passes values that are not finite to the limiter, the last stage before the bus."""
     law = law_of()
     law.observe(0.0, math.nan, True, math.nan, 0.0)
     assert math.isnan(law.update(math.nan, 0.0, 0.0, 0.0, 1.0))
 
 
 class TestTheMotorsOwnMotion:
-    """What the motor's inertia needs, where it is known."""
+    """The torque for the motor's inertia, where the inertia is known."""
 
     INERTIA = 1e-4
 
     def turn(self, **settings: Any) -> tuple[np.ndarray, Law]:
-        """Torques of a turn of a joint that reverses at constant speed."""
+        """Return the planned torques (60,) of a joint that reverses at constant speed, and the law."""
         law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=1.0, damping=0.0, **settings)
         joint = Joint(law, 1.0)
         joint.settled()
@@ -285,9 +285,9 @@ class TestTheMotorsOwnMotion:
         assert any("motor_inertia" in note for note in law.notes)
 
     def test_a_turn_moves_the_motor_by_its_stretch_and_leaves_it_at_rest(self) -> None:
-        """Of J theta'': the first integral over the turn is 0, the second s_c 2 h/K, evenly bent h/K.
+        """The first integral of J theta'' over the reversal is 0, the second s_c 2 h/K, or h/K for even curvature.
 
-        But for the beginning of a turn that was a part of a period old when it began.
+        The tolerance covers the beginning of a reversal within a period.
         """
         planned, _ = self.turn(motor_inertia=self.INERTIA)
         carried = self.INERTIA / RATIO * np.array(self.accelerations())
@@ -298,7 +298,7 @@ class TestTheMotorsOwnMotion:
         assert angle[-1] == pytest.approx(way, rel=0.08)
 
     def test_its_swing_is_known_while_the_term_turns(self) -> None:
-        """J_M/2 (omega_M - r_J/r_M omega_J)^2; not before and after, when nothing of the plan can be wrong."""
+        """It is J_M/2 (omega_M - r_J/r_M omega_J)^2 during the reversal and 0 before and after it."""
         law = make(UNIFORM, fade_in=0.0, motor_inertia=self.INERTIA, damping=0.0)
         joint = Joint(law, 1.0)
         joint.settled()
@@ -314,7 +314,7 @@ class TestTheMotorsOwnMotion:
         assert sum(found) * PERIOD == pytest.approx(law.plan.turn, abs=2.0 * PERIOD)
 
     def accelerations(self) -> list[float]:
-        """Of the joint as the law sees it: the same motion without a turn."""
+        """Return the accelerations of the joint that the law determines, from the same motion without a reversal."""
         law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
         joint = Joint(law, 1.0)
         joint.settled()
@@ -326,7 +326,7 @@ class TestTheMotorsOwnMotion:
         return found
 
     def test_the_motor_is_carried_with_the_joint(self) -> None:
-        """J_M r_J/r_M alpha_J, also where nothing is compensated."""
+        """The torque is J_M r_J/r_M alpha_J, also without compensation."""
         law = make(UNIFORM, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
         for n in range(200):
             law.observe(20.0 * (n * PERIOD) ** 2, math.nan, True, 0.0, 0.0)
@@ -335,7 +335,7 @@ class TestTheMotorsOwnMotion:
 
 
 def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
-    """What it moves by the turn itself is no motion of the joint: one turn, and no way back."""
+    """The motor's own motion during a reversal is not a motion of the joint, so there is one reversal and none back."""
     law = make(UNIFORM, encoder=False, fade_in=0.0, compensation=1.0)
     stretch = sliding(UNIFORM).motor_half_loop / motor_stiffness(UNIFORM)
     sigmas = []
@@ -352,7 +352,7 @@ def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
 
 @pytest.mark.parametrize("every", [2, 5])
 def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
-    """On a busy machine each second cycle may be skipped; the joint's speed was taken for twice of what it is."""
+    """Regression test: if every second cycle was skipped, the joint's speed was taken for twice its value."""
     moving, counting = law_of(), law_of()
     for n in range(0, 600, every):
         q = 0.3 * math.sin(2.0 * math.pi * n * PERIOD)
@@ -366,7 +366,7 @@ def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_a_sensor_that_misses_torque_at_rest_raises_the_term_in_steps(friction: float) -> None:
-    """Tendons at rest stick after a reversal. A model without friction has no term, and divides by none."""
+    """Tendons at rest stick after a reversal. A model without friction has no term and causes no division by zero."""
     model = actuator()
     model = model.recalibrated(friction * model.friction_angle, model.pretension)
     made = make(model, fade_in=0.0, compensation=1.0, settle=0.0, unsure=0.04)

@@ -1,4 +1,4 @@
-"""The law term by term: each of its parts is told, so that what comes out is known to the last digit."""
+"""The law term by term: each of its parts is prescribed, so the output is known exactly."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from tsa_ctrl.control.settings import DirectionSettings, LawSettings
 PERIOD = 1e-3
 RADII = (0.02, 0.025)  # m
 RATIO = 0.8
-FRONT = Front(((0.0, 0.0), (1.0, 1.0)))  # evenly bent: s_c 0.5
+FRONT = Front(((0.0, 0.0), (1.0, 1.0)))  # even curvature: s_c 0.5
 PLAN = replace(plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",))
 
 
 class Told(Motion):
-    """A motion that is said, and keeps what it was given."""
+    """A prescribed motion that records its inputs."""
 
     def __init__(self) -> None:
         self.angle = self.velocity = self.acceleration = self.noise = 0.0
@@ -40,7 +40,7 @@ class Told(Motion):
 
 
 class Way(Direction):
-    """A direction that is said."""
+    """A prescribed direction that records its inputs."""
 
     def __init__(self, motion: Motion) -> None:
         super().__init__(DirectionSettings(), motion, 0.0, 1.0, RADII[1], PERIOD)
@@ -62,7 +62,7 @@ class Way(Direction):
 
 
 class Turned(Turn):
-    """A turn that is said."""
+    """A prescribed reversal that records its inputs."""
 
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.01, PERIOD)
@@ -73,7 +73,7 @@ class Turned(Turn):
 
 
 class Fronts(Slip):
-    """Given slip fronts; the elongation equals the elongation of sliding tendons."""
+    """Prescribed slip fronts; the elongation equals that of sliding tendons."""
 
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
@@ -99,7 +99,7 @@ class Fronts(Slip):
 
 
 class Damper(Damping):
-    """A damping that is said."""
+    """A prescribed damping torque that records its inputs."""
 
     def __init__(self, gives: float = 0.0) -> None:
         super().__init__(0.0, 0.0, 0.0, 1.25, PERIOD)
@@ -120,7 +120,7 @@ class Damper(Damping):
 
 
 class Inverse(Friction):
-    """Constant friction, and what it was asked."""
+    """An inverse with constant friction that records its inputs."""
 
     def __init__(self, size: float = 0.5) -> None:
         super().__init__(size)
@@ -147,7 +147,7 @@ class Inverse(Friction):
 
 
 class Parts:
-    """A law whose every part is told."""
+    """A law with all parts prescribed."""
 
     def __init__(self, encoder: bool | None = True, size: float = 0.5, **settings: Any) -> None:
         own = {name: settings.pop(name) for name in ("inertia", "damping") if name in settings}
@@ -167,7 +167,7 @@ class Parts:
 
 
 def settled(parts: Parts, cycles: int, rate: float = 0.0, silent: bool = False) -> float:
-    """The term after so many cycles."""
+    """Return the friction term after `cycles` cycles."""
     for _ in range(cycles):
         parts.ask(0.5)
         parts.law.follow(rate, silent)
@@ -179,7 +179,8 @@ def test_settings_their_defaults_and_bounds() -> None:
     given = LawSettings()
     assert (given.compensation, given.fade_in, given.slew, given.settle) == (0.95, 1.0, 10_000.0, 0.03)
     assert (given.motor_inertia, given.delay, given.turn, given.lead, given.ringing, given.damping) == (None,) * 6
-    bounds: dict[str, tuple[float | None, float, float]] = {  # least, the first that is refused below, most
+    # smallest value (None: above 0), first rejected value below, largest value
+    bounds: dict[str, tuple[float | None, float, float]] = {
         "compensation": (0.0, -1e-9, 1.2), "fade_in": (0.0, -1e-9, 60.0), "slew": (None, 0.0, 10_000.0),
         "settle": (0.0, -1e-9, 0.5), "motor_inertia": (None, 0.0, 1.0), "delay": (None, 0.0, 0.2),
         "turn": (None, 0.0, 0.2), "lead": (0.0, -1e-9, 0.03), "ringing": (None, 0.0, 2000.0),
@@ -211,7 +212,7 @@ def test_a_new_law_has_given_nothing() -> None:
 
 
 def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the slip fronts, with m and s as they are."""
+    """The slip fronts are made as planned as well, with radii in m and the period in s."""
     seen: dict[str, tuple[object, ...]] = {}
 
     def keep(name: str, real: type) -> Any:
@@ -285,9 +286,9 @@ def test_the_term_slews_both_ways(way: float) -> None:
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_ideal_and_term_stay_within_the_domain(way: float) -> None:
     parts = Parts()
-    parts.inverse.limit = (0.5, 1.25) if way > 0.0 else (1.25, 0.5)  # the other direction's bound does not count
+    parts.inverse.limit = (0.5, 1.25) if way > 0.0 else (1.25, 0.5)  # the bound of the other direction does not count
     parts.turn.force = way
-    assert parts.ask(way * 0.9375) == way * 1.25  # 0.75 and 0.5: at the limit
+    assert parts.ask(way * 0.9375) == way * 1.25  # 0.75 and 0.5: exactly at the limit
     assert (parts.law.beyond, parts.law.cut) == (False, 0)
     assert parts.ask(way * 0.95) == way * 1.25
     assert parts.ask(way * 4.0) == way * 1.25
@@ -309,7 +310,7 @@ def test_the_torque_of_the_fronts_belongs_to_the_friction_term() -> None:
 
 
 def test_the_motor_is_moved_by_what_the_tendons_stretch() -> None:
-    """By the share of the friction term that the tendons are turned by; 1/25 rad per N*m for the ideal torque."""
+    """It follows the friction term by the share of the reversed tendons, and the ideal torque by 1/25 rad per N*m."""
     parts = Parts(inertia=2e-4)
     parts.motion.acceleration = 16.0
     parts.turn.force = parts.turn.stretch = 0.5
@@ -351,7 +352,8 @@ def test_a_reset_forgets_all_but_the_joints_motion() -> None:
     assert (parts.way.forgot, parts.inverse.resets) == (forgot + 1, resets + 1)
     assert (parts.fronts.resets, parts.damper.resets) == (fronts + 1, damped + 1)
     parts.ask(0.5)
-    assert parts.law.friction_term == pytest.approx(0.05)  # a tenth of the fade-in; nothing settled, nobody silent
+    # a tenth of the fade-in; nothing is settled, and the client is not silent
+    assert parts.law.friction_term == pytest.approx(0.05)
     parts.inverse.size = 0.25
     parts.law.reset()
     assert parts.law.half_loop == 0.25
@@ -376,7 +378,7 @@ def test_the_half_loop_is_looked_at_every_64_cycles() -> None:
         assert parts.law.half_loop == parts.inverse.size - 0.125
         parts.law.follow(0.0)
         assert parts.law.half_loop == parts.inverse.size
-    assert parts.law.near_slack  # a quarter of what it was
+    assert parts.law.near_slack  # a quarter of its initial value
 
 
 @pytest.mark.parametrize(("share", "near"), [(0.3, False), (0.29, True), (0.31, False)])
@@ -390,8 +392,10 @@ def test_three_tenths_of_the_pretension_are_near_slack(share: float, near: bool)
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_what_settles_a_joint(way: float) -> None:
-    """A constant set-point and hardly a motion; after n periods the share is 1 - (1 - 1/300)^n, and goes as fast as
-    that by 5/300."""
+    """It settles under a constant set-point and with hardly any motion.
+
+    After n periods the share is 1 - (1 - 1/300)^n. It decays with 5/300 per period.
+    """
     for velocity, rate, rests in (
         (0.499, 0.0199, True), (0.5, 0.0, False), (0.501, 0.0, False), (0.0, 0.02, False), (0.0, 0.0201, False),
     ):  # fmt: skip
@@ -441,7 +445,10 @@ def test_a_motor_swings_against_its_joint_while_the_term_turns() -> None:
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
-    """Applied N*m; the term, and the share of the stretch, that are left of 0.8 and 0.5 N*m and 0.0625 planned."""
+    """The columns are the applied torque (N*m), the remaining friction term and the remaining share of the elongation.
+
+    The command consists of 0.8 and 0.5 N*m and of a planned 0.0625 N*m.
+    """
     for applied, term, share in (
         (1.3625, 0.5, 1.0), (1.4, 0.5, 1.0), (1.2625, 0.4, 1.2 / 1.3), (0.8625, 0.0, 0.8 / 1.3),
         (0.5, 0.0, 0.4375 / 1.3), (0.0625, 0.0, 0.0), (-1.0, 0.0, 0.0),
@@ -457,7 +464,7 @@ def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_term_against_the_ideal_part_shrinks_by_what_the_limiter_added(way: float) -> None:
-    """0.8 less 0.5 N*m: less of both is less of the whole, more of the whole less of the term."""
+    """The command is 0.8 - 0.5 N*m. A smaller torque reduces the elongation, a larger one the friction term."""
     parts = Parts()
     parts.turn.force = -way
     assert parts.ask(way) == pytest.approx(way * 0.3)
@@ -500,19 +507,25 @@ def test_the_joint_is_followed_by_its_encoder() -> None:
 def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     rest: float, turning: bool, ahead: float, begins: bool
 ) -> None:
-    """For more than 0.1 s and with a set-point, at the torque sent; otherwise all slides."""
+    """The joint must have rested for more than 0.1 s with a set-point.
+
+    Otherwise the tendons slide along their whole length.
+    """
     parts = Parts()
     parts.way.sigma, parts.way.next, parts.way.rest = -1.0, 1.0, rest
     parts.turn.turning = turning
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)
     assert parts.fronts.asked == ([(1.0, 0.0, 0.26, 45.0)] if begins else [])
     slides = parts.fronts.slides
-    parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no turn
+    parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no reversal
     assert (parts.fronts.slides, len(parts.fronts.asked)) == (slides, begins)
 
 
 def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn() -> None:
-    """Less the stretch, geared; for two memories (10 ms) after a turn it says nothing."""
+    """The elongation is subtracted and the angle is converted to the joint.
+
+    For two memories (10 ms) after a reversal the motor is ignored.
+    """
     parts = Parts(encoder=False, inertia=2e-4)
     parts.ask(1.0)
     stretch = parts.law._stretch
@@ -531,8 +544,8 @@ def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn
     for _ in range(12):
         parts.law.observe(math.nan, 0.7, True, 1.5, 2.5)
         asked.append(len(parts.way.asked))
-    assert asked[8:11] in ([1, 2, 3], [1, 1, 2], [2, 3, 4])  # ten periods of 1 ms, as near as they add up
-    assert parts.turn.asked[1:10] == [(1.0, 0.0)] * 9  # goes on as it was
+    assert asked[8:11] in ([1, 2, 3], [1, 1, 2], [2, 3, 4])  # ten periods of 1 ms, within the rounding of their sum
+    assert parts.turn.asked[1:10] == [(1.0, 0.0)] * 9  # continues as before
 
 
 def test_a_motor_without_a_joint_encoder_says_something_again_when_its_time_is_just_over() -> None:

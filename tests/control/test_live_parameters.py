@@ -1,4 +1,4 @@
-"""What may be changed while the loop runs, and how far."""
+"""Parameters that may be changed while the loop runs, and their bounds."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ NEEDS = {"map": [('# source = "fixed"  ', 'source = "command"  ')], "tension": [
 
 
 def machine_of(folder: Path, kind: str) -> Machine:
-    """With an estimator of a kind, and what that needs."""
+    """Return a machine with an estimator of this kind and the settings that it requires."""
     return Machine(folder, ('# kind = "sensor"  ', f'kind = "{kind}"  '), *NEEDS.get(kind, []))
 
 
 @pytest.fixture(params=KINDS)
 def parameters(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Parameter, ...]]:
-    """Those of an axis with each kind of estimator."""
+    """Return the parameters of an axis with each kind of estimator."""
     machine = machine_of(tmp_path, request.param)
     yield parameters_of(machine.axis)
     machine.close()
 
 
 def test_every_parameter_that_can_be_set_has_finite_bounds(parameters: tuple[Parameter, ...]) -> None:
-    """Both or none; in order, and what is now lies between them."""
+    """A parameter has both bounds or none. The bounds are ordered and contain the current value."""
     assert any(parameter.low is not None for parameter in parameters)
     for parameter in parameters:
         assert (parameter.low is None) == (parameter.high is None), parameter.name
@@ -46,7 +46,7 @@ def test_every_parameter_that_can_be_set_has_finite_bounds(parameters: tuple[Par
 
 
 def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -> None:
-    """Nor what is no number; nor anything where there are no bounds."""
+    """Values that are not finite are rejected, and so is every value of a parameter without bounds."""
     tuner = Tuner(parameters, 1e-3)
     before = [parameter.value for parameter in parameters]
     for index, parameter in enumerate(parameters):
@@ -63,7 +63,7 @@ def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -
 
 
 def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> None:
-    tuner = Tuner(parameters, 1e3)  # s, in which everything arrives
+    tuner = Tuner(parameters, 1e3)  # s, long enough for every value to arrive
     for index, parameter in enumerate(parameters):
         if parameter.name == "direction_zone":  # never narrower than the encoder's noise
             continue
@@ -75,7 +75,7 @@ def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> 
 
 
 def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
-    """From all to nothing within a quarter of a second, in steps that the torque can follow."""
+    """The limit falls to zero within a quarter of a second, in steps that the torque can follow."""
     index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
     tuner, before = Tuner(parameters, 1e-3), limit.value
     tuner.set(index, 0.0)
@@ -89,13 +89,14 @@ def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, .
 
 
 def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -> None:
-    """The upper bound of both is what the file says."""
+    """The upper bound of both is the file's value."""
     by_name = {parameter.name: parameter for parameter in parameters}
     for name in ("torque_limit", "rate_limit"):
         assert by_name[name].high == by_name[name].value
 
 
-ALWAYS = {  # name: bounds and unit/s; None: another kind's. With x = 0.26, T_p0 = 45 N, 2 N*m, 200 N*m/s of the file
+# name: bounds and rate (unit/s); None: set by another kind. x = 0.26, T_p0 = 45 N, 2 N*m and 200 N*m/s in the file
+ALWAYS = {
     "compensation": (0.0, 1.2, 0.5),
     "slew": (1.0, 10_000.0, math.inf),
     "damping": (None, None, math.inf),
@@ -128,7 +129,7 @@ def bounds(parameters: tuple[Parameter, ...]) -> dict[str, tuple[float | None, f
 def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> None:
     machine = machine_of(tmp_path, kind)
     found = bounds(parameters_of(machine.axis))
-    zone = machine.axis.direction.zone  # a client can widen it alone
+    zone = machine.axis.direction.zone  # a client can only widen it
     expected = ALWAYS | OF_KIND[kind] | {"direction_zone": (zone, 10.0, math.inf)}
     assert list(found) == list(expected)
     for name, values in expected.items():
@@ -141,7 +142,10 @@ def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> No
 def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     tmp_path: Path, name: str, factor: float
 ) -> None:
-    """Less friction is compensated less; more is not proven by anybody's word, so the file's stays the bound."""
+    """Less friction is compensated less.
+
+    More friction is not proven by a client's value, so the file's value stays the bound.
+    """
     machine = machine_of(tmp_path, "fixed")
     axis, law = machine.axis, machine.axis.law
     parameters = parameters_of(axis)
@@ -149,7 +153,7 @@ def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     tuner, nominal = Tuner(parameters, 1e-3), law.half_loop
 
     def used() -> float:
-        """Half loop (N*m) that the law has after one step of its inverse."""
+        """Return the half loop (N*m) of the law after one step of its inverse."""
         law._inverse.update(0.0, 1.0, 0.1)
         return law._inverse.half_loop()
 
@@ -169,7 +173,7 @@ def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     assert used() == pytest.approx(friction, rel=2e-3)
     assert seen[-1] == pytest.approx(min(friction, nominal), rel=2e-3)
     assert max(seen) <= nominal * (1.0 + 1e-9)
-    assert max(abs(b - a) for a, b in itertools.pairwise(seen)) < 2e-3  # N*m in a cycle: no step
+    assert max(abs(b - a) for a, b in itertools.pairwise(seen)) < 2e-3  # N*m per cycle: no step
     machine.close()
 
 
@@ -206,11 +210,11 @@ def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Param
     assert values[200:] == [0.9, 0.9]
     setattr(gain.part, gain.attribute, 0.3)
     tuner.update()
-    assert gain.value == 0.3  # it arrived, and holds nothing any more
+    assert gain.value == 0.3  # the change is complete and holds nothing any more
 
 
 def test_the_value_before_the_first_cycle_is_unknown(tmp_path: Path) -> None:
-    """A value that lowers the back-off is accepted as well: nothing was published that it could be above."""
+    """A smaller back-off is accepted as well, because no published value exists that it could exceed."""
     machine = machine_of(tmp_path, "fixed")
     description = describe(machine.configuration, tuners_of(machine.axes, 1e-3))
     for name, value in (("compensation", 0.5), ("back_off", 0.5)):

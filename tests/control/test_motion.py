@@ -1,4 +1,6 @@
-"""The joint's velocity and acceleration from its angles: not late, and as quiet as the encoder allows."""
+"""Velocity and acceleration of the joint from its angles: without delay, and with as little noise as the encoder
+allows.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ PERIOD = 1e-3
 
 
 def count(bits: int) -> float:
-    """rad"""
+    """Return the angle of one count, rad."""
     return 2.0 * math.pi / (1 << bits)
 
 
@@ -25,7 +27,7 @@ def fed(angles: np.ndarray, bits: int = 20) -> Motion:
 
 
 def test_a_steady_acceleration_is_followed_without_delay() -> None:
-    """A parabola: velocity and acceleration are those of its end."""
+    """For a parabola, velocity and acceleration are those at its end."""
     t = np.arange(0.0, 0.5, PERIOD)
     motion = fed(0.1 + 2.0 * t - 40.0 * t * t)
     assert motion.velocity == pytest.approx(2.0 - 80.0 * t[-1], abs=0.01)
@@ -33,7 +35,7 @@ def test_a_steady_acceleration_is_followed_without_delay() -> None:
 
 
 def test_a_reversal_is_foretold() -> None:
-    """Of a swing of 1 Hz and 1 rad, 6 ms ahead, to half a millisecond."""
+    """For a swing of 1 Hz and 1 rad, the prediction 6 ms ahead is accurate to 1.5 ms."""
     motion = Motion(PERIOD, count(20), 6e-3)
     t = np.arange(0.0, 1.5, PERIOD)
     found = []
@@ -46,7 +48,7 @@ def test_a_reversal_is_foretold() -> None:
 
 @pytest.mark.parametrize("bits", [12, 13, 14, 16, 17, 20])
 def test_standstill_on_the_edge_of_a_count_is_quieter_than_it_says(bits: int) -> None:
-    """Whatever the pattern of one count up and down is that trembling makes: no more than 1.5 times `noise`."""
+    """For any pattern of one count up and down, the error is at most 1.5 times `noise`."""
     motion = Motion(PERIOD, count(bits), 6e-3)
     worst = 0.0
     for edge in np.random.default_rng(bits).integers(0, 2, 20_000):
@@ -62,7 +64,7 @@ def test_memory_grows_where_counts_are_coarse_and_no_further() -> None:
 
 
 def test_a_missing_answer_is_no_standstill() -> None:
-    """Three cycles without a fresh angle in steady motion change nothing."""
+    """Three cycles without a fresh angle in steady motion do not change the velocity."""
     motion = fed(2.0 * np.arange(0.0, 0.2, PERIOD))
     for _ in range(3):
         motion.update(math.nan, fresh=False)
@@ -78,7 +80,7 @@ def test_before_two_angles_nothing_moves() -> None:
 
 
 def refined(angle: np.ndarray, motor: np.ndarray, bits: int = 12, turning: bool = False) -> np.ndarray:
-    """The refined angle of a joint with a coarse encoder, whose motor shows `motor`; rad."""
+    """Return the refined angle (rad) of a joint with a coarse encoder, whose motor shows `motor`, (n,)."""
     joint = JointAngle(count(bits), PERIOD)
     readings = count(bits) * np.round(angle / count(bits))
     speeds = np.gradient(angle, PERIOD)
@@ -91,7 +93,7 @@ SWING = 0.5 * np.sin(2.0 * math.pi * np.arange(0.0, 2.0, PERIOD))  # rad
 
 @pytest.mark.parametrize("offset", [0.0, 0.3])
 def test_the_motor_refines_a_coarse_encoder(offset: float) -> None:
-    """At most half of the rounding, after the first counts, with any zero of the motor's angle."""
+    """After the first counts, the error is less than half of the rounding error, for any zero of the motor's angle."""
     found = refined(SWING, SWING + offset)[200:] - SWING[200:]
     rounding = count(12) * np.round(SWING / count(12))[200:] - SWING[200:]
     assert np.std(found) < 0.5 * np.std(rounding)
@@ -111,7 +113,7 @@ def test_no_motor_takes_the_angle_from_the_encoders_count(seed: int) -> None:
 
 
 def test_a_joint_at_rest_does_not_follow_the_motor() -> None:
-    """The motor stretches the tendons of a locked joint by several counts."""
+    """The motor elongates the tendons of a locked joint by several counts."""
     angle = np.zeros(1000)
     found = refined(angle, np.linspace(0.0, 5.0 * count(12), 1000))
     assert np.ptp(found[50:]) == 0.0

@@ -1,4 +1,4 @@
-"""Set-points: waveforms, files, and values over the socket that expire."""
+"""Set-points: waveforms, files, and socket values that expire."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ def test_starts_at_zero_and_keeps_to_its_rate() -> None:
 
 
 def test_gain_scales_the_source() -> None:
-    """Half the gain is half the torque."""
+    """Half the gain gives half the torque."""
     set_point = SetPoint(SetPointSettings(kind="constant", offset=1.0, rate=1e4), PERIOD)
     set_point.gain = 0.5
     assert set_point.update(0.0) == 0.5
 
 
 class TestTheFuture:
-    """A source is a function of time: what is wanted later is known, and limited as it will be."""
+    """A source is a function of time, so future set-points are known and are limited in the same way."""
 
     SINE = SetPointSettings(kind="sine", amplitude=0.5, frequency=2.0, rate=1e4)
 
@@ -81,7 +81,7 @@ class TestTheFuture:
         assert values[-1] == (1.0, 1.0)
 
     def test_lost_cycles_are_skipped(self) -> None:
-        """After a gap the set-point is that of the time, also after one longer than what is known."""
+        """After a gap, the set-point is that of the current time, even if the gap exceeds the known future."""
         set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
         source = waveform(self.SINE)
         for t in (0.0, 0.001, 0.004, 0.0052, 0.006, 0.05, 0.051):
@@ -89,7 +89,7 @@ class TestTheFuture:
             assert found == pytest.approx(source(t), abs=5e-3)
 
     def test_late_and_early_cycles_keep_the_pace(self) -> None:
-        """A tenth of a period of jitter neither repeats nor skips a value in the mean."""
+        """With jitter of up to 0.3 periods, no value is repeated or skipped on average."""
         set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
         source = waveform(self.SINE)
         for n in range(2000):
@@ -97,7 +97,7 @@ class TestTheFuture:
             assert set_point.update(t) == pytest.approx(source(n * PERIOD), abs=8e-3)
 
     def test_the_socket_has_no_future(self) -> None:
-        """What came acts at once: known is now."""
+        """A received value acts at once, and its future equals its present."""
         set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD, delay=2e-3, lead=5e-3, horizon=10e-3)
         set_point.receive(0.5, 0.0)
         assert set_point.update(0.001) == 0.5
@@ -117,7 +117,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_file_is_interpolated(tmp_path: Path) -> None:
-    """Between rows linear, other columns ignored, time counted from the first row."""
+    """Values are interpolated between rows. Other columns are ignored, and time is relative to the first row."""
     write(tmp_path / "gait.csv", "t,x,tau_j_des\n5.0,a,0.0\n5.5,b,1.0\n6.0,c,0.0\n")
     source = waveform(SetPointSettings(kind="file", file="gait.csv"), tmp_path)
     assert [source(t) for t in (0.0, 0.25, 0.5, 0.75)] == pytest.approx([0.0, 0.5, 1.0, 0.5])
@@ -327,7 +327,7 @@ def test_a_rate_that_is_reached_exactly_is_no_jump() -> None:
 
 
 def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() -> None:
-    """In periods of an eighth of a second, of a ramp of 1 N*m/s."""
+    """The source is a ramp of 1 N*m/s with a period of an eighth of a second."""
     for times in ({"delay": 0.5}, {"lead": 0.5}, {"horizon": 0.5}):
         set_point = SetPoint(SetPointSettings(kind="chirp", offset=0.0, rate=1.0), 0.125, **times)
         set_point._source = lambda t: t  # type: ignore[assignment]
@@ -340,7 +340,7 @@ def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() ->
 
 
 def ramp(**times: float) -> SetPoint:
-    """1 N*m/s, in periods of an eighth of a second."""
+    """Return a ramp of 1 N*m/s with a period of an eighth of a second."""
     source: Source = lambda t: t  # noqa: E731
     set_point = SetPoint(SetPointSettings(rate=1.0), 0.125, **times)
     set_point._source = source
@@ -357,7 +357,7 @@ def test_between_two_periods_the_future_is_on_the_line_between() -> None:
 
 @pytest.mark.parametrize(("late", "periods"), [(0.45, 1), (0.5, 1), (0.55, 2), (4.3, 5), (5.3, 6), (5.55, 6.55)])
 def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(late: float, periods: float) -> None:
-    """One beyond what is known begins anew, at its own time."""
+    """A delay beyond the known future restarts the set-point at the current time."""
     set_point = ramp(delay=0.5)
     set_point.update(0.125)
     assert set_point.update(0.125 * (1.0 + late)) == pytest.approx(0.125 * periods)
@@ -373,7 +373,10 @@ def test_a_reset_says_nothing_of_a_socket() -> None:
 
 @pytest.mark.parametrize("gap", [1, 2, 5, 6, 7, 20])
 def test_after_a_gap_the_limited_set_point_goes_on_from_what_was_known(gap: int) -> None:
-    """Up to what is known ahead exactly as without the gap; beyond it from the newest that is known, at the rate."""
+    """Within the known future, the value is the same as without the gap.
+
+    Beyond it, the value continues from the last known one at the rate.
+    """
     settings = SetPointSettings(kind="step", amplitude=10.0, at=0.0, rate=4.0)
     one, other = (SetPoint(settings, 0.125, delay=0.5) for _ in range(2))
     one.update(0.0)
@@ -384,7 +387,7 @@ def test_after_a_gap_the_limited_set_point_goes_on_from_what_was_known(gap: int)
 
 @pytest.mark.slow
 def test_a_set_point_from_a_file_maps_no_memory_that_a_lock_would_fill(tmp_path: Path) -> None:
-    """The daemon locks what is mapped: a table reader's arena of 1 GB would be taken from the actuator PC."""
+    """The daemon locks its mapped memory. The arena of a table reader would take 1 GB from the actuator PC."""
     path = tmp_path / "motion.csv"
     path.write_text("t,tau_j_des\n0,0\n1,0.5\n")
     code = "import sys; from tsa_ctrl.control.setpoint import read_file; read_file(sys.argv[1])"

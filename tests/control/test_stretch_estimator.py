@@ -1,4 +1,4 @@
-"""The estimator kind "stretch": what it makes of what the observer knows, and that it follows a sheath bent more."""
+"""The estimator kind "stretch": its use of the observer's results, and its response to an increased wrap angle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ X, TENSION = 0.26, 45.0
 
 @dataclass
 class Seen:
-    """An observer that knows what the test says."""
+    """An observer with prescribed results."""
 
     friction_angle: float = X
     pretension: float = TENSION
@@ -39,14 +39,14 @@ def estimator(seen: Seen, **settings: Any) -> StretchEstimator:
 
 
 def run(chosen: StretchEstimator, seconds: float, admit: bool = True, turns: float = 0.2) -> None:
-    """To and fro, each way for `turns` s."""
+    """Run the estimator while the joint moves to and fro, each way for `turns` s."""
     for cycle in range(round(seconds / PERIOD)):
         way = 1.0 if cycle * PERIOD % (2.0 * turns) < turns else -1.0
         chosen.update(Sample(way, way, math.nan, 0.0, math.nan, admit))
 
 
 def test_the_product_goes_where_the_user_says() -> None:
-    """30 % more half loop is 30 % more pretension, when that is what is taken to change."""
+    """If the pretension is assumed to change, 30 % more half loop is 30 % more pretension."""
     chosen = estimator(Seen(friction_angle=math.asinh(1.3 * math.sinh(X))), attribute=Attribution.PRETENSION)
     run(chosen, 5.0)
     assert chosen.state is EstimateState.ESTIMATED
@@ -54,13 +54,13 @@ def test_the_product_goes_where_the_user_says() -> None:
 
 
 def half_loop(chosen: StretchEstimator) -> float:
-    """1, of the model file's."""
+    """Return the half loop relative to the model file's."""
     return chosen.pretension * math.sinh(chosen.friction_angle) / (TENSION * math.sinh(X))
 
 
 @pytest.mark.parametrize("factor", [1.3, 0.7])
 def test_one_way_alone_shows_less_friction_but_not_more(factor: float) -> None:
-    """A joint that goes one way for seconds: what is wrong with a torque looks like friction there."""
+    """If a joint moves in one direction for seconds, a torque error looks like friction."""
     chosen = estimator(Seen(factor * X))
     run(chosen, 5.0, turns=10.0)
     assert chosen.state is EstimateState.ESTIMATED
@@ -69,7 +69,10 @@ def test_one_way_alone_shows_less_friction_but_not_more(factor: float) -> None:
 
 
 def test_of_two_ways_the_lesser_counts_beyond_the_file() -> None:
-    """40 % more one way, 20 % the other: 5 % beyond that; all of it once both do for 0.1 s."""
+    """The friction is 40 % higher in one direction and 20 % in the other: the estimate exceeds the lower value by 5 %.
+
+    It reaches 40 % once both directions show it for 0.1 s.
+    """
     seen = Seen()
     chosen = estimator(seen, bounds=1.0)
     for cycle in range(12_000):
@@ -118,7 +121,7 @@ def test_what_is_not_known_moves_nothing(seen: Seen) -> None:
     ids=["bounds", "residual", "stiffness"],
 )
 def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
-    """The outputs go back to the model file's."""
+    """The outputs return to the model file's values."""
     chosen = estimator(Seen(1.2 * X))
     run(chosen, 2.0)
     assert chosen.friction_angle > 1.05 * X

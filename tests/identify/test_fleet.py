@@ -142,7 +142,7 @@ def test_a_second_run_asks_nothing_again_and_gives_the_same_table(done: Path, fo
 
 @pytest.mark.usefixtures("quick")
 class TestResumption:
-    """A folder is gone through once, however often it is interrupted."""
+    """A folder is diagnosed once, regardless of the number of interruptions."""
 
     def test_another_model_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
         other = tmp_path / "other.toml"

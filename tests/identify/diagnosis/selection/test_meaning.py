@@ -24,7 +24,7 @@ DRIVE = RigidDrive(inertia=0.002, coulomb_friction=0.05, viscous_friction=0.01)
 
 
 def fitted(*names: str) -> tuple[Problem, Fit]:
-    """Return the problem of a drive under a constant torque that moves by 0.1 rad only, and its fit with these effects."""
+    """Return the problem of a drive under a constant torque that moves by 0.1 rad, and its fit with these effects."""
     t = np.arange(round(RATE * SECONDS)) / RATE
     q, omega = 0.1 * np.sin(3.0 * t), 0.3 * np.cos(3.0 * t)
     noise = np.random.default_rng(5).normal(0.0, 0.01, len(t))
