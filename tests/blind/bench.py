@@ -137,7 +137,7 @@ class Bench:
 
     @property
     def reading(self) -> float:
-        """Return the design range of the torque sensor (N*m): the RMS joint torque or the friction torque, if larger."""
+        """Return the design range of the torque sensor (N*m): the larger of RMS joint torque and friction torque."""
         half_loop = 2.0 * self.rig.pretension * self.rig.joint_radius * float(np.sinh(self.rig.x))
         return max(self.scale, half_loop)
 

@@ -30,7 +30,7 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
 
 
 def test_the_estimator_follows_it_through_cycles_that_it_does_not_learn_from() -> None:
-    """The half loop of a swinging joint is that of its tendons, although only steady sliding is used for the estimate."""
+    """The half loop of a swinging joint is that of its tendons, although the estimate uses only steady sliding."""
     model = ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}})
     estimators = [
         KalmanEstimator(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)

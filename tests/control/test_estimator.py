@@ -85,7 +85,7 @@ def test_frozen_without_excitation() -> None:
 
 
 def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
-    """If the sensor contradicts the model, the estimate is invalid and the outputs return to the model file's values."""
+    """If the sensor contradicts the model, the estimate is invalid and the outputs return to the file's values."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=8.0))
     noise = np.random.default_rng(5)

@@ -146,7 +146,7 @@ def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
     ],
 )
 def test_bad_file_is_one_line(tmp_path: Path, text: str, words: str) -> None:
-    """A file that cannot be played names itself, the column or row, and what is allowed."""
+    """The error states the file, the column or row, and the allowed values."""
     with pytest.raises(UsageError, match=words) as caught:
         read_file(write(tmp_path / "bad.csv", text))
     assert "bad.csv" in str(caught.value)
@@ -154,13 +154,13 @@ def test_bad_file_is_one_line(tmp_path: Path, text: str, words: str) -> None:
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
-    """A set-point file that is not there is named when the set-point is built."""
+    """The error occurs when the set-point is constructed, and it contains the file name."""
     with pytest.raises(UsageError, match=r"none\.csv"):
         SetPoint(SetPointSettings(kind="file", file="none.csv"), PERIOD, tmp_path)
 
 
 def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
-    """What came over the socket is used for `timeout`, then goes to 0 at the rate."""
+    """A received value is used for `timeout`, and then it ramps to 0 at the rate."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.1, rate=100.0), PERIOD)
     set_point.receive(1.0, 0.0)
     values = [set_point.update(PERIOD * n) for n in range(200)]
@@ -175,7 +175,7 @@ def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
     [(math.nan, 0.05), (math.inf, 0.05), (0.5, -1e-9), (0.5, math.nan), (0.5, -math.inf), (0.5, -0.1)],
 )
 def test_what_is_no_number_or_from_before_the_enable_ends_what_was_wanted(value: float, t: float) -> None:
-    """It replaces the value before it, which nobody wants any longer either."""
+    """An invalid or outdated value also replaces the valid value before it."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=1.0, rate=1e4), PERIOD)
     set_point.receive(1.0, 0.0)
     assert set_point.update(0.01) == 1.0
@@ -185,7 +185,7 @@ def test_what_is_no_number_or_from_before_the_enable_ends_what_was_wanted(value:
 
 
 def test_the_time_of_a_socket_value_is_its_clients() -> None:
-    """One that comes 0.15 s late acts for the 0.05 s that are left of its 0.2 s."""
+    """A value that arrives 0.15 s late acts for the remaining 0.05 s of its 0.2 s."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.2, rate=1e4), PERIOD)
     set_point.receive(1.0, 0.10)
     assert set_point.update(0.25) == 1.0
@@ -194,7 +194,7 @@ def test_the_time_of_a_socket_value_is_its_clients() -> None:
 
 
 def test_reset_forgets_what_was_received() -> None:
-    """After a disable an old value does not play."""
+    """An old value does not act after a disable."""
     set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD)
     set_point.receive(1.0, 0.0)
     set_point.update(0.0)
@@ -212,7 +212,7 @@ def test_reset_forgets_what_was_received() -> None:
     ],
 )
 def test_contradictions_are_refused(data: dict[str, Any]) -> None:
-    """A file without its kind, a kind without its file or components: an error."""
+    """A file without its kind is rejected, and so is a kind without its file or components."""
     with pytest.raises(msgspec.ValidationError, match="kind"):
         msgspec.convert(data, SetPointSettings)
 

@@ -1,4 +1,4 @@
-"""The estimator kind "tension": load cells at the motor end of distributed tendons, right, absent, stuck, drifting."""
+"""The estimator kind "tension" with load cells at the motor end that are right, absent, stuck or drifting."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ X, TENSION = NOMINAL.friction_angle, NOMINAL.pretension
 EACH = 10  # cycles between two values of a cell: 100 Hz
 NOISE, COUNT = 0.1, 0.05  # N
 
-Cells = Callable[[float, float, float], tuple[float, float]]  # t, t1, t3 as they are -> as they are read
+Cells = Callable[[float, float, float], tuple[float, float]]  # (t, true t1, true t3) -> readings of t1 and t3
 
 
 @dataclass(frozen=True)
 class Run:
-    """A gait of distributed tendons, (n,) each; the tensions are the plant's own."""
+    """A gait on distributed tendons, (n,) each. The tensions are those of the plant."""
 
     log: dict[str, NDArray[np.float64]]
     t1: NDArray[np.float64]
@@ -46,12 +46,15 @@ def recorded(folder: Path, **perturbation: float) -> Run:
 
 @pytest.fixture(scope="module")
 def slack(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A tensioner that has given a quarter of the pretension."""
+    """Return a run whose tensioner has lost a quarter of the pretension."""
     return recorded(tmp_path_factory.mktemp("slack"), pretension=0.75)
 
 
 def follow(run: Run, read: Cells = lambda t, t1, t3: (t1, t3), **settings: object) -> TensionEstimator:
-    """Cells with noise and counts, 100 values a second, each held until the next."""
+    """Return an estimator that processed the run.
+
+    The cells have noise and counts and deliver 100 values per second. Each value is held until the next.
+    """
     chosen = TensionEstimator(NOMINAL, EstimatorSettings(kind="tension", use=True, **settings), PERIOD)  # type: ignore[arg-type]
     log, random = run.log, np.random.default_rng(3)
     t1 = t3 = math.nan
@@ -76,7 +79,7 @@ def test_a_tensioner_that_gave_way_is_found_within_2_percent(slack: Run) -> None
 
 @pytest.mark.slow
 def test_a_sheath_that_is_straighter_has_less_of_both(slack: Run) -> None:
-    """By (3.56) 11.25 N are 11.25/35 rad of 2.6."""
+    """By (3.56), 11.25 N correspond to 11.25/35 rad of the 2.6 rad."""
     chosen = follow(slack, attribute=Attribution.BENDING)
     straighter = 1.0 - 0.25 * TENSION / NOMINAL.pretension_slope / NOMINAL.bending_angle
     assert chosen.pretension == pytest.approx(0.75 * TENSION, rel=0.02)

@@ -1,4 +1,4 @@
-"""The torque sensor's correction on a locked joint and on a moving one, with a play operator for the tendons."""
+"""The correction by the torque sensor on a locked and on a moving joint, with a play operator for the tendons."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STROKE = 1.0  # s between two reversals
 
 
 class Rig:
-    """A feedforward of `LOOP` on tendons whose friction is `true` times that, and whose motor adds `offset` N*m."""
+    """A feedforward of `LOOP` on tendons with `true` times this friction, whose motor adds `offset` N*m."""
 
     def __init__(self, true: float, offset: float = 0.0, bandwidth: float = 3.0, most: float = MORE) -> None:
         self.feedback = TorqueFeedback(bandwidth, RATIO, PERIOD)
@@ -55,7 +55,7 @@ class Rig:
 
 
 def last(errors: np.ndarray) -> float:
-    """RMS over the last two strokes, without their reversals."""
+    """Return the RMS error (N*m) over the last two strokes, without their reversals."""
     strokes = errors[-round(2 * STROKE / PERIOD) :].reshape(2, -1)[:, round(TURN / PERIOD) :]
     return float(np.sqrt(np.mean(np.square(strokes))))
 
@@ -63,7 +63,7 @@ def last(errors: np.ndarray) -> float:
 @pytest.mark.parametrize("true", [0.85, 0.93, 1.04, 1.08])
 @pytest.mark.parametrize("offset", [-0.01, 0.0, 0.01])
 def test_a_small_signal_arrives_at_a_locked_joint(true: float, offset: float) -> None:
-    """Without the sensor the reversals miss by the error of the friction, which is more than the signal itself."""
+    """Without the sensor, the error of the friction exceeds the signal itself at reversals."""
     without = last(Rig(true, offset, bandwidth=0.0).run(12.0, 0.02, False))
     assert last(Rig(true, offset).run(12.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
 
@@ -118,7 +118,7 @@ def test_a_correction_belongs_to_its_direction() -> None:
 @pytest.mark.parametrize("offset", [0.0, 0.01])
 @pytest.mark.parametrize("true", [0.8, 0.95])
 def test_a_fade_in_ends_at_the_friction_of_a_locked_joint(true: float, offset: float) -> None:
-    """The file has too much friction. Without the sensor the fade-in delivers the excess, which then stays."""
+    """The file's friction is too large. Without the sensor, the fade-in delivers the excess, which then persists."""
 
     def overshoot(bandwidth: float) -> float:
         feedback, rng, delivered = TorqueFeedback(bandwidth, RATIO, PERIOD), np.random.default_rng(5), 0.0

@@ -1,4 +1,4 @@
-"""Bounds that are looser than shipped: every key of the table, against the defaults of the settings classes."""
+"""Detection of bounds that are looser than the shipped ones: every key of the table against the settings' defaults."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def test_shipped_defaults_are_not_loose() -> None:
 
 @pytest.mark.parametrize(("section", "key"), [(section, key) for section, keys in KEYS.items() for key in keys])
 def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
-    """A number that is greater, or a flag that differs, is one finding; a smaller number is not."""
+    """A larger number or a changed flag is one finding. A smaller number is not."""
     default = getattr(SECTIONS[section], key)
     if isinstance(default, bool):
         looser: object = not default
     elif key == "travel":
         looser = (-90.0, 90.0)
-    elif key == "joint_speed":  # which must stay below over_speed
+    elif key == "joint_speed":  # must stay below over_speed
         looser = 1.1 * default
     else:
         looser = 2.5 * (1 if default is None else default)

@@ -1,4 +1,4 @@
-"""A motor that buzzes, told from reversals, noise and a set-point that is fast itself."""
+"""Detection of a chattering motor, as opposed to reversals, noise and a fast set-point."""
 
 from __future__ import annotations
 
@@ -15,21 +15,24 @@ LEVEL = 0.03  # N*m RMS
 
 
 def watch(added: np.ndarray, wanted: np.ndarray | None = None, period: float = PERIOD) -> list[int]:
-    """Cycles in which it is said to buzz."""
+    """Return the cycles in which chatter is detected."""
     buzz = Buzz(LEVEL, period)
     other = np.zeros_like(added) if wanted is None else wanted
     return [n for n, pair in enumerate(zip(added.tolist(), other.tolist(), strict=True)) if buzz.update(*pair)]
 
 
 def above(values: np.ndarray, period: float) -> np.ndarray:
-    """What of them is above 20 Hz, from the second on: each less what a first-order filter had before it."""
+    """Return the part of the values above 20 Hz, from the second value on.
+
+    The previous output of a first-order low-pass is subtracted from each value.
+    """
     keep = math.exp(-2.0 * math.pi * 20.0 * period)
     slow = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0]
     return np.asarray(values[1:] - slow[:-1])
 
 
 def foretold(added: np.ndarray, wanted: np.ndarray, period: float) -> list[tuple[int, float]]:
-    """Cycles in which it is to be told, and the frequencies (Hz), by blocks of 40 ms, ten loud ones in a row."""
+    """Return the cycles and the frequencies (Hz) of the expected detections: ten loud blocks of 40 ms in a row."""
     fast, other = above(added, period), above(wanted, period)
     length = max(2, round(0.04 / period))
     turned = np.concatenate(([False], fast[1:] * fast[:-1] < 0.0))
@@ -55,7 +58,7 @@ def times(seconds: float, period: float = PERIOD) -> np.ndarray:
 
 @pytest.mark.parametrize(("period", "drawn"), [(1e-3, 60), (2.5e-3, 20), (5e-2, 40)])
 def test_is_told_in_the_cycle_in_which_ten_blocks_have_been_loud(period: float, drawn: int) -> None:
-    """Swings near the level, explained by nearly as much of the set-point as explains them, that come and go."""
+    """The oscillations start and stop. Their size is near the level, and the set-point nearly explains them."""
     draw = np.random.default_rng(5)
     told = 0
     for _ in range(drawn):
@@ -95,7 +98,7 @@ def test_its_frequency_is_told() -> None:
 
 @pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0])
 def test_the_turns_of_a_motion_are_left_alone(frequency: float) -> None:
-    """The friction term of a joint that is moved to and fro: steps of 0.9 N*m, within 8 ms, and ringing after them."""
+    """The friction term of a joint that moves to and fro has steps of 0.9 N*m within 8 ms, followed by ringing."""
     t = times(6.0)
     turns = 0.45 * np.sign(np.sin(2.0 * math.pi * frequency * t))
     turns = np.convolve(turns, np.hanning(8) / np.hanning(8).sum(), "same")
@@ -105,7 +108,7 @@ def test_the_turns_of_a_motion_are_left_alone(frequency: float) -> None:
 
 
 def test_noise_is_left_alone() -> None:
-    """Of the measured speed in the damping."""
+    """The noise of the measured speed acts through the damping."""
     assert watch(np.random.default_rng(3).normal(0.0, 0.02, 10_000)) == []
 
 
@@ -137,7 +140,7 @@ def test_what_is_not_finite_does_not_stick_and_reset_forgets() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_number_that_no_torque_can_have_is_passed_over(side: float) -> None:
-    """Beyond a million, of both together; below it is a swing like any other."""
+    """Samples are ignored if the sum of both torques exceeds a million. Below it, oscillations are detected."""
     swing = 4e5 * np.sin(2.0 * math.pi * 60.0 * times(0.5))
     added = side * 5e5 + swing
     assert watch(added, np.full_like(swing, side * 9e4)) != []  # 0.99e6 at its peaks
@@ -150,7 +153,7 @@ def test_a_number_that_no_torque_can_have_is_passed_over(side: float) -> None:
 
 @pytest.mark.parametrize("period", [1e-3, 4e-3])
 def test_the_turns_of_a_hand_that_trembles_are_looked_through(period: float) -> None:
-    """Steps of the friction term 16 times a second: told as a buzz, unless each is said to follow the joint."""
+    """The friction term steps 16 times per second. This is detected as chatter unless each step follows the joint."""
     t = times(2.0, period)
     phase = 8.0 * t % 0.5
     term = 0.2 * np.sign(np.sin(2.0 * math.pi * 8.0 * t + 1e-6))

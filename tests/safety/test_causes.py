@@ -1,4 +1,4 @@
-"""Every cause has an id, a title and a remedy of its own."""
+"""Every cause has its own id, title and remedy."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_text_of_a_fault_begins_with_the_title_whatever_its_detail_holds() -
 
 
 def test_every_cause_is_tripped_somewhere() -> None:
-    """A cause that no module uses has no place in the table."""
+    """Every cause in the table is used by a module."""
     used = {
         node.attr
         for path in (ROOT / "tsa_ctrl").rglob("*.py")

@@ -1,4 +1,4 @@
-"""A clock that runs while something is wrong, and runs back four times as slowly while it is not."""
+"""A timer that runs while a condition holds, and runs back at a quarter of the speed while it does not."""
 
 from __future__ import annotations
 

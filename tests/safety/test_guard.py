@@ -1,4 +1,4 @@
-"""The guard: back at once, up again once, latched the second time, and in words."""
+"""The guard reduces the compensation at once, restores it once, latches the second time, and reports it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HALF_LOOP = 0.5
 
 
 class Rig:
-    """A joint at 1 rad/s of which `share` of the friction is left, compensated by what the guard leaves."""
+    """A joint at 1 rad/s with `share` of its friction, compensated as far as the guard allows."""
 
     def __init__(self, share: float = 0.3, by_stretch: bool = False) -> None:
         self.share = share
@@ -61,7 +61,7 @@ def test_the_first_detection_is_forgiven() -> None:
     assert guard.back_off == RETURNED
     while guard.back_off == RETURNED:
         rig.run(PERIOD, speed=0.0)
-    rig.run(0.02, speed=0.0)  # no step
+    rig.run(0.02, speed=0.0)  # the first 20 ms show that there is no step
     assert guard.back_off == pytest.approx(0.9 + 0.021 / 0.3, abs=1e-6)
     assert guard.reason is Reason.PASSIVITY
     rig.run(0.01, speed=0.0)
@@ -69,7 +69,7 @@ def test_the_first_detection_is_forgiven() -> None:
 
 
 def test_the_second_time_is_latched_below_the_friction_that_is_left() -> None:
-    """And gives no energy any more, however long it goes on."""
+    """After this, the guard adds no further energy."""
     guard = Rig().run(0.5)
     assert (guard.latched, guard.count) == (True, 2)
     assert guard.back_off == pytest.approx(0.8 * (0.3 - 0.1), abs=0.01)
@@ -89,7 +89,10 @@ def test_the_friction_that_is_left_is_given_for_one_cycle() -> None:
 
 
 def test_what_drove_the_joint_is_turned_round_for_a_moment() -> None:
-    """The excess is reversed for 4 ms, so that the tendons unwind; then the share stays while the motor swings."""
+    """The excess is reversed for 4 ms, so that the tendons unwind.
+
+    Then the share is kept while the motor oscillates.
+    """
     rig = Rig()
     while rig.guard.count < 2:
         before, count = rig.guard.share, rig.guard.count
@@ -123,7 +126,7 @@ def test_a_third_time_leaves_nothing() -> None:
 
 
 def test_the_second_time_is_seen_by_half_of_it() -> None:
-    """20 % too much at 1 rad/s, seen at first within 3 mJ; then by half, and as at first once it is forgiven."""
+    """20 % too much at 1 rad/s is detected within 3 mJ at first, then within half, and after forgiveness as at first."""
 
     def energies(*pauses: float) -> list[float]:
         rig, found = Rig(share=0.8), []
@@ -154,7 +157,10 @@ def test_what_is_long_ago_is_forgiven() -> None:
 
 
 def test_energy_that_no_loss_of_friction_explains_is_told_so() -> None:
-    """The friction is as the file says, and 40 mN*m more arrive: the sensor's zero, or a compensation above 1."""
+    """The friction agrees with the file, but 40 mN*m more are delivered.
+
+    The cause is the sensor's zero or a compensation above 1.
+    """
     guard = Rig(share=1.0 - 0.04 / HALF_LOOP).run(0.2)
     assert guard.count == 1
     assert "agree with the model file" in guard.words
@@ -188,7 +194,7 @@ def test_a_back_off_that_is_set_stays_until_it_is_released() -> None:
 
 
 def test_a_release_is_not_forgiven() -> None:
-    """The compensation returns to less than all of it, and the next violation latches again at once."""
+    """The compensation returns to less than 1, and the next violation latches again at once."""
     rig = Rig()
     assert rig.run(0.5).latched
     rig.guard.release()
@@ -210,7 +216,7 @@ def test_a_back_off_that_is_set_in_each_cycle_changes_nothing() -> None:
 
 
 def test_the_stretch_is_less_certain() -> None:
-    """10 % of the half loop are left out there, 1 % with a sensor."""
+    """The dead band is 10 % of the half loop with the elongation, and 1 % with a sensor."""
     assert Rig(share=0.9, by_stretch=True).run(2.0).count == 0
     assert Rig(share=0.9).run(2.0).count > 0
     assert Rig(share=0.5, by_stretch=True).run(0.5).latched
@@ -221,7 +227,7 @@ def test_without_a_value_nothing_happens() -> None:
 
 
 def test_the_times_are_those_that_people_are_told() -> None:
-    """Up again to 90 % within 0.35 s; forgiven after a minute."""
+    """The compensation returns to 90 % within 0.35 s, and a violation is forgiven after a minute."""
     rig = Rig()
     rig.run(0.03)
     assert rig.guard.count == 1
@@ -249,7 +255,7 @@ def test_nothing_has_happened_at_the_begin() -> None:
 
 
 def test_a_sensor_is_what_is_taken_for_granted() -> None:
-    """Its doubts are the smaller ones."""
+    """The default is a torque sensor, which has the smaller uncertainty."""
     guards = [Guard(PassivitySettings(), PERIOD), Guard(PassivitySettings(), PERIOD, False)]
     for guard in guards:
         while not guard.count:
@@ -258,7 +264,7 @@ def test_a_sensor_is_what_is_taken_for_granted() -> None:
 
 
 def test_a_reset_forgets_what_was_added_and_what_buzzed() -> None:
-    """Just before either is seen; and that a term was to be turned round."""
+    """The reset occurs just before either would be detected. It also cancels the reversal of the term."""
     rig = Rig()
     rig.run(0.003)
     assert rig.guard.energy > 0.0
@@ -275,7 +281,7 @@ def test_a_reset_forgets_what_was_added_and_what_buzzed() -> None:
 
 
 def test_periods_without_a_cycle_count_for_the_energy() -> None:
-    """Every second one has none: seen after half as many cycles, but for what is foreseen."""
+    """If every second period has no cycle, about half as many cycles are needed, except for the predicted energy."""
     always, half = Rig(), Rig()
     while not half.guard.count:
         half.guard.pass_over(1)
@@ -286,7 +292,7 @@ def test_periods_without_a_cycle_count_for_the_energy() -> None:
 
 
 def test_a_buzzing_motor_loses_half_of_the_term_within_the_fall_and_without_a_step() -> None:
-    """Nothing drove the joint, so nothing is reversed or waited for, also after something did. No motor swings on."""
+    """Nothing drove the joint, so nothing is reversed and no time is waited for, even after an earlier violation."""
     for before in (0, 1):
         rig = Rig()
         if before:
@@ -301,7 +307,7 @@ def test_a_buzzing_motor_loses_half_of_the_term_within_the_fall_and_without_a_st
 
 
 def test_what_is_latched_and_wrong_again_is_left_at_nothing() -> None:
-    """However long ago that was, and whatever is wrong now."""
+    """It holds after any pause and for any kind of violation."""
     for pause in (0.1, FORGIVEN + 1.0):
         rig = Rig()
         rig.run(0.5)
@@ -315,6 +321,6 @@ def test_what_is_latched_and_wrong_again_is_left_at_nothing() -> None:
 
 
 def test_how_long_it_took_is_told() -> None:
-    """0.2 mJ in a ms and 1 mJ foreseen in the end: 10 ms and a few for the doubts."""
+    """0.2 mJ per millisecond and 1 mJ predicted at the end give 10 ms, plus a few for the uncertainty."""
     guard = Rig(share=0.6).run(0.1)
     assert 8 <= int(guard.words.split("within ")[1].split(" ms")[0]) <= 20

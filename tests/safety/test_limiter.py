@@ -1,4 +1,4 @@
-"""The limiter: faults give 0 at once, limits bend, nothing makes the motor stronger than was asked."""
+"""The limiter: faults give 0 at once, limits reduce the torque, and the torque never exceeds the request."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ LOOSE = LimiterSettings(
 
 
 def test_passes_what_breaks_no_limit() -> None:
-    """Inside all limits the torque is the wanted one, bit for bit."""
+    """Inside all limits, the output is exactly the desired torque."""
     assert Limiter(LOOSE, PERIOD).update(0.3, **CALM) == (0.3, Reason.NONE)
 
 
@@ -60,7 +60,7 @@ def test_passes_what_breaks_no_limit() -> None:
     ],
 )
 def test_fault_gives_zero_in_the_same_cycle(change: dict[str, Any], reason: Reason) -> None:
-    """Whatever the torque was, a fault takes it to exactly 0 at once and names itself."""
+    """A fault takes the torque to exactly 0 at once and is given as the reason."""
     limiter = Limiter(LOOSE, PERIOD)
     limiter.update(1.5, **CALM)
     assert limiter.update(1.5, **{**CALM, **change}) == (0.0, reason)
@@ -68,12 +68,12 @@ def test_fault_gives_zero_in_the_same_cycle(change: dict[str, Any], reason: Reas
 
 @pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf])
 def test_wanted_torque_must_be_finite(wanted: float) -> None:
-    """A law that went wrong sends nothing."""
+    """A law whose torque is not finite sends nothing."""
     assert Limiter(LOOSE, PERIOD).update(wanted, **CALM) == (0.0, Reason.NOT_FINITE)
 
 
 def test_over_speed_latches_until_reset() -> None:
-    """After over-speed the torque stays 0 at standstill, through a disable, until an explicit reset."""
+    """After over-speed the torque stays 0 at standstill and through a disable, until an explicit reset."""
     limiter = Limiter(LOOSE, PERIOD)
     limiter.update(1.0, **{**CALM, "omega_m": 41.0})
     limiter.update(1.0, **{**CALM, "enabled": False})
@@ -84,7 +84,7 @@ def test_over_speed_latches_until_reset() -> None:
 
 @pytest.mark.parametrize("speed", [19.999, -19.999])
 def test_over_speed_boundary(speed: float) -> None:
-    """Just below the over-speed nothing latches."""
+    """Just below the over-speed limit, nothing latches."""
     limiter = Limiter(SETTINGS, PERIOD)
     limiter.update(0.0, **{**CALM, "omega_j": speed})
     assert not limiter.over_speed
@@ -93,7 +93,7 @@ def test_over_speed_boundary(speed: float) -> None:
 @pytest.mark.parametrize(("omega", "share"), [(7.9, 1.0), (8.0, 1.0), (9.0, 0.5), (10.0, 0.0), (15.0, 0.0)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_driving_torque_fades_towards_joint_speed(omega: float, share: float, sign: float) -> None:
-    """Torque along the motion fades to 0 between 80 % and 100 % of the joint speed limit; braking torque does not."""
+    """Torque along the motion fades to 0 between 80 % and 100 % of the joint speed limit. Braking torque does not."""
     driving, _ = Limiter(LOOSE, PERIOD).update(sign, **{**CALM, "omega_j": sign * omega})
     braking, _ = Limiter(LOOSE, PERIOD).update(sign, **{**CALM, "omega_j": -sign * omega})
     assert driving == pytest.approx(sign * share)
@@ -105,7 +105,7 @@ def test_driving_torque_fades_towards_joint_speed(omega: float, share: float, si
     [(1.39, 1.0, 1.0), (1.45, 1.0, 0.5), (1.5, 1.0, 0.0), (2.0, 1.0, 0.0), (-0.95, -1.0, 0.5), (-1.2, -1.0, 0.0)],
 )
 def test_outward_torque_fades_at_the_ends_of_travel(q: float, outward: float, share: float) -> None:
-    """Within the margin outward torque fades to 0, beyond it is 0; inward torque passes."""
+    """Within the margin, outward torque fades to 0. Beyond the travel it is 0. Inward torque passes."""
     pushed, _ = Limiter(LOOSE, PERIOD).update(outward, **{**CALM, "q_j": q})
     back, _ = Limiter(LOOSE, PERIOD).update(-outward, **{**CALM, "q_j": q})
     assert pushed == pytest.approx(outward * share)
@@ -113,7 +113,7 @@ def test_outward_torque_fades_at_the_ends_of_travel(q: float, outward: float, sh
 
 
 def test_command_stays_near_the_measured_torque() -> None:
-    """A drive that delivers nothing gets at most `distance` more than it delivers."""
+    """The command exceeds the measured torque by at most `distance`."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.5), PERIOD)
     assert limiter.update(1.5, **{**CALM, "tau_m": 0.2}) == (0.7, Reason.DISTANCE)
     assert limiter.update(-1.5, **{**CALM, "tau_m": -0.2}) == (-0.7, Reason.DISTANCE)
@@ -121,14 +121,14 @@ def test_command_stays_near_the_measured_torque() -> None:
 
 @pytest.mark.parametrize("measured", [5.0, -5.0])
 def test_a_lying_torque_cannot_pull_the_command_along(measured: float) -> None:
-    """A measured torque far away weakens the command at most to 0; it never turns or raises it."""
+    """A measured torque far away reduces the command at most to 0. It never reverses or increases it."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.5), PERIOD)
     torque, _ = limiter.update(0.3, **{**CALM, "tau_m": measured})
     assert torque in (0.0, 0.3)
 
 
 def test_rate_limit() -> None:
-    """A step of what is wanted becomes a ramp of `rate`."""
+    """A step of the desired torque becomes a ramp of `rate`."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
     torques = [limiter.update(1.0, **{**CALM, "tau_m": 1.0}) for _ in range(11)]
     assert [torque for torque, _ in torques[:10]] == pytest.approx([0.1 * n for n in range(1, 11)])
@@ -138,7 +138,7 @@ def test_rate_limit() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_rate_limit_holds_in_either_direction(sign: float) -> None:
-    """From a torque that was reached, the opposite one grows from 0 by the same ramp, and each step names the rate."""
+    """From a torque that was reached, the opposite torque grows from 0 by the same ramp, with the rate as reason."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
     for _ in range(10):
         limiter.update(sign, **CALM)
@@ -157,7 +157,7 @@ def test_rate_limit_holds_in_either_direction(sign: float) -> None:
 def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(
     rate: float, change: dict[str, Any], torque: float
 ) -> None:
-    """After `set rate_limit 1` outward torque must not go on for seconds beyond the travel."""
+    """After `set rate_limit 1`, outward torque must not persist for seconds beyond the travel."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=2.0, travel=(-1.0, 1.5)), PERIOD)
     limiter.update(1.0, **CALM)
     limiter.rate = rate
@@ -166,7 +166,7 @@ def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(
 
 @pytest.mark.parametrize("wanted", [0.0, 0.4, 0.999])
 def test_a_torque_falls_as_fast_as_it_is_wanted_to(wanted: float) -> None:
-    """The rate bounds growth alone."""
+    """The rate limits only growth."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5), PERIOD)
     limiter.update(1.0, **CALM)
     limiter.rate = 0.1
@@ -182,7 +182,7 @@ def test_outward_torque_fades_before_the_end_of_travel(q_j: float, wanted: float
 
 
 def test_ramps_from_zero_after_a_fault() -> None:
-    """The torque after a fault starts from 0, not from what it was before."""
+    """After a fault the torque starts from 0, not from its previous value."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
     for _ in range(20):
         limiter.update(1.0, **CALM)
@@ -192,12 +192,12 @@ def test_ramps_from_zero_after_a_fault() -> None:
 
 @pytest.mark.parametrize("wanted", [2.0000001, 1e9, -2.0000001, -1e9])
 def test_absolute_limit(wanted: float) -> None:
-    """Beyond the absolute limit the limit itself is sent."""
+    """Beyond the absolute limit, the limit itself is sent."""
     assert Limiter(LOOSE, PERIOD).update(wanted, **CALM) == (math.copysign(2.0, wanted), Reason.ABSOLUTE)
 
 
 def test_lowered_limit_holds_at_once() -> None:
-    """The absolute limit has the last word, over the rate too."""
+    """The absolute limit takes precedence over the rate."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=2000.0), PERIOD)
     limiter.update(2.0, **CALM)
     limiter.torque = 0.5
@@ -211,7 +211,10 @@ cycles = st.tuples(values, st.booleans(), st.booleans(), values, values, values,
 
 @given(st.lists(cycles, min_size=1, max_size=40))
 def test_invariants_over_any_sequence(sequence: list[tuple[float, bool, bool, float, float, float, float]]) -> None:
-    """Always finite, no larger than wanted and the limit, grown by one step at most, 0 unless enabled and fresh."""
+    """The torque is finite and within the request and the limit, and grows by one step at most.
+
+    It is 0 unless the axis is enabled and the feedback is fresh.
+    """
     limiter = Limiter(SETTINGS, PERIOD)
     before = 0.0
     for wanted, enabled, fresh, tau_m, omega_m, q_j, omega_j in sequence:
@@ -228,7 +231,7 @@ def test_invariants_over_any_sequence(sequence: list[tuple[float, bool, bool, fl
 
 
 def test_imports_nothing_of_the_law() -> None:
-    """The limiter stands alone: of the package it imports nothing at all."""
+    """The limiter is independent: it imports nothing of the package."""
     tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     imported |= {name.name for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
@@ -245,21 +248,21 @@ def test_imports_nothing_of_the_law() -> None:
     ],
 )
 def test_contradictory_settings_are_refused(settings: dict[str, Any], words: str) -> None:
-    """Limits that contradict each other are an error before anything moves."""
+    """Contradictory limits are an error before anything moves."""
     with pytest.raises(ValueError, match=words):
         LimiterSettings(torque=1.0, **settings).check_order()
 
 
 @pytest.mark.parametrize("upper", [1.5 + 2.0**-20, 3.0])
 def test_travel_just_wider_than_its_margins_is_taken(upper: float) -> None:
-    """Two margins and a little more leave a place with full torque; where the travel lies does not matter."""
+    """Two margins and a little more leave a range with full torque, at any position of the travel."""
     settings = LimiterSettings(torque=1.0, travel=(1.0, upper), travel_margin=0.25)
     middle = {**CALM, "q_j": 0.5 * (1.0 + upper)}
     assert Limiter(settings, 1.0).update(1.0, **middle) == (1.0, Reason.NONE)
 
 
 def test_defaults_are_those_of_the_example_file() -> None:
-    """What holds when the file says nothing: careful values."""
+    """The defaults, which apply if the file has no value, are conservative."""
     assert msgspec.to_builtins(LimiterSettings(torque=2.0)) == {
         "torque": 2.0,
         "torque_share": None,
@@ -273,7 +276,7 @@ def test_defaults_are_those_of_the_example_file() -> None:
     }
 
 
-BOUNDS = [  # key, the least that is refused or None, the most that is taken
+BOUNDS = [  # key, smallest value (rejected), largest value (accepted)
     ("torque", 0.0, 1000.0),
     ("distance", 0.0, 1000.0),
     ("rate", 0.0, 100_000.0),
@@ -285,7 +288,7 @@ BOUNDS = [  # key, the least that is refused or None, the most that is taken
 
 @pytest.mark.parametrize(("key", "low", "high"), BOUNDS, ids=[key for key, *_ in BOUNDS])
 def test_settings_are_bounded_from_both_sides(key: str, low: float, high: float) -> None:
-    """Just inside its bounds a setting is taken, on the open one and just outside it is refused."""
+    """A setting just inside its bounds is accepted. The open bound and values just outside are rejected."""
     wide = {"torque": 1.0, "joint_speed": 1e-9, "over_speed": 1000.0}
 
     def read(value: float) -> LimiterSettings:
@@ -309,7 +312,7 @@ def test_a_ceiling_is_an_absolute_limit_for_now(sign: float, ceiling: float, mos
 
 
 def test_reasons_are_the_codes_of_the_log() -> None:
-    """Logs that were written stay readable."""
+    """Existing logs stay readable."""
     assert {reason.name: reason.value for reason in Reason} == {
         "NONE": 0,
         "DISABLED": 1,
@@ -330,7 +333,7 @@ def test_reasons_are_the_codes_of_the_log() -> None:
 
 
 def test_reset_starts_the_ramp_anew() -> None:
-    """An explicit re-start begins at 0, not at what was sent before."""
+    """An explicit restart begins at 0, not at the previous command."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
     for _ in range(5):
         limiter.update(1.0, **CALM)
@@ -340,14 +343,14 @@ def test_reset_starts_the_ramp_anew() -> None:
 
 @pytest.mark.parametrize("omega", [math.nextafter(8.0, 10.0), 9.0])
 def test_small_driving_torque_fades_too(omega: float) -> None:
-    """The power of the motion does not matter, its sign does."""
+    """The fade depends on the sign of the power, not on its size."""
     torque, reason = Limiter(LOOSE, PERIOD).update(1e-3, **{**CALM, "omega_j": omega})
     assert (torque, reason) == (pytest.approx(1e-3 * (10.0 - omega) / 2.0), Reason.SPEED)
 
 
 @pytest.mark.parametrize("omega", [8.0, -8.0])
 def test_at_the_onset_of_the_speed_limit_nothing_is_limited(omega: float) -> None:
-    """80 % of the joint speed is still free."""
+    """80 % of the joint speed is still unlimited."""
     assert Limiter(LOOSE, PERIOD).update(math.copysign(0.5, omega), **{**CALM, "omega_j": omega}) == (
         math.copysign(0.5, omega),
         Reason.NONE,
@@ -355,7 +358,7 @@ def test_at_the_onset_of_the_speed_limit_nothing_is_limited(omega: float) -> Non
 
 
 def test_no_torque_is_no_limit() -> None:
-    """Nothing wanted at full speed and beyond the travel is not a limit that acted."""
+    """A desired torque of zero at full speed and beyond the travel does not count as limited."""
     assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "omega_j": 15.0, "q_j": 3.0}) == (0.0, Reason.NONE)
     for measured in (500.0, -500.0):
         assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "tau_m": measured}) == (0.0, Reason.NONE)
@@ -369,14 +372,14 @@ def test_a_margin_away_from_the_end_of_travel_nothing_is_limited() -> None:
 
 
 def test_small_command_stays_near_a_contrary_torque() -> None:
-    """Less than 1 N*m is held to its distance like any other."""
+    """A command below 1 N*m is limited to its distance like any other."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.125), PERIOD)
     assert limiter.update(0.5, **{**CALM, "tau_m": 0.25}) == (0.375, Reason.DISTANCE)
     assert limiter.update(-0.5, **{**CALM, "tau_m": -0.25}) == (-0.375, Reason.DISTANCE)
 
 
 def test_on_a_limit_nothing_is_limited() -> None:
-    """Exactly one step, exactly the absolute limit, exactly the distance: as wanted."""
+    """Exactly one step, exactly the absolute limit and exactly the distance pass unchanged."""
     settings = LimiterSettings(torque=2.0, rate=4.0, distance=1.0)
     assert Limiter(settings, 0.25).update(1.0, **CALM) == (1.0, Reason.NONE)
     assert Limiter(settings, 0.25).update(-1.0, **CALM) == (-1.0, Reason.NONE)
@@ -390,7 +393,7 @@ sizes = st.floats(1e-3, 100.0)
 
 @given(sizes, sizes, st.floats(-2.0, 2.0), st.sampled_from([-1.0, 1.0]))
 def test_distance_sweep(distance: float, wanted: float, measured: float, sign: float) -> None:
-    """Whatever is measured: the command is as wanted or on the bound, towards 0, and never turned."""
+    """For any measured torque, the command is the desired one or lies on the bound, and it is never reversed."""
     settings = LimiterSettings(torque=1000.0, rate=1e5, distance=distance)
     torque, reason = Limiter(settings, 1.0).update(sign * wanted, **{**CALM, "tau_m": sign * measured})
     bound = max(0.0, measured + distance)
@@ -400,7 +403,10 @@ def test_distance_sweep(distance: float, wanted: float, measured: float, sign: f
 
 @given(st.floats(-30.0, 30.0), st.floats(-3.0, 3.0), st.floats(-2.0, 2.0))
 def test_speed_and_travel_sweep(omega: float, q: float, wanted: float) -> None:
-    """Against the rule in words: share of speed, then share of room, each from 0 to 1, only for what makes it worse."""
+    """The reference is the rule: the torque is scaled by the remaining speed and by the remaining travel.
+
+    Each factor is between 0 and 1 and acts only on torque that makes it worse.
+    """
     torque, _ = Limiter(LOOSE, PERIOD).update(wanted, **{**CALM, "omega_j": omega, "q_j": q})
     expected = wanted
     if abs(omega) >= 20.0:

@@ -1,4 +1,4 @@
-"""Too many commands unheard within a second end the torque; the count is somebody else's."""
+"""Too many missed commands within a second end the torque. Another module counts them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from tsa_ctrl.safety.lost_commands import LostCommands
 
 
 def play(check: LostCommands, hearing: Hearing, every: int, cycles: int = 2000) -> int | None:
-    """Cycle of 1 ms in which it is found, with one unheard command every so many cycles."""
+    """Return the cycle of 1 ms in which it is detected, with one missed command every `every` cycles; None if it is
+    not.
+    """
     for cycle in range(1, cycles):
         hearing.asked += 1
         hearing.unheard += cycle % every == 0

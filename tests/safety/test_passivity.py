@@ -1,4 +1,4 @@
-"""The energy observer: sees what compensation adds, leaves out what gain, zero, delay and others do."""
+"""The energy observer detects energy added by the compensation and ignores that of gain, zero and delay errors."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def trips(passivity: Passivity, *columns: np.ndarray) -> list[int]:
 
 
 def gait(seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Torque wanted, its slope, and the joint's speed: a walk of 1.6 s a cycle."""
+    """Return desired torque (N*m), its rate (N*m/s) and joint speed (rad/s) of a walk with 1.6 s per cycle."""
     t = np.arange(0.0, seconds, PERIOD)
     phase = 2.0 * math.pi * t / 1.6
     wanted = 0.5 * np.sin(phase) + 0.2 * np.cos(2.0 * phase)
@@ -39,7 +39,10 @@ def gait(seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.85])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_lost_friction_is_seen_before_the_joint_is_fast(share: float, side: float) -> None:
-    """A free joint of 0.02 kg*m^2 that has `share` of the friction left and all of it compensated: within 10 mJ."""
+    """A free joint of 0.02 kg*m^2 keeps `share` of its friction but is fully compensated.
+
+    Detection takes at most 5 mJ.
+    """
     passivity, speed, given = observer(), 0.3, 0.0
     for _ in range(3000):
         excess = (1.0 - share) * HALF_LOOP
@@ -54,7 +57,7 @@ def test_lost_friction_is_seen_before_the_joint_is_fast(share: float, side: floa
 
 
 def test_friction_that_is_there_is_left_alone() -> None:
-    """The friction compensated by 95 %, or by all of it with what reversals leave: nothing is added."""
+    """The friction is compensated by 95 %, or fully except at reversals. No energy is added."""
     wanted, rate, speed = gait(16.0)
     sigma = np.sign(speed)
     late = np.where(np.abs(speed) < 0.3, -0.1 * sigma, 0.0)
@@ -66,7 +69,7 @@ def test_friction_that_is_there_is_left_alone() -> None:
 
 @pytest.mark.parametrize(("gain", "zero", "delay"), [(0.02, 0.0, 0.0), (0.0, 0.014, 0.0), (0.0, 0.0, 2.5e-3)])
 def test_gain_zero_and_delay_are_left_out(gain: float, zero: float, delay: float) -> None:
-    """A sensor of 2 %, its zero by 14 mN*m, a drive that is late: each adds energy in the sum, and none counts."""
+    """A gain error of 2 %, a zero of 14 mN*m and a late drive each add energy in the sum, but none of it counts."""
     wanted, rate, speed = gait(16.0)
     arrives = wanted * (1.0 + gain) + zero - delay * rate
     passivity = observer()
@@ -74,7 +77,7 @@ def test_gain_zero_and_delay_are_left_out(gain: float, zero: float, delay: float
 
 
 def test_what_the_term_did_not_give_does_not_count() -> None:
-    """A hand that pulls, a torque that a limit cut: more arrives than was wanted while the term brakes, or is 0."""
+    """A hand pulls or a limit cuts the torque. More torque arrives than desired while the term brakes or is 0."""
     speed = np.full(4000, 2.0)
     nothing = np.zeros(4000)
     for term in (0.0, -0.3):
@@ -85,7 +88,10 @@ def test_what_the_term_did_not_give_does_not_count() -> None:
 
 
 def given(passivity: Passivity, swings: np.ndarray) -> float:
-    """J that 0.3 N*m too much give a joint at 0.5 rad/s until it is seen; `swings`: J of the motor in each cycle."""
+    """Return the energy (J) that 0.3 N*m too much supply at 0.5 rad/s until detection.
+
+    `swings` is the kinetic energy (J) of the motor in each cycle.
+    """
     for cycle, swing in enumerate(swings.tolist()):
         if passivity.update(0.3, 0.0, 0.0, 0.5, HALF_LOOP, HALF_LOOP, swing):
             return 0.3 * 0.5 * PERIOD * (cycle + 1)
@@ -93,7 +99,10 @@ def given(passivity: Passivity, swings: np.ndarray) -> float:
 
 
 def test_what_a_swing_of_the_motor_had_is_left_out() -> None:
-    """4 mJ of it, at the begin alone, put off by as much what is seen at 3; what feeds itself is seen all the same."""
+    """4 mJ at the beginning delay the detection by 4 mJ beyond the usual 3 mJ.
+
+    An oscillation that sustains itself is detected nevertheless.
+    """
     once, always = np.zeros(400), np.full(400, 4e-3)
     without = given(observer(), once)
     once[0] = 4e-3
@@ -104,7 +113,7 @@ def test_what_a_swing_of_the_motor_had_is_left_out() -> None:
 
 
 def test_what_of_a_swing_is_beyond_the_term_is_not_left_out_twice() -> None:
-    """0.3 N*m of the term arrive, and as much beyond it: that spends the 4 mJ of a swing, in half the time."""
+    """0.3 N*m of the term and as much beyond it arrive. The part beyond it uses up the 4 mJ in half the time."""
     passivity, counted = observer(), 0.0
     for cycle in range(400):
         counted += 0.3 * 0.5 * PERIOD
@@ -118,7 +127,7 @@ def test_what_of_a_swing_is_beyond_the_term_is_not_left_out_twice() -> None:
 
 
 def test_a_swing_and_what_of_it_is_beyond_the_term_are_forgotten_alike() -> None:
-    """Of 4 mJ are 2 spent; 1 s later, with a memory of 2 s, the other 2 excuse 61 % of themselves."""
+    """2 of 4 mJ are used. 1 s later, with a memory of 2 s, the other 2 mJ still excuse 61 % of their value."""
     passivity = observer()
     for cycle in range(20):  # 0.2 N*m beyond the term, at 0.5 rad/s
         passivity.update(0.21 + 0.01 * HALF_LOOP, 0.0, 0.0, 0.5, 0.01, HALF_LOOP, 0.0 if cycle else 4e-3)
@@ -131,15 +140,15 @@ def test_a_swing_and_what_of_it_is_beyond_the_term_are_forgotten_alike() -> None
 
 
 def test_where_it_was_seen_lately_half_is_enough() -> None:
-    """Energy and doubts; and it is the guard that says so."""
+    """Threshold and uncertainty are halved. The guard sets `wary`."""
     once = np.zeros(400)
     wary = observer()
     wary.wary = True
-    assert 0.3 < given(wary, once) / given(observer(), once) < 0.5  # what is foreseen is the same
+    assert 0.3 < given(wary, once) / given(observer(), once) < 0.5  # the predicted energy is the same
 
 
 def test_no_swing_excuses_what_makes_a_joint_fast() -> None:
-    """J/2 (1 rad/s)^2 of 0.02 kg*m^2 at most, however wild the motor."""
+    """At most J/2 (1 rad/s)^2 of 0.02 kg*m^2 is excused, for any motion of the motor."""
     assert 8e-3 < given(observer(), np.full(400, 5.0)) < 10e-3
 
 
@@ -152,7 +161,7 @@ def test_a_swing_of_long_ago_excuses_nothing() -> None:
 
 
 def test_one_wrong_value_is_no_motion() -> None:
-    """A single value of a sensor that is wrong by 3 N*m."""
+    """A single sensor value is wrong by 3 N*m."""
     nothing, speed = np.zeros(100), np.full(100, 2.0)
     glitch = nothing.copy()
     glitch[50] = 3.0
@@ -160,7 +169,7 @@ def test_one_wrong_value_is_no_motion() -> None:
 
 
 def test_what_is_not_known_is_passed_over() -> None:
-    """nan and inf neither count nor stick."""
+    """nan and inf do not count and do not persist."""
     passivity = observer()
     for wrong in (math.nan, math.inf, -math.inf):
         assert not passivity.update(wrong, 0.0, 0.0, 1.0, 0.5, HALF_LOOP)
@@ -170,7 +179,7 @@ def test_what_is_not_known_is_passed_over() -> None:
 
 
 def test_energy_is_the_most_that_was_added_within_any_window() -> None:
-    """Against the largest sum over windows, which are all tried; the memory is long beside them."""
+    """The reference is the largest sum over all windows. The memory is long compared with them."""
     draw = np.random.default_rng(7)
     excess = np.repeat(draw.normal(0.0, 0.2, 40), 25)
     speed = np.repeat(draw.uniform(-2.0, 2.0, 100), 10)
@@ -200,7 +209,10 @@ def test_it_forgets_and_reset_forgets_at_once() -> None:
 
 
 def seen(passivity: Passivity, side: np.ndarray, excess: float, wanted: float, rate: float, term: float) -> float:
-    """Cycle in which it is seen, from 1 on; 1 rad/s in the direction `side`, the excess and the term along it."""
+    """Return the cycle of detection, counted from 1.
+
+    The joint moves at 1 rad/s in the direction `side`, with the excess and the term along it.
+    """
     for cycle, s in enumerate(side.tolist(), start=1):
         if passivity.update(wanted + s * excess, wanted, rate, s, s * term, HALF_LOOP):
             return cycle
@@ -208,7 +220,10 @@ def seen(passivity: Passivity, side: np.ndarray, excess: float, wanted: float, r
 
 
 def foretold(doubts: tuple[float, ...], side: np.ndarray, *of: float, share: float = 1.0) -> float:
-    """The same from sums with the memory's weights, for an energy that never falls to 0; `share` of all that counts."""
+    """Return the same by weighted sums, for an energy that never falls to 0.
+
+    `share` scales threshold and uncertainty.
+    """
     (gain, zero, model), (excess, wanted, rate, term) = doubts, of
     age = np.arange(side.size)[:, None] - np.arange(side.size)
     way = PERIOD * np.where(age >= 0, np.exp(-PERIOD * np.maximum(age, 0) / 2.0), 0.0)
@@ -240,7 +255,7 @@ def test_is_seen_in_the_cycle_in_which_it_is_beyond_every_doubt(
     rate: float,
     term: float,
 ) -> None:
-    """Half a swing foreseen, gain, lateness and zero left out by work, course and way, the model's 1 or 10 % before."""
+    """The reference includes the predicted energy and the uncertainty of gain, delay, zero and model (1 or 10 %)."""
     excess = 0.07 if doubts is SENSOR else 0.25
     expected = foretold(numbers, side, excess, wanted, rate, term)
     assert seen(observer(doubts=doubts), side, excess, wanted, rate, term) == expected
@@ -254,7 +269,7 @@ def test_is_seen_in_the_cycle_in_which_it_is_beyond_every_doubt(
 
 @pytest.mark.parametrize(("calm", "left"), [(0, 4e-3), (30, 4e-3 * math.exp(-1.0))], ids=["now", "30 ms ago"])
 def test_a_swing_is_forgotten_in_30_ms_before_and_with_the_energy_since(calm: int, left: float) -> None:
-    """0.05 N*m at 1 rad/s, nothing in doubt but 4 mJ of swing, then or `calm` cycles before."""
+    """0.05 N*m act at 1 rad/s. The only uncertainty is a swing of 4 mJ, at the same time or `calm` cycles before."""
     passivity = observer(doubts=(0.0, 0.0, 0.0))
     if calm:
         passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 4e-3)
@@ -273,12 +288,12 @@ def test_a_swing_is_forgotten_in_30_ms_before_and_with_the_energy_since(calm: in
 
 
 def test_no_more_is_foreseen_than_was_there() -> None:
-    """0.4 mJ a cycle, 2 mJ to come: twice 1.6 are beyond 3, not 1.2 and 2."""
+    """0.4 mJ per cycle arrive and 2 mJ are predicted. Twice 1.6 mJ exceed 3 mJ, but 1.2 and 2 mJ would be too early."""
     assert seen(observer(doubts=(0.0, 0.0, 0.0)), ONE_WAY, 0.4, 0.0, 0.0, HALF_LOOP) == 4
 
 
 def test_a_term_that_brakes_takes_nothing_back_and_friction_does() -> None:
-    """What a hand gives while the term brakes is nobody's; what is braked beyond all that was given begins anew."""
+    """Energy from a hand while the term brakes does not count. Braking beyond all added energy restarts the sum."""
     passivity = observer()
     assert seen(passivity, ONE_WAY[:40], 0.05, 0.0, 0.0, HALF_LOOP) == math.inf
     before = passivity.energy
@@ -298,7 +313,7 @@ def test_no_torque_is_a_million() -> None:
 
 
 def test_defaults() -> None:
-    """What holds when the file says nothing."""
+    """Values that apply if the file has none."""
     assert msgspec.to_builtins(PassivitySettings()) == {"energy": 3e-3, "buzz": 0.03}
 
 
@@ -341,7 +356,7 @@ def test_a_cycle_of_which_nothing_is_known_takes_its_periods_with_it() -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("compliance", "passes"), [(0.02, True), (0.0, False)])
 def test_what_tendons_return_after_a_reversal_was_not_added(side: float, compliance: float, passes: bool) -> None:
-    """A limit took 0.8 N*m from the joint; after the reversal tendons of 0.016 rad/(N*m) give up to 5 mJ of it back."""
+    """A limit took 0.8 N*m from the joint. After the reversal, tendons of 0.016 rad/(N*m) return up to 5 mJ of it."""
     passivity, excess, found = Passivity(3e-3, SENSOR, PERIOD, compliance), -0.8 * side, []
     for _ in range(200):
         found.append(passivity.update(excess, 0.0, 0.0, 0.5 * side, 0.4 * side, HALF_LOOP))
@@ -353,7 +368,10 @@ def test_what_tendons_return_after_a_reversal_was_not_added(side: float, complia
 
 
 def test_what_does_not_fade_after_a_reversal_is_still_seen() -> None:
-    """Half of the friction is lost: the excess of 0.25 N*m stays, far beyond the energy that the tendons can return."""
+    """Half of the friction is lost.
+
+    The excess of 0.25 N*m persists, far beyond the energy that the tendons can return.
+    """
     passivity, given = Passivity(3e-3, SENSOR, PERIOD, 0.016), 0.0
     for n in range(1000):
         side = 1.0 if n < 100 else -1.0

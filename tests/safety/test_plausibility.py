@@ -1,4 +1,4 @@
-"""Contradictions between command, drive, joint and model are found in time, and agreement accuses nothing."""
+"""Contradictions between command, drive, joint and model are detected in time, and consistent data are accepted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NO_SENSOR = math.nan
 
 
 class Motion:
-    """A joint that swings and a motor that follows it, with a torque that follows the command; lies are switched on."""
+    """A swinging joint, a motor that follows it and a torque that follows the command. Faults can be switched on."""
 
     def __init__(self, has_encoder: bool = True, **settings: float) -> None:
         chosen = PlausibilitySettings(**{"slip": 0.5} | settings)
@@ -46,7 +46,7 @@ class Motion:
         return self.check.update(self.time, self.command(), feedback, q_j, self.tau_j, expected)
 
     def run(self, seconds: float) -> tuple[float, str] | None:
-        """When it was noticed, s from now, and the words; None within `seconds`."""
+        """Return the time until detection (s) and the text of the finding; None if there is none within `seconds`."""
         start = self.time
         while self.time < start + seconds:
             wrong = self.step()
@@ -83,7 +83,7 @@ def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
 
 
 def test_a_step_after_long_rest_may_be_answered_later() -> None:
-    """A drive without noise at rest repeats itself; what it owes begins with the step."""
+    """A drive without noise repeats its values at rest. The time to answer begins with the step."""
     check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     late = 0.008  # s, of a current loop behind a filter
     for n in range(1000):
@@ -106,7 +106,7 @@ def test_a_step_that_nothing_answers_is_noticed_within_the_time_of_a_drive() -> 
 
 @pytest.mark.parametrize(("torque", "noticed"), [(0.0, True), (-1.0, True), (0.55, False)])
 def test_a_torque_that_does_not_follow_is_noticed(torque: float, noticed: bool) -> None:
-    """A quarter of the limit (0.5 N*m) for 0.1 s; less is a matter of calibration."""
+    """The bound is a quarter of the limit (0.5 N*m) for 0.1 s. A smaller error is a calibration error."""
     motion = Motion()
     motion.torque = torque
     found = motion.run(2.0)
@@ -127,7 +127,7 @@ def test_a_short_torque_error_is_the_current_loop_s_lag() -> None:
 
 @pytest.mark.parametrize(("wrong", "right", "most"), [(0.098, 0.002, 0.11), (0.05, 0.05, 0.3), (0.01, 0.02, 0.6)])
 def test_agreement_now_and_then_clears_nothing(wrong: float, right: float, most: float) -> None:
-    """A drive that does not follow for more than a fifth of the time is found."""
+    """A drive that does not follow for more than a fifth of the time is detected."""
     motion = Motion()
     found = None
     while found is None and motion.time < most:
@@ -182,7 +182,7 @@ def test_a_reversed_joint_torque_is_noticed_and_the_model_s_is_not() -> None:
 
 @given(st.floats(0.75, 1.25), st.floats(0.75, 1.25))
 def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_share: float) -> None:
-    """Friction angle and pretension, both, up to a quarter off: calibration, not a lie."""
+    """Friction angle and pretension may both be wrong by a quarter. This is a calibration error, not a fault."""
     x, t_p = MODEL[0] * x_share, MODEL[1] * t_share
     check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     for n in range(200):
@@ -205,7 +205,7 @@ def test_a_reset_forgets_what_was_pending() -> None:
 
 
 def at_rest(**settings: float) -> Plausibility:
-    """Of a drive rated 2 N*m, whose limit is 2 N*m."""
+    """Return the check of a drive with a rated torque and a limit of 2 N*m."""
     return Plausibility(PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
 
 
@@ -218,7 +218,10 @@ def look(
     sigma: float = 0.0,
     tau_j: float = NO_SENSOR,
 ) -> str:
-    """The finding of one cycle with the joint at rest; the torque follows the command where none is given."""
+    """Return the finding of one cycle with the joint at rest, or "".
+
+    The torque follows the command unless it is given.
+    """
     feedback = (command if tau_m is None else tau_m, q_m, 0.0)
     wrong = check.update(time, command, feedback, 0.0, tau_j, (predicted(feedback[0], sigma),) * 2)
     return "" if wrong is None else str(wrong)
@@ -232,7 +235,7 @@ def look(
 def test_torque_error_is_tolerated_up_to_its_bound_and_for_its_time(
     settings: dict[str, float], most: float, sign: float
 ) -> None:
-    """Bound and time are reached exactly: a quarter of the limit, 0.125 s."""
+    """Bound and time are exact: a quarter of the limit, and 0.125 s."""
     check = at_rest(duration=0.125, **settings)
     assert [look(check, 0.001 * n, 1.0, 1.0 + sign * most) for n in range(500)] == [""] * 500
     error = sign * most * 1.001
@@ -247,7 +250,10 @@ def test_default_duration_is_a_tenth_of_a_second() -> None:
 
 
 def test_frozen_is_what_stays_for_30_ms_while_the_command_moves_more_than_a_twentieth() -> None:
-    """Of rated torque, either way, both exactly; from when it has moved by half of that, not from when it rested."""
+    """The bound is a twentieth of the rated torque in either direction; bound and time are exact.
+
+    The time begins when the command has moved by half the bound, not when the feedback came to rest.
+    """
     for begin, almost in ((0.0, 0.04), (16.0, 0.0399)):
         for move in (0.1001, -0.1001):
             check = at_rest()
@@ -259,14 +265,14 @@ def test_frozen_is_what_stays_for_30_ms_while_the_command_moves_more_than_a_twen
 
 
 def test_a_command_that_rests_is_no_contradiction_whatever_it_did_before() -> None:
-    """What moved while the feedback moved, too, does not count."""
+    """Motion of the command while the feedback moved as well does not count."""
     check = at_rest()
     assert [look(check, 0.01 * n, 0.2 * n) for n in range(6)] == [""] * 6
     assert [look(check, 0.05 + 0.01 * n, 1.0) for n in range(50)] == [""] * 50
 
 
 def test_an_enable_does_not_inherit_what_was_frozen() -> None:
-    """The drive at rest still says what it said at the end of the last run."""
+    """The drive at rest still reports the values of the end of the last run."""
     check = at_rest()
     assert [look(check, t, 0.0) for t in (0.0, 0.02)] == ["", ""]
     check.reset()
@@ -274,7 +280,7 @@ def test_an_enable_does_not_inherit_what_was_frozen() -> None:
 
 
 def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
-    """Against where they stood first; both exactly, and back in time is no slip."""
+    """The reference is the first position. Bound and time are exact, and a shorter excess is not slip."""
     check = at_rest()
     assert look(check, -2.0, q_m=7.0) == ""
     assert [look(check, -1.0 + 0.001 * n, q_m=7.0 + 0.5 * (-1) ** n) for n in range(500)] == [""] * 500
@@ -285,7 +291,7 @@ def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
 
 
 def test_creeping_apart_is_noticed() -> None:
-    """The reference is that of the enable, not of the last cycle."""
+    """The reference is the position at the enable, not that of the last cycle."""
     check = at_rest(slip=0.25)
     found = [look(check, 0.01 * n, q_m=0.01 * n) for n in range(40)]
     assert [bool(text) for text in found] == [False] * 27 + [True] * 13
@@ -297,7 +303,7 @@ def test_creeping_apart_is_noticed() -> None:
 def test_without_an_angle_the_torque_in_use_says_how_far(
     settings: dict[str, float], seconds: float, words: str
 ) -> None:
-    """The motor creeps away at 1 rad/s from a joint that trembles by a count; nothing pulls."""
+    """The motor creeps at 1 rad/s away from a joint that trembles by a count. No torque acts."""
     check = Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
     for n in range(1000):
         t = n * PERIOD
@@ -310,7 +316,7 @@ def test_without_an_angle_the_torque_in_use_says_how_far(
 
 
 def tendons(tau_m: float, sigma: float) -> float:
-    """The same joint torque from the two tensions, each with its capstan's exponential."""
+    """Return the joint torque (N*m) from the two tensions, each with the capstan's exponential."""
     x, t_p = MODEL
     half = tau_m / (2.0 * RADII[0])
     return RADII[1] * ((t_p + half) * math.exp(-sigma * x) - (t_p - half) * math.exp(sigma * x))
@@ -325,7 +331,10 @@ def tendons(tau_m: float, sigma: float) -> float:
 def test_joint_torque_is_believed_up_to_its_bound_and_for_its_time(
     settings: dict[str, float], most: float, sign: float, sigma: float
 ) -> None:
-    """Half of the limit, at the joint; as long an agreement or silence as takes it all back begins the time anew."""
+    """The bound is half of the limit at the joint.
+
+    Agreement or silence that cancels the accumulated time restarts it.
+    """
     check = at_rest(duration=0.125, **settings)
     inside = tendons(0.2, sigma) + sign * most * 0.9999
     outside = tendons(0.2, sigma) + sign * most * 1.0001
@@ -339,14 +348,14 @@ def test_joint_torque_is_believed_up_to_its_bound_and_for_its_time(
 
 
 def test_joint_torque_bound_itself_is_agreement() -> None:
-    """Exactly: 0.375 N*m more than the 0.625 that 0.5 N*m at the motor give."""
+    """The bound is exact: 0.375 N*m more than the 0.625 N*m of 0.5 N*m at the motor."""
     check = at_rest()
     assert [look(check, 0.001 * n, 0.5, tau_j=1.0) for n in range(500)] == [""] * 500
     assert [bool(look(check, 1.0 + 0.25 * n, 0.5, tau_j=1.0001)) for n in range(2)] == [False, True]
 
 
 def test_a_large_prediction_may_be_off_by_two_fifths_of_what_it_is_without_friction() -> None:
-    """1.5 N*m, and 1 or 2 by friction either way: 0.6 N*m beyond these."""
+    """The frictionless prediction is 1.5 N*m, and 1 or 2 N*m with friction. The bound is 0.6 N*m beyond these."""
     for inside, outside in ((2.599, 2.601), (0.401, 0.399)):
         for tau_j, found in ((inside, False), (outside, True)):
             for expected in ((1.0, 2.0), (2.0, 1.0)):
@@ -356,7 +365,7 @@ def test_a_large_prediction_may_be_off_by_two_fifths_of_what_it_is_without_frict
 
 
 def test_each_reset_forgets_slip_and_joint_torque() -> None:
-    """The time of either begins anew."""
+    """The time of each restarts."""
     check = at_rest()
     for begin in (0.0, 1.0):
         check.reset()
@@ -369,7 +378,7 @@ def test_each_reset_forgets_slip_and_joint_torque() -> None:
 
 
 def test_defaults() -> None:
-    """What holds when the file says nothing."""
+    """Values that apply if the file has none."""
     settings = PlausibilitySettings()
     assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, None)
 
@@ -384,7 +393,7 @@ def test_defaults() -> None:
     ],
 )
 def test_settings_are_bounded_from_both_sides(key: str, good: tuple[float, ...], bad: tuple[float, ...]) -> None:
-    """None of them can be switched off by a number."""
+    """No numeric value disables any of them."""
     for value in good:
         assert getattr(msgspec.convert({key: value}, PlausibilitySettings), key) == value
     for value in bad:
@@ -400,4 +409,4 @@ def test_what_the_torque_does_not_explain_lasts_for_a_millisecond_before_it_coun
     times = [n * period for n in range(1, 60)]
     found = [now for now in times if check.update(now, 0.1 + now, (0.1 + now, 3.0 * (now > 0.01), now), now, NO_SENSOR,
                                                   (0.0, 0.0))]  # fmt: skip
-    assert found[0] - 0.0105 == pytest.approx(1.5e-3, abs=0.6 * period)  # the next cycle at the latest
+    assert found[0] - 0.0105 == pytest.approx(1.5e-3, abs=0.6 * period)  # in the next cycle at the latest

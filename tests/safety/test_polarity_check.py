@@ -1,4 +1,4 @@
-"""The sense of the motor's torque, on a spring between motor and joint that the test makes itself."""
+"""Polarity of the motor torque, tested on a simulated spring between motor and joint."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ FloatArray = NDArray[np.float64]
 
 
 def filtered(values: FloatArray) -> FloatArray:
-    """By the memory of 0.2 s, from 0 on."""
+    """Return the values filtered with a memory of 0.2 s, from 0 on."""
     keep = math.exp(-PERIOD / 0.2)
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], values))
 
 
 @dataclass
 class Course:
-    """What a drawn rig measures in each cycle."""
+    """Measurements of a random rig in each cycle."""
 
     torque: FloatArray
     apart: FloatArray
@@ -47,7 +47,10 @@ class Course:
         self.t = 7.0 + np.arange(self.torque.size) * PERIOD
 
     def band(self, values: FloatArray, first: int, end: int) -> FloatArray:
-        """Between 1.6 and 16 Hz: a low-pass of 10 ms less one of 100 ms after it, begun with the first known sample."""
+        """Return the values between 1.6 and 16 Hz: a low-pass of 10 ms minus a low-pass of 100 ms after it.
+
+        The filters start at the first known sample.
+        """
         part = values[first:end]
         found = np.zeros(part.size)
         known = np.flatnonzero(np.isfinite(part))
@@ -61,22 +64,25 @@ class Course:
         return found
 
     def turns(self) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-        """By cycle, whether the tendon turns, and in which cycle it did last, -1 for never."""
+        """Return for each cycle whether the tendon reverses, and the cycle of its last reversal (-1 for none)."""
         turned = np.diff(np.sign(self.sigma), prepend=0.0) != 0.0
         return turned, np.maximum.accumulate(np.where(turned, np.arange(turned.size), -1))
 
     def travel(self) -> FloatArray:
-        """Rad at the motor, of the joint since the tendon turned."""
+        """Return the joint travel since the last reversal of the tendon, rad at the motor, (n,)."""
         way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(GEARED * PERIOD * self.omega_j))))
         return np.asarray(way[1:] - way[np.maximum(self.turns()[1], 0)])
 
     def held(self) -> NDArray[np.bool_]:
-        """By cycle, whether the joint has been at rest for 0.4 s."""
+        """Return for each cycle whether the joint has been at rest for 0.4 s."""
         moves = ~(np.abs(self.omega_j) < 0.05)
         return np.asarray(self.t - np.maximum.accumulate(np.where(moves, self.t, -math.inf)) > 0.4)
 
     def pieces(self, driven: FloatArray, free: float = math.inf) -> list[tuple[int, int, bool]]:
-        """First, end and whether friction winds up the tendons there, of what is looked at without a break."""
+        """Return first cycle, end and a flag of each judged interval.
+
+        The flag is True if friction winds up the tendons there.
+        """
         turned, begin = self.turns()
         travel = np.abs(self.travel())
         looked = (begin < 0) | ~(self.t < self.t[np.maximum(begin, 0)] + 0.1)
@@ -136,7 +142,7 @@ class Course:
         return ratio
 
     def foretold(self, driven: FloatArray, free: float = math.inf) -> tuple[FloatArray, int | None]:
-        """The ceiling after each cycle, and the cycle in which something is said."""
+        """Return the ceiling after each cycle, and the cycle of the finding (None if there is none)."""
         ratio, travel = self.ratios(driven, free), self.travel()
         wrong = {
             "at rest": Debounce(0.02),
@@ -148,7 +154,7 @@ class Course:
         looked = {n for first, end, _ in self.pieces(driven, free) for n in range(first, end)}
         ceiling, ceilings, shown, waited = 0.11 * LIMIT, [], False, 0.0
         suspect = fast = False
-        held_for = 0.0  # s, since friction held the motor fast
+        held_for = 0.0  # s, since friction began to hold the motor
         judged = 0.0  # s
         for n, now in enumerate(self.t.tolist()):
             if shown:
@@ -197,7 +203,7 @@ def run(
     rise: float = 1.0,
     omega_j: float = 0.0,
 ) -> float | Finding:
-    """A torque that rises by `rise` N*m/s; what is found, or when the torque was free to grow, s."""
+    """Return the finding for a torque that rises by `rise` N*m/s, or the time (s) at which the torque became unlimited."""
     free = math.inf
     for n in range(round(seconds / PERIOD)):
         torque = rise * n * PERIOD
@@ -215,7 +221,7 @@ def test_torque_is_small_until_the_stretch_shows_its_sense() -> None:
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
     free = run(sense)
     assert isinstance(free, float)
-    assert 0.02 + 0.17 < free < 0.1 + 0.17  # which it grows in from 11 % to all of the limit
+    assert 0.02 + 0.17 < free < 0.1 + 0.17  # time in which the ceiling grows from 11 % to 100 % of the limit
 
 
 def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
@@ -226,7 +232,7 @@ def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
 
 
 def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a_while_stops_nothing() -> None:
-    """A quarter of a second must it look so there; the torque does not grow meanwhile."""
+    """It must look reversed for a quarter of a second before it is reported. The torque does not grow meanwhile."""
     sense = PolarityCheck(2.0, GEARED, PERIOD)
     assert isinstance(run(sense, sign=-1.0, seconds=0.2, omega_j=0.5), float)
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
@@ -239,7 +245,7 @@ def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a
 
 @pytest.mark.parametrize(("seconds", "found"), [(0.2, False), (0.5, True)])
 def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_else(seconds: float, found: bool) -> None:
-    """Nothing pulled yet: a turn does not make its motion the motor's."""
+    """No torque acts yet, so a reversal does not make its motion the motor's."""
     sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(100):
         assert sense.update(n * PERIOD, 0.0, 3.0, UNKNOWN, 1.0, 0.5) is None
@@ -252,7 +258,7 @@ def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_els
 
 @pytest.mark.parametrize(("wound", "found"), [(0.0, True), (0.02, False)])
 def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: float, found: bool) -> None:
-    """Something moves the joint by 0.04 rad in half a second, and friction stretches the tendon against the torque."""
+    """The joint is moved by 0.04 rad in half a second, and friction elongates the tendon against the torque."""
     sense = PolarityCheck(2.0, GEARED, PERIOD, wound)
     said, travel = None, 0.0
     for n in range(1200):
@@ -265,17 +271,18 @@ def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: floa
 
 
 def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tendons_slide() -> None:
-    """Half a radian a second: after 30 mrad at the motor the torque's way is seen, a quarter of a second later said."""
+    """At 0.5 rad/s, the direction of the torque shows after 30 mrad at the motor and is reported 0.25 s later."""
     sense = PolarityCheck(2.0, GEARED, PERIOD, 0.02)
     found = run(sense, sign=-1.0, seconds=0.5, omega_j=0.5)
     assert "the wrong way round" in str(found)
 
 
 def falls(itself: float, yields: float) -> Finding | None:
-    """What is said while the torque falls after the tendon turned, on a sense that was shown before.
+    """Return the finding while the torque falls after a reversal of the tendon, with a polarity that was shown before.
 
-    By 0.5 N*m, in a sheath whose friction keeps it, within 0.5 s; `itself`, `yields`: rad at the motor that motor and
-    joint go meanwhile.
+    The torque falls by 0.5 N*m within 0.5 s, in a sheath whose friction holds it. `itself` and `yields` are the motion
+    of
+    motor and joint meanwhile (rad at the motor).
     """
     sense = PolarityCheck(2.0, GEARED, PERIOD, 0.033)
     for n in range(1400):
@@ -291,7 +298,10 @@ def falls(itself: float, yields: float) -> Finding | None:
 
 @pytest.mark.parametrize("yields", [-0.0005, -0.001, -0.004])
 def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_motor(yields: float) -> None:
-    """A wearer lets it go back a little; the motor stands still, whatever its torque does within its friction."""
+    """A wearer lets the joint move back a little.
+
+    The motor stands still while its torque changes within its friction.
+    """
     assert falls(0.0, yields) is None
     assert falls(0.2 * -yields, 0.8 * yields) is None  # the sheath gives a little
 
@@ -368,7 +378,7 @@ def test_nothing_known_accuses_nothing_and_a_torque_that_rests_shows_nothing() -
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_set_point_that_rests_is_let_through_slowly_and_shows_its_sense_on_the_way(sign: float) -> None:
-    """2 N*m asked for at once: all of it within two seconds; of a reversed motor not a fifth of the limit."""
+    """2 N*m are requested at once. All of it passes within two seconds, but of a reversed motor less than 0.4 N*m."""
     sense, said, most = PolarityCheck(2.0, GEARED, PERIOD), None, 0.0
     for n in range(2000):
         torque = min(2.0, sense.ceiling)
@@ -382,7 +392,10 @@ def test_a_set_point_that_rests_is_let_through_slowly_and_shows_its_sense_on_the
 
 @pytest.mark.parametrize("rises", [1.0, 0.3], ids=["while it grows", "after it has stood at its limit"])
 def test_friction_that_holds_the_motor_fast_does_not_keep_the_torque_small(rises: float) -> None:
-    """Something moves the joint against the torque, and friction holds the motor: it must be given more to slide."""
+    """Something moves the joint against the torque, and friction holds the motor.
+
+    The motor needs more torque to slide.
+    """
     sense, travel = PolarityCheck(2.0, GEARED, PERIOD, 1.0), 0.0
     for n in range(1000):
         torque = min(4.0 * min(n * PERIOD, rises), sense.ceiling)
@@ -412,15 +425,18 @@ def test_a_count_that_changes_against_the_torque_is_no_answer_but_several_are(ch
 
 
 def test_a_joint_torque_that_only_fluctuates_is_no_answer() -> None:
-    """A held joint gets nothing at first, without an encoder of the joint: what its sensor reads then is noise."""
+    """A locked joint without encoder receives no torque at first, and the reading of its sensor is noise."""
     sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(400):
-        noise = -0.005 * math.sin(n / 60.0)  # N*m, that falls while the torque rises
+        noise = -0.005 * math.sin(n / 60.0)  # N*m; falls while the torque rises
         assert sense.update(n * PERIOD, n * PERIOD, UNKNOWN, noise, 0.0, 0.0) is None
 
 
 def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_held() -> None:
-    """A joint that comes to rest takes up what friction gave away: its torque jumps by more than the motor's grows."""
+    """A joint that comes to rest takes up the torque that friction took before.
+
+    Its torque jumps by more than the motor's.
+    """
     sense = PolarityCheck(2.0, GEARED, PERIOD)
     for n in range(1000):
         torque = 0.3 + 0.5 * n * PERIOD
@@ -430,13 +446,13 @@ def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_he
 
 
 def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
-    """A course near what counts, and from when on its joint counts as moved by something."""
+    """Return random measurements near the thresholds, and the flag of each cycle in which the joint counts as moved."""
     draw = np.random.default_rng(number)
     count = 1200
     t = np.arange(count) * PERIOD
 
     def waves() -> FloatArray:
-        """Of 1 to 12 Hz, RMS about 1."""
+        """Return waves of 1 to 12 Hz with an RMS of about 1."""
         parts = (np.sin(2.0 * math.pi * draw.uniform(1.0, 12.0) * t + draw.uniform(0.0, 6.0)) for _ in range(3))
         return np.asarray(sum(parts) / math.sqrt(1.5))
 
@@ -472,7 +488,7 @@ def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
         omega_j[draw.integers(0, count, 20)] = math.nan
     elif kind == "coarse":
         counts = float(np.ptp(apart) * draw.uniform(0.05, 1.0))
-        tau_j = -GEARED * follows  # so that it matters which of the two is asked
+        tau_j = -GEARED * follows  # shows which of the two signals is used
     elif kind == "gives":
         stiffness, share = STIFFNESS * draw.uniform(1.2, 2.2), np.clip(draw.uniform(0.8, 1.1) + 0.1 * t, 0.0, 1.0)
         apart = 3.0 + (share * torque + np.sqrt(1.0 - share * share) * other) / STIFFNESS
@@ -489,7 +505,7 @@ KINDS = ("at rest", "excessive", "by sensor", "moved", "moved later", "shown", "
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: str) -> None:
-    """Torques near the least that shows anything, which the stretch follows by more and less, on drawn courses."""
+    """The torques are near the smallest useful one, and the elongation follows them to a random degree."""
     told = free = 0
     for number in range(24):
         course, driven = drawn(number, kind)
@@ -512,7 +528,10 @@ def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: s
 
 @pytest.mark.parametrize(("share", "found"), [(0.095, True), (0.105, False)])
 def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(share: float, found: bool) -> None:
-    """It goes so far and stays there; the way is one and a half times what friction stretches the tendons."""
+    """The joint moves by this share and stays there.
+
+    The travel is one and a half times the elongation by friction.
+    """
     sense, said, wound = PolarityCheck(LIMIT, GEARED, PERIOD, 0.1), None, 0.1
     for n in range(1000):
         omega_j = share * 1.5 * wound / GEARED / (20 * PERIOD) if n < 20 else 0.0
@@ -524,7 +543,7 @@ def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(s
 def cycles_until_told(
     sense: PolarityCheck, begin: float, sign: float, gain: float, omega_j: float, most: int = 2000
 ) -> int:
-    """From `begin` s on."""
+    """Return the number of cycles until detection, with a clock that starts at `begin` (s)."""
     for n in range(most):
         torque = n * PERIOD
         apart = (abs(sign) if n < 300 and sign == -0.5 else sign) * torque / STIFFNESS
@@ -546,7 +565,7 @@ def cycles_until_told(
 def test_a_reset_forgets_for_how_long_it_has_been_wrong(
     sign: float, gain: float, omega_j: float, softer: float
 ) -> None:
-    """At rest, moved by something, shown to be right before, and giving more than it reports, by sensor and stretch."""
+    """The cases: at rest, moved externally, shown to be right before, and excessive torque by sensor or by elongation."""
     sense = PolarityCheck(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     alone = cycles_until_told(sense, 0.0, sign, gain, omega_j)
     assert alone < 2000
@@ -558,7 +577,7 @@ def test_a_reset_forgets_for_how_long_it_has_been_wrong(
 
 @pytest.mark.parametrize(("softer", "found"), [(0.7, False), (1.0, False), (1.3, False), (2.0, True), (4.0, True)])
 def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float, found: bool) -> None:
-    """The motor gives more than it reports, or a tendon hangs; on a joint that moves friction may do that."""
+    """The motor delivers more torque than it reports, or a tendon hangs. On a moving joint, friction may cause this."""
     sense = PolarityCheck(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
     said = run(sense, seconds=0.6, rise=2.0)
     assert isinstance(said, Finding) is found
@@ -573,7 +592,7 @@ def test_tendons_that_give_less_than_a_count_shows_accuse_nothing() -> None:
 
 
 def test_a_joint_that_has_just_come_to_rest_says_nothing_of_the_motor_by_its_sensor_yet() -> None:
-    """A pulley of the joint half as wide; its torque follows by r_J/r_M, and was little since it is held."""
+    """The joint pulley has half the radius. Its torque follows by r_J/r_M and was small since the joint was locked."""
     sense = PolarityCheck(LIMIT, 0.5, PERIOD)
     for n in range(900):
         torque = 0.018 * math.sin(2.0 * math.pi * 4.0 * n * PERIOD)
@@ -589,7 +608,7 @@ def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:
 
 
 def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() -> None:
-    """A sine of 1 N*m, 2 Hz, shown for a second before; friction winds 3 mrad back and forth meanwhile."""
+    """A sine of 1 N*m at 2 Hz was shown to be right for a second. Friction winds 3 mrad back and forth meanwhile."""
     sense, said, when = PolarityCheck(2.0, GEARED, PERIOD, 0.02, stiffness=40.0), None, 0.0
     for n in range(2000):
         t = n * PERIOD
@@ -604,8 +623,8 @@ def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() ->
 
 @pytest.mark.parametrize(("seconds", "wrong"), [(0.2, False), (0.38, True)])
 def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: float, wrong: bool) -> None:
-    """A limb swings on its tendons, and a torque that rises meanwhile is not what stretches them."""
-    sense, turn = PolarityCheck(2.0, GEARED, PERIOD), 170  # the torque began, and showed nothing yet
+    """A limb swings on its tendons, and a torque that rises meanwhile does not cause the elongation."""
+    sense, turn = PolarityCheck(2.0, GEARED, PERIOD), 170  # the torque has begun, but it has shown nothing yet
     found = None
     for n in range(turn + round((seconds + TURN) / PERIOD)):
         since = max(n - turn, 0) * PERIOD
@@ -615,7 +634,8 @@ def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: 
 
 
 def swung(error: float, elongation: float, frequency: float) -> list[str | None]:
-    """Return the finding for a joint that something swings by half a radian, with radii that are wrong by `error`.
+    """Return the finding of each cycle for a joint that is swung by half a radian, with radii that are wrong by
+    `error`.
 
     `elongation`: rad at the motor by the torque's amplitude, negative for a reversed motor.
     """
@@ -636,7 +656,10 @@ def swung(error: float, elongation: float, frequency: float) -> list[str | None]
 
 @pytest.mark.parametrize("error", [-0.015, -0.01])
 def test_a_ratio_of_the_radii_that_is_off_looks_like_no_reversed_motor(error: float) -> None:
-    """The torque swings with the joint, and stretches the tendons by less than the radii seem to, the other way."""
+    """The torque swings with the joint.
+
+    It elongates the tendons less than the radius error seems to, in the other direction.
+    """
     assert not any(swung(error, 0.004, 1.3))
 
 
