@@ -33,7 +33,7 @@ class Joint:
 
 
 def brought_to_rest(joint: Joint, sign: float, seconds: float = 1.0) -> float:
-    """Move the joint by 0.8 rad with a raised-cosine velocity, and return its final angle (rad) at the edge of a count."""
+    """Move the joint by 0.8 rad with a raised-cosine velocity, and return its final angle (rad), an edge of a count."""
     end = joint.count * math.ceil(0.8 / joint.count)
     for n in range(round(seconds / PERIOD) + 1):
         y = n * PERIOD / seconds

@@ -203,7 +203,7 @@ def run(
     rise: float = 1.0,
     omega_j: float = 0.0,
 ) -> float | Finding:
-    """Return the finding for a torque that rises by `rise` N*m/s, or the time (s) at which the torque became unlimited."""
+    """Return the finding for a torque that rises by `rise` N*m/s, or the time (s) at which the ceiling ended."""
     free = math.inf
     for n in range(round(seconds / PERIOD)):
         torque = rise * n * PERIOD
@@ -565,7 +565,7 @@ def cycles_until_told(
 def test_a_reset_forgets_for_how_long_it_has_been_wrong(
     sign: float, gain: float, omega_j: float, softer: float
 ) -> None:
-    """The cases: at rest, moved externally, shown to be right before, and excessive torque by sensor or by elongation."""
+    """The cases: at rest, moved externally, shown to be right before, and excessive torque by sensor or elongation."""
     sense = PolarityCheck(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     alone = cycles_until_told(sense, 0.0, sign, gain, omega_j)
     assert alone < 2000

@@ -1,4 +1,4 @@
-"""The budget of releases: whatever is requested when, no two within 2 s and no eleven within ten minutes."""
+"""The budget of releases: for any requests, at most one within 2 s and at most ten within ten minutes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Residuals of an axis: motor and joint on a spring with a friction play between them that the test makes itself."""
+"""Residuals of an axis: motor and joint on a simulated spring with a friction play between them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GIVE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.0)
 
 
 class Tendons:
-    """A joint that is led, a torque, and the motor between: tau/K, and friction that is dragged along by `share`."""
+    """A joint with a prescribed angle, a torque, and the motor: elongation tau/K, and friction that follows the joint."""
 
     def __init__(self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE, period: float = PERIOD) -> None:
         self.check = Elongation(give, period)
@@ -30,7 +30,10 @@ class Tendons:
         self.time = 0.0
 
     def step(self, joint: float, torque: float, shown: Callable[[float], float] = lambda joint: joint) -> float | None:
-        """Friction follows the joint's way; `shown`: what the encoder makes of the joint's angle."""
+        """Advance by one period and return the finding. Friction follows the joint's travel.
+
+        `shown` maps the true joint angle to the encoder's reading (rad).
+        """
         self.time += self._period
         self._wound = min(self._half, max(-self._half, self._wound - joint + self._last[0]))  # the motor lags
         motor = joint + torque * self._compliance + self._wound
@@ -41,7 +44,7 @@ class Tendons:
 
 def found(tendons: Tendons, seconds: float, joint: Callable[[float], float], torque: Callable[[float], float],
           shown: Callable[[float], float] = lambda joint: joint) -> float | None:  # fmt: skip
-    """When something was, s from now."""
+    """Return the time until detection (s); None if there is none within `seconds`."""
     start = tendons.time
     while tendons.time < start + seconds:
         t = tendons.time
@@ -51,12 +54,12 @@ def found(tendons: Tendons, seconds: float, joint: Callable[[float], float], tor
 
 
 def swing(t: float) -> float:
-    """rad of a joint that is led"""
+    """Return the angle of the joint (rad)."""
     return 0.6 * math.sin(3.0 * t)
 
 
 def pull(t: float) -> float:
-    """N*m"""
+    """Return the motor torque (N*m)."""
     return 1.5 * math.sin(7.0 * t)
 
 
@@ -65,13 +68,13 @@ def pull(t: float) -> float:
 def test_stiffness_and_friction_may_be_a_fifth_off(softer: float, friction: float) -> None:
     tendons = Tendons(softer, friction)
     assert found(tendons, 6.0, swing, pull) is None
-    assert found(tendons, 3.0, lambda t: swing(6.0), pull) is None  # held from then on, not a bit of it moves
+    assert found(tendons, 3.0, lambda t: swing(6.0), pull) is None  # held from then on, without any motion
 
 
 @pytest.mark.parametrize("rate", [125.0, 250.0, 500.0, 1000.0])  # Hz
 @pytest.mark.parametrize("acceleration", [10.0, 30.0, 90.0])  # rad/s^2
 def test_a_joint_that_turns_quickly_stops_no_slow_loop(rate: float, acceleration: float) -> None:
-    """A slow loop's low-pass is longer than such a turn."""
+    """The low-pass of a slow loop is longer than such a reversal."""
     frequency = math.sqrt(acceleration / 0.3)  # rad/s
     tendons = Tendons(period=1.0 / rate)
     assert found(tendons, 6.0, lambda t: 0.3 * math.sin(frequency * t), lambda t: 0.07) is None
@@ -80,7 +83,7 @@ def test_a_joint_that_turns_quickly_stops_no_slow_loop(rate: float, acceleration
 @pytest.mark.parametrize("friction", [0.0, 0.3, 1.0, 1.5, 3.0, 6.0])  # 1, of WOUND; the file's elongation is 6
 @pytest.mark.parametrize("amplitude", [0.1, 0.2, 0.6])  # rad
 def test_a_file_without_the_place_of_the_bends_stops_no_rig(friction: float, amplitude: float) -> None:
-    """With bends at the joint little or none of the friction shows in the elongation."""
+    """With bends at the joint, the elongation shows little or none of the friction."""
     tendons = Tendons(friction=friction, give=replace(GIVE, wound=6.0 * WOUND, least_free=0.0))
     assert found(tendons, 6.0, lambda t: amplitude * math.sin(3.0 * t), lambda t: 0.07) is None
 
@@ -99,13 +102,16 @@ def test_radii_that_are_a_hundredth_off_and_an_encoder_that_is_late_stop_nothing
 
 
 def test_what_tendons_do_slowly_stops_nothing() -> None:
-    """A joint encoder whose zero creeps by 0.4 rad in two minutes."""
+    """The zero of the joint encoder creeps by 0.4 rad in two minutes."""
     tendons = Tendons()
     assert found(tendons, 120.0, swing, pull, lambda joint: joint + 0.4 * tendons.time / 120.0) is None
 
 
 def test_a_step_of_a_motor_that_rings_on_its_tendons_stops_nothing() -> None:
-    """2 N*m at once on a joint that is held, 40 Hz undamped: it goes to twice the stretch and back."""
+    """2 N*m act at once on a locked joint at 40 Hz without damping.
+
+    The motor moves to twice the elongation and back.
+    """
     check = Elongation(GIVE, PERIOD)
     for n in range(500):
         t = n * PERIOD
@@ -116,9 +122,9 @@ def test_a_step_of_a_motor_that_rings_on_its_tendons_stops_nothing() -> None:
 
 @pytest.mark.parametrize("friction", [0.4, 0.6, 0.75])
 def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(friction: float) -> None:
-    """A swing like that of a human-in-the-loop load at a friction angle of 0.8.
+    """The torque resembles that of a human-in-the-loop load at a friction angle of 0.8.
 
-    The motor follows the torque at a distance of `friction` N*m and rests while the torque turns back.
+    The motor follows the torque at a distance of `friction` N*m and rests while the torque reverses.
     """
     give = Give(stiffness=33.3, wound=0.0864, domain=1.8, play=0.0, free=0.55, inertia=1e-4)
     check, slid, last = Elongation(give, PERIOD), 0.0, 0.0
@@ -133,7 +139,7 @@ def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(fric
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_encoder_that_sticks_is_found_by_what_the_motor_does_without_torque(sign: float) -> None:
-    """At 2 rad/s and 0.1 N*m: within 10 ms, which are 20 mrad."""
+    """At 2 rad/s and 0.1 N*m, detection takes less than 15 ms, or 30 mrad."""
     tendons = Tendons()
     assert found(tendons, 1.0, lambda t: 2.0 * sign * t, lambda t: 0.1) is None
     stuck = 2.0 * sign * 1.0
@@ -151,7 +157,7 @@ def test_an_encoder_that_slips_by_half_is_found_by_what_friction_winds_up() -> N
 
 
 def test_a_tendon_that_gives_way_is_found() -> None:
-    """Motor and joint are 0.1 rad farther apart from one moment on."""
+    """Motor and joint move apart by 0.1 rad at one moment."""
     tendons = Tendons()
     assert found(tendons, 2.0, swing, pull) is None
     when = found(tendons, 0.2, swing, pull, lambda joint: joint - 0.1)
@@ -164,7 +170,7 @@ def test_a_tendon_that_gives_way_is_found() -> None:
 def test_a_motor_that_gives_another_torque_than_it_reports_is_found_at_rest(
     torque: float, gain: float, turned: bool
 ) -> None:
-    """A constant torque on a joint that is held; the true torque changes at once, the reported one does not."""
+    """A constant torque acts on a locked joint. The true torque changes at once, the reported torque does not."""
     check = Elongation(GIVE, PERIOD)
     assert settled(check, torque, torque / STIFFNESS, 0.0, 0.0) is None
     when = next(n for n in range(1, 100) if check.update(torque, gain * torque / STIFFNESS, 0.0, 0.0) is not None)
@@ -173,7 +179,7 @@ def test_a_motor_that_gives_another_torque_than_it_reports_is_found_at_rest(
 
 
 def test_a_motor_that_turns_the_wrong_way_is_found_as_its_torque_begins() -> None:
-    """On a held joint, 2 N*m/s: at less than a tenth of the limit of 2.5 N*m."""
+    """On a locked joint at 2 N*m/s, it is detected at less than a tenth of the limit of 2.5 N*m."""
     check = Elongation(GIVE, PERIOD)
     when = next(n for n in range(1000) if check.update(2e-3 * n, -2e-3 * n / STIFFNESS, 0.0, 0.0) is not None)
     assert check.reversed
@@ -181,7 +187,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found_as_its_torque_begins() -> Non
 
 
 def test_beyond_the_domain_one_tendon_gives_twice_as_much() -> None:
-    """0.9 N*m with a pretension that is half of the file's: the rest at half the stiffness."""
+    """The pretension is half of the file's. The part of the torque beyond it acts on half the stiffness."""
     low = Give(stiffness=STIFFNESS, wound=0.0, domain=0.5, play=0.0)
     for domain, most in ((0.5, None), (5.0, 1.0)):
         check = Elongation(Give(low.stiffness, low.wound, domain, low.play), PERIOD)
@@ -214,7 +220,7 @@ COUNT = 2.0 * math.pi / 65_536  # rad
 
 
 def moved(n: int) -> tuple[float, float]:
-    """rad in whole counts and rad/s of a motor that swings, at cycle n."""
+    """Return the angle in whole counts (rad) and the speed (rad/s) of an oscillating motor at cycle n."""
     t = n * PERIOD
     return COUNT * math.floor(0.5 * math.sin(4.0 * t) / COUNT), 2.0 * math.cos(4.0 * t)
 
@@ -235,9 +241,9 @@ def test_a_velocity_that_is_rounded_filtered_and_a_twentieth_off_is_believed(lat
 def test_a_velocity_of_another_sign_or_scale_and_one_that_sticks_are_found(
     wrong: Callable[[float], float], most: float
 ) -> None:
-    """From the fastest point of the swing on; a velocity that sticks there is right at first."""
+    """The fault begins at the fastest point of the oscillation. A velocity that sticks there is right at first."""
     check = Velocity(COUNT, PERIOD)
-    at = round(2.0 * math.pi / 4.0 / PERIOD)  # a full swing
+    at = round(2.0 * math.pi / 4.0 / PERIOD)  # one full period
     for n in range(at):
         assert not check.update(*moved(n))
     when = next(n for n in range(2000) if check.update(moved(at + n)[0], wrong(moved(at + n)[1])))
@@ -253,7 +259,7 @@ def test_a_joint_that_stops_between_two_samples_is_an_encoder_that_sticks() -> N
 
 @pytest.mark.parametrize(("deceleration", "every"), [(50.0, 1), (50.0, 4), (5.0, 1)])
 def test_a_joint_that_friction_stops_and_a_slow_device_accuse_nothing(deceleration: float, every: int) -> None:
-    """From 2 rad/s to rest, rad/s^2; a device takes a new position every so many cycles."""
+    """The joint decelerates from 2 rad/s to rest. The device updates its position every `every` cycles."""
     check = Standstill(COUNT, PERIOD)
     for n in range(1000):
         t = min(n // every * every * PERIOD, 2.0 / deceleration)
@@ -274,7 +280,7 @@ def test_a_reset_forgets_velocity_and_standstill() -> None:
 
 @pytest.mark.parametrize("skipped", [1, 3, 17])
 def test_periods_without_a_cycle_are_no_contradiction_of_the_velocity(skipped: int) -> None:
-    """A quarter of the periods has no cycle: the way over them is left out, and a wrong scale is still found."""
+    """A quarter of the periods has no cycle. Their travel is ignored, and a wrong scale is still detected."""
     for scale, wrong in ((1.0, False), (0.5, True)):
         check, n, found = Velocity(COUNT, PERIOD), 0, []
         for cycle in range(1000):
@@ -291,7 +297,10 @@ def test_periods_without_a_cycle_are_no_contradiction_of_the_velocity(skipped: i
 def readings(
     rng: np.random.Generator, seconds: float, noise: float, digit: float, every: int = 1, torque: float = 0.31
 ) -> list[float]:
-    """A sensor at a torque that friction holds: noise in N*m, one digit in N*m, a new value every `every` cycles."""
+    """Return readings of a sensor at a torque held by friction.
+
+    `noise` and `digit` are in N*m. A new value comes every `every` cycles.
+    """
     count = round(seconds / PERIOD)
     values = torque + noise * np.repeat(rng.standard_normal(count // every + 1), every)[:count]
     return list(np.round(values / digit) * digit)

@@ -1,4 +1,4 @@
-"""The end of every run."""
+"""Shutdown at the end of every run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tsa_ctrl.safety.shut_down import shut_down
 
 
 class ObedientDrive(Responder):
-    """Follows the controlword; `stuck` keeps it enabled."""
+    """A drive that follows the controlword. `stuck` keeps it enabled."""
 
     def __init__(self, stuck: bool = False) -> None:
         super().__init__()
@@ -51,7 +51,7 @@ def test_drive_that_does_not_confirm_is_named() -> None:
         "axis 'knee': the drive did not confirm that it is off (its last state was operation_enabled); cut its power"
     ]
     commands = [data for can_id, data in bus.sent if can_id == 0x000]
-    assert commands == [b"\x02\x01", b"\x80\x20", b"\x80\x40"]  # it may obey its 0x6007
+    assert commands == [b"\x02\x01", b"\x80\x20", b"\x80\x40"]  # it may act according to its object 0x6007
 
 
 def test_failed_bus_ends_it_at_once_with_the_reason() -> None:
@@ -91,7 +91,7 @@ def test_drive_has_a_second_to_confirm() -> None:
 
 
 class Silent(Responder):
-    """Answers nothing; keeps when each frame came."""
+    """Nodes that answer nothing and record the time of each frame."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -105,7 +105,7 @@ class Silent(Responder):
 
 
 def test_answers_are_waited_for_until_four_fifths_of_the_period() -> None:
-    """Then the commands go out all the same, and SYNC keeps its period."""
+    """Then the commands are sent nevertheless, and SYNC keeps its period."""
     nodes = Silent()
     rig, nodes.bus, _ = one_axis_rig(nodes)
     begin = nodes.bus.clock.now
@@ -116,6 +116,6 @@ def test_answers_are_waited_for_until_four_fifths_of_the_period() -> None:
 
 
 def test_heartbeat_goes_on_until_the_end() -> None:
-    """Nodes that guard us see no loss while they are being disabled: one every 20 ms."""
+    """Nodes that monitor this heartbeat detect no loss during the shutdown: one is sent every 20 ms."""
     _, _, bus = stop(ObedientDrive(stuck=True), timeout=0.1)
     assert sum(can_id == 0x77F for can_id, _ in bus.sent) in (6, 7, 8)

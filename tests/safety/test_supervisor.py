@@ -1,4 +1,4 @@
-"""Supervision: each duty alone, and all of them in random order."""
+"""Supervision: each duty separately, and all of them in random order."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ FAULTS: list[tuple[str, Callable[[Bench], None], Cause, str]] = [
 
 @pytest.fixture(params=FAULTS, ids=[name for name, *_ in FAULTS])
 def failed(request: pytest.FixtureRequest) -> Iterator[tuple[Bench, Cause, str]]:
-    """A bench in which something has just failed while enabled; one cycle later."""
+    """Yield a bench one cycle after a failure while enabled, with the expected cause and text."""
     _, break_it, cause, text = request.param
     bench = enabled()
     break_it(bench)
@@ -298,7 +298,7 @@ def test_reset_request_that_stands_resets_only_what_was_there_before() -> None:
 
 
 def reset_after_a_drive_fault() -> tuple[Bench, list[int]]:
-    """The bench, and the 60 controlwords since the reset was asked for."""
+    """Return the bench, and the 60 controlwords since the reset request."""
     bench = enabled()
     drive_fault(bench)
     bench.step(Request.ENABLE, 5)
@@ -313,7 +313,8 @@ def test_reset_gives_the_drive_a_rising_edge() -> None:
     bench, words = reset_after_a_drive_fault()
     assert words[:20] == [0x00] * 20
     assert words.count(0x80) == 1
-    assert (bench.state, bench.supervisor.fault) == (PowerState.READY_TO_SWITCH_ON, None)  # where standby keeps it
+    # the state that standby keeps
+    assert (bench.state, bench.supervisor.fault) == (PowerState.READY_TO_SWITCH_ON, None)
 
 
 def test_drive_that_stays_in_its_fault_keeps_the_first_cause() -> None:
@@ -372,7 +373,10 @@ def test_tolerated_misses_do_not_stop(misses: int) -> None:
 
 
 def lose(bench: Bench, every: int, seconds: float, commands: bool = False) -> float | None:
-    """Lose the answers, or commands, of one cycle in `every`; when that was a fault, s from now."""
+    """Lose the answers, or the commands, of one cycle in `every`.
+
+    Return the time until the fault (s), or None.
+    """
     begin = bench.now
     for n in range(round(1000 * seconds)):
         lost = n % every == 0
@@ -405,7 +409,10 @@ def test_a_fifth_of_a_second_s_cycles_lost_is_a_fault_in_a_row_or_not(
 
 
 def skip(bench: Bench, every: int, seconds: float, lost: int = 0) -> float | None:
-    """Skip one period after every so many cycles, and lose the answers of `lost` cycles in between; s to the fault."""
+    """Skip one period after every `every` cycles, and lose the answers of every `lost`-th cycle in between.
+
+    Return the time until the fault (s), or None.
+    """
     begin = bench.now
     cycle = 0
     while bench.now < begin + seconds:
@@ -437,7 +444,7 @@ def test_a_fifth_of_a_second_s_periods_skipped_is_a_fault_of_the_loop(every: int
 
 @pytest.mark.parametrize(("every", "lost", "cause"), [(6, 8, Cause.SKIPPED), (10, 6, Cause.STALE_PDO), (12, 12, None)])
 def test_skipped_periods_and_lost_answers_count_together(every: int, lost: int, cause: Cause | None) -> None:
-    """Neither reaches a fifth of a second alone; the cause is the one that lost more."""
+    """Neither reaches a fifth of a second alone. The cause is the one that lost more."""
     bench = enabled()
     assert (skip(bench, every, 3.0, lost) is None) is (cause is None)
     assert bench.cause is cause
@@ -473,7 +480,7 @@ def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_i
 def test_repeated_pdos_of_a_node_in_a_twentieth_of_the_cycles_are_a_second_node(
     rate: float, most: int, node: int
 ) -> None:
-    """An encoder counts as the drive does: forged angles drive the motor as well as forged torques."""
+    """An encoder counts like a drive, because forged angles drive the motor just as forged torques do."""
     bench = Bench()
     bench.supervisor = Supervisor(SupervisionSettings(), rate=rate)
     bench.step(Request.DISABLE, 5)
@@ -487,7 +494,7 @@ def test_repeated_pdos_of_a_node_in_a_twentieth_of_the_cycles_are_a_second_node(
 
 
 def test_answers_that_are_late_by_a_period_are_no_second_drive() -> None:
-    """Each that comes twice in a cycle is one that another cycle missed; what comes beside them is one too many."""
+    """An answer that comes twice in a cycle is one that another cycle missed. Any further answer is one too many."""
     bench = Bench()
     bench.supervisor = Supervisor(SupervisionSettings(lost_share=1.0), rate=1000.0)
     bench.step(Request.DISABLE, 5)
@@ -537,7 +544,7 @@ def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_an
 
 @pytest.mark.parametrize(("low", "words"), [(0x1227, "bit 4 (voltage)"), (0x1037, "bit 9 (remote)")])
 def test_a_power_stage_that_goes_off_while_the_state_says_enabled_is_a_lost_state(low: int, words: str) -> None:
-    """One cycle is enough: a supply that flaps is off half of the time and never long."""
+    """One cycle is enough, because an unstable supply is off half of the time but never for long."""
     bench = enabled()
     before = WORDS[PowerState.OPERATION_ENABLED]
     try:
@@ -552,7 +559,7 @@ def test_a_power_stage_that_goes_off_while_the_state_says_enabled_is_a_lost_stat
 
 
 def test_a_power_stage_that_is_off_at_the_next_enable_is_a_lost_state() -> None:
-    """What the drive showed once is not unlearned by a reset into a stage that flaps."""
+    """A reset while the supply is unstable does not erase what the drive once reported."""
     bench = enabled()
     bench.step(Request.DISABLE, 5)
     assert not bench.permitted
@@ -566,7 +573,7 @@ def test_a_power_stage_that_is_off_at_the_next_enable_is_a_lost_state() -> None:
 
 
 def test_a_drive_that_never_shows_voltage_and_remote_runs_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some leave bits 4 and 9 low for ever."""
+    """Some drives never set bits 4 and 9."""
     for state, word in WORDS.items():
         monkeypatch.setitem(WORDS, state, word & ~0x0210)
     bench = enabled()
@@ -578,7 +585,7 @@ def test_a_drive_that_never_shows_voltage_and_remote_runs_without(monkeypatch: p
 def test_a_power_stage_that_is_off_at_the_first_enable_is_a_lost_state(
     monkeypatch: pytest.MonkeyPatch, low: int
 ) -> None:
-    """It had its voltage while the drive was ready; a stage that flaps may be off just then."""
+    """The supply was present while the drive was ready. An unstable supply may be off just at the enable."""
     monkeypatch.setitem(WORDS, PowerState.OPERATION_ENABLED, WORDS[PowerState.OPERATION_ENABLED] & ~low)
     bench = Bench()
     bench.step(Request.DISABLE, 5)
@@ -590,7 +597,7 @@ def test_a_power_stage_that_is_off_at_the_first_enable_is_a_lost_state(
 def test_a_power_stage_that_was_off_until_the_enable_is_watched_from_when_it_is_on(
     monkeypatch: pytest.MonkeyPatch, low: int
 ) -> None:
-    """One that flaps may have been off in every cycle before."""
+    """An unstable supply may have been off in every cycle before."""
     good = dict(WORDS)
     for state, word in good.items():
         monkeypatch.setitem(WORDS, state, word & ~low)
@@ -606,7 +613,7 @@ def test_a_power_stage_that_was_off_until_the_enable_is_watched_from_when_it_is_
 
 
 def test_an_event_that_is_no_fault_leaves_the_torque() -> None:
-    """A node that came back to operational, looked at in a cycle that is not the usual one."""
+    """A node has returned to operational, and the event is evaluated in an unusual cycle."""
     bench = enabled()
     bench.image.events += 1
     bench.step(Request.ENABLE)
@@ -627,7 +634,10 @@ def test_a_drive_that_obeys_is_not_cut_off() -> None:
 
 
 def test_a_drive_that_stays_enabled_after_a_fault_is_stopped_by_nmt_again_and_again() -> None:
-    """50 ms after it was told to leave, and every 50 ms until it says so; then all is to be configured anew."""
+    """NMT stops the drive 50 ms after the command to leave, and every 50 ms until the drive confirms.
+
+    Then all nodes must be configured again.
+    """
     bench = enabled()
     bench.obeys = False
     bench.supervisor.trip(Finding(Cause.NOT_FINITE, "a limit"), bench.now)
@@ -731,7 +741,7 @@ def test_fault_reaction_is_a_drive_fault_already() -> None:
 
 
 def rearmed(bench: Bench) -> None:
-    """What the rig does to the image after a bring-up."""
+    """Apply the changes that the rig makes to the image after a bring-up."""
     for health in bench.image.nodes:
         health.boot_ups, health.emcys, health.nmt_state = 0, 0, NmtState.OPERATIONAL
         health.emcy = None
@@ -747,7 +757,7 @@ def test_after_a_bring_up_old_emergencies_are_forgotten() -> None:
     rearmed(bench)
     bench.step(Request.DISABLE)
     bench.step(Request.RESET, 5)
-    bench.image.events += 1  # some other news: the emergencies are not counted anew
+    bench.image.events += 1  # unrelated news: the emergencies are not counted again
     bench.step(Request.DISABLE)
     assert (bench.supervisor.phase, bench.cause) == (Phase.STANDBY, None)
 
@@ -759,7 +769,7 @@ def test_emergency_right_after_a_bring_up_is_seen() -> None:
     seen = bench.image.events
     rearmed(bench)
     bench.emergency()
-    bench.image.events = seen  # as many events as before the bring-up are not the same events
+    bench.image.events = seen  # the same number of events as before the bring-up does not mean the same events
     bench.step(Request.DISABLE)
     assert [fault.cause for fault in bench.supervisor.faults] == [Cause.BOOT_UP, Cause.EMERGENCY]
 
@@ -906,12 +916,12 @@ def test_news_that_are_no_bad_news_do_not_stop() -> None:
 
 
 class AnyOrder(RuleBasedStateMachine):
-    """Random statuswords, events, requests and resets: torque only ever when everything is good and was asked for."""
+    """Random statuswords, events, requests and resets: torque only if everything is good and torque was requested."""
 
     @initialize()
     def begin(self) -> None:
         self.bench = Bench()
-        self.asked = False  # ENABLE was requested anew since the last stop
+        self.asked = False  # ENABLE was requested again since the last stop
         self.last = Request.DISABLE
 
     def cycle(self, request: Request) -> None:
@@ -1040,7 +1050,7 @@ def test_emergency_that_was_reset_does_not_come_back_with_other_news() -> None:
     bench.step(Request.RESET, 100)
     assert bench.supervisor.fault is None
     bench.step(Request.DISABLE)
-    bench.image.events += 1  # of whatever else
+    bench.image.events += 1  # an unrelated event
     bench.step(Request.ENABLE, 10)
     assert (bench.supervisor.fault, bench.permitted) == (None, True)
 

@@ -1,7 +1,7 @@
-"""The supervisor against a small model of it, whatever happens in whatever order (hypothesis' stateful tests).
+"""The supervisor compared with a small model of it, for any sequence of events (stateful tests of hypothesis).
 
-The model knows four things: whether a fault is latched, whether the nodes must be configured anew, whether a request
-for torque would count, and whether torque may be there at all. It decides nothing by the supervisor's own phases.
+The model knows four things: if a fault is latched, if the nodes must be configured again, if a request for torque would
+count, and if torque is allowed. It does not use the supervisor's own phases.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tsa_ctrl.bus.wire.bus import BusFault
 from tsa_ctrl.safety.causes import Cause, Fault
 from tsa_ctrl.safety.supervisor import Request, Supervisor
 
-BRING_UP = {  # what takes the nodes' configuration with it, by the name of what happens
+BRING_UP = {  # events that invalidate the nodes' configuration
     "bus-off": Cause.BUS_FAULT,
     "intruder": Cause.SECOND_MASTER,
     "altered": Cause.ALTERED,
@@ -42,18 +42,18 @@ ALONE = {
 
 
 class Model(RuleBasedStateMachine):
-    """What may be, and what must be."""
+    """The allowed and the required behaviour."""
 
     @initialize()
     def begin(self) -> None:
         self.bench = Bench()
         self.latched: Fault | None = None
-        self.configure = False  # before a reset can do anything
-        self.armed = False  # something else than ENABLE came since the start, or since the last fault
+        self.configure = False  # required before a reset can have an effect
+        self.armed = False  # a request other than ENABLE came since the start or since the last fault
         self.request = Request.DISABLE
 
     def cycle(self, request: Request) -> None:
-        """One, after which the model is brought up to date with what was asked."""
+        """Run one cycle, and update the model with the request."""
         bench = self.bench
         before = bench.supervisor.fault
         bench.step(request)
@@ -70,7 +70,7 @@ class Model(RuleBasedStateMachine):
             self.armed = True
         self.request = request
 
-    # what the operator does
+    # actions of the operator
 
     @rule(request=st.sampled_from(Request), cycles=st.integers(1, 30))
     def ask(self, request: Request, cycles: int) -> None:
@@ -79,7 +79,7 @@ class Model(RuleBasedStateMachine):
 
     @rule()
     def want_torque(self) -> None:
-        """Off, then on: from a state without a fault that must give torque."""
+        """Disable, then enable: from a state without a fault, this must give torque."""
         for request, cycles in ((Request.DISABLE, 5), (Request.ENABLE, 10)):
             for _ in range(cycles):
                 self.cycle(request)
@@ -89,7 +89,7 @@ class Model(RuleBasedStateMachine):
     @precondition(lambda self: self.latched is not None)
     @rule()
     def recover(self) -> None:
-        """Configured anew where that is needed, then reset: the fault is gone, and torque waits to be asked for."""
+        """Configure the nodes if required, then reset. The fault is cleared, and torque waits for a request."""
         bench = self.bench
         self.heal()
         bench.supervisor.configured(bench.image)
@@ -103,18 +103,18 @@ class Model(RuleBasedStateMachine):
     @precondition(lambda self: self.latched is not None and self.configure)
     @rule()
     def reset_alone(self) -> None:
-        """Does nothing where the nodes must be configured."""
+        """A reset alone has no effect while the nodes must be configured."""
         self.heal()
         for request, cycles in ((Request.DISABLE, 2), (Request.RESET, 60), (Request.DISABLE, 2), (Request.ENABLE, 20)):
             for _ in range(cycles):
                 self.cycle(request)
         assert self.bench.supervisor.fault is not None
 
-    # what happens
+    # events
 
     @rule(what=st.sampled_from(sorted(BRING_UP | ALONE)), node=st.integers(0, 2))
     def happen(self, what: str, node: int) -> None:
-        """It latches in its cycle, whatever was asked for; the first fault stays the one that is told."""
+        """An event latches a fault in its cycle, for any request. The first fault remains the reported one."""
         image, before = self.bench.image, self.bench.supervisor.fault
         health = image.nodes[node]
         if what == "bus-off":
@@ -150,7 +150,7 @@ class Model(RuleBasedStateMachine):
         self.heal()
 
     def heal(self) -> None:
-        """The cause is gone; what it did is not."""
+        """Remove the cause of a fault but not its consequences."""
         image = self.bench.image
         image.bus_fault = image.intruder = image.altered = image.pressed = image.silent = None
         image.misses = image.drops = 0
@@ -159,14 +159,14 @@ class Model(RuleBasedStateMachine):
 
     @rule(cycles=st.integers(1, 3))
     def lose_the_power_stage(self, cycles: int) -> None:
-        """The drive falls out of operation enabled by itself; without torque that is no fault."""
+        """The drive leaves operation enabled on its own. Without torque this is not a fault."""
         had, self.bench.state = self.bench.permitted, PowerState.SWITCH_ON_DISABLED
         for _ in range(cycles):
             self.cycle(self.request)
         if had and self.request is Request.ENABLE:
             assert self.bench.supervisor.fault is not None
 
-    # what must always be true
+    # invariants
 
     @invariant()
     def torque_only_when_everything_agrees(self) -> None:
@@ -192,7 +192,7 @@ TestSupervisor = pytest.mark.slow(Model.TestCase)
 @pytest.mark.parametrize("method", ["_watch", "_latch"])
 def test_the_model_sees_a_supervisor_that_is_blind_or_forgets(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     monkeypatch.setattr(Supervisor, method, lambda *arguments: None)
-    quick = settings(  # always the same examples: of others one in so many runs would not come upon it
+    quick = settings(  # always the same examples, because random ones might miss the defect in some runs
         max_examples=40, stateful_step_count=20, deadline=None, database=None, derandomize=True, phases=[Phase.generate]
     )
     with pytest.raises(AssertionError):

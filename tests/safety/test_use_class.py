@@ -1,4 +1,4 @@
-"""The limits that follow from the wearer, and the drive's clamps that follow from the limits."""
+"""Limits that follow from the wearer, and the drive's clamps that follow from the limits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENDS = st.floats(-3.0, 3.0)
 
 @given(SPEEDS, RATIOS)
 def test_the_limits_lie_above_the_wearer_and_in_order(speed: float, geared: float) -> None:
-    """A wearer at full speed is driven with full torque; each further limit is a quarter faster."""
+    """A wearer at full speed gets full torque. Each further limit is a quarter higher."""
     limits = wearer_limits(LimiterSettings(torque=1.0), {"torque"}, SafetySettings(wearer_speed=speed), geared, 0.0)
     assert 0.8 * limits.joint_speed == pytest.approx(speed)
     assert limits.over_speed == pytest.approx(1.25 * limits.joint_speed)

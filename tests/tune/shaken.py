@@ -1,4 +1,4 @@
-"""Logs of a motor that is shaken on the plant's own mechanics, without bus and loop: the truth is known."""
+"""Logs of a motor shaken on the plant's own mechanics, without bus and loop, so that the truth is known."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tsa_ctrl.plant.settings import AxisSettings, PhysicsSettings
 PERIOD = 1e-3  # s
 LAG = 0.5e-3  # s, of the drive's torque loop
 COUNTS_M, COUNTS_J = 1 << 16, 1 << 20  # per revolution
-STEADY = 0.5  # s that are left out
+STEADY = 0.5  # s; this beginning of a log is removed
 
 
 def true_delay(drawn: Drawn) -> float:
-    """s from a measurement to the middle of the torque that answers it."""
+    """Return the time from a measurement to the middle of the torque that responds to it (s)."""
     return (drawn.delay + 0.5) * PERIOD + LAG
 
 
@@ -35,7 +35,10 @@ def play(
     amplitude: float = 0.5,
     **more: Any,
 ) -> Dataset:
-    """A motor command (n), N*m, one a period, on a joint that is moved to and fro (Hz, rad); `more`: of the axis."""
+    """Return the log of a motor command (n) in N*m, one value per period, on a joint that moves sinusoidally (Hz, rad).
+
+    `more`: further settings of the axis.
+    """
     save_model(drawn.nominal, folder / "nominal.toml")
     tables: dict[str, Mapping[str, Any] | str] = {
         "name": "joint",
@@ -70,7 +73,7 @@ def play(
 
 
 def counted(angle: NDArray[np.float64], counts: int) -> NDArray[np.float64]:
-    """As an encoder of so many counts says it, rad."""
+    """Return the angle (rad) as an encoder with this number of counts reports it."""
     step = 2.0 * np.pi / counts
     found: NDArray[np.float64] = step * np.floor(angle / step)
     return found

@@ -1,4 +1,4 @@
-"""`tsa tune` with a joint torque sensor and two encoders: which of them determines the friction."""
+"""`tsa tune` with a joint torque sensor and two encoders: selection of the source of the friction."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.tune.excitation import multi_sine
 from tsa_ctrl.virtual.simulation import simulate_loop
 
-DRAWN = draw(1, 1)  # bends at the motor, soft tendons, a heavy motor; friction and pretension are off
+DRAWN = draw(1, 1)  # bends at the motor, soft tendons, a heavy motor; friction and pretension differ from nominal
 
 
 def write(folder: Path, axis: dict[str, Any]) -> Path:
-    """The rig's files; `axis`: tables of the controller's, whose file is returned."""
+    """Write the rig's files and return the controller's file. `axis`: tables of the controller's axis."""
     plant = {**DRAWN.axis(), "joint": {"load": "limb"}}
     controller = rig.write(folder, VIRTUAL, RATE, "distributed", plant, axis)
-    save_model(DRAWN.nominal, folder / "actuator.toml")  # the plant's own: tune writes the controller's
+    save_model(DRAWN.nominal, folder / "actuator.toml")  # the plant's own file: tune writes the controller's model file
     text = (folder / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
     (folder / "plant.toml").write_text(text)
     save_model(DRAWN.nominal, folder / rig.MODEL)
@@ -36,7 +36,7 @@ def write(folder: Path, axis: dict[str, Any]) -> Path:
 
 
 def check(data: dict[str, Any], model: Path) -> None:
-    """The half loop that `tsa tune` told as JSON and wrote."""
+    """Check the half loop in the JSON output of `tsa tune` and in the written file."""
     truth = DRAWN.truth
     half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * math.sinh(truth.friction_angle)
     found = data["calibration"]["combinations"]["half_loop_torque"]
@@ -51,7 +51,7 @@ def check(data: dict[str, Any], model: Path) -> None:
 
 @pytest.mark.slow
 def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Regressed on where the joint moves, the half loop comes out as an eighth of the true one."""
+    """A regression on the moving samples would give an eighth of the true half loop."""
     wave = multi_sine((0.2, 0.5, 0.9), 0.8, 8.0)
     table = np.column_stack([wave.t, wave.tau_j_des])
     np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
@@ -63,9 +63,9 @@ def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: py
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # with each change: of one log above, the whole procedure in test_in_virtual_time.py
+@pytest.mark.soak  # with each change, one log is tested above and the whole procedure in test_in_virtual_time.py
 def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Regressed on where the joint moves, the half loop came out as 28 % of the true one."""
+    """A regression on the moving samples would give 28 % of the true half loop."""
     write(tmp_path, {"law": {"compensation": rig.COMPENSATION, "fade_in": 1.0}})
     spans = ("--seconds", "10", "--verify-seconds", "4")
     assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *spans) == 0
@@ -76,7 +76,7 @@ def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.
 
 @pytest.mark.slow
 def test_much_friction_near_the_motor_leaves_the_half_loop_of_the_torque_sensor(tmp_path: Path) -> None:
-    """Both descriptions of the bends fit the log, each with its own friction angle: that is no contradiction."""
+    """Two descriptions of the bends fit the log, each with its own friction angle. This is not a contradiction."""
     bends = [[0.0, 0.0], [0.06, 0.0], [0.2, 1.0], [1.0, 1.0]]
     file = NOMINAL.recalibrated(1.07, 44.0)
     truth = dataclasses.replace(file.recalibrated(1.05, 54.0), axial_stiffness=0.87 * file.axial_stiffness)

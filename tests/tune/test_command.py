@@ -1,4 +1,4 @@
-"""`tsa tune` without a rig: plan, estimate from logs, diff, question, undo, and one line for what is wrong."""
+"""`tsa tune` without a rig: plan, estimate from logs, diff, confirmation, undo, and one-line errors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def tsa(*arguments: str) -> int:
 
 @pytest.fixture(scope="module")
 def recorded() -> Recorded:
-    """A nominal model file and a log of the rig that it describes badly."""
+    """Return a nominal model file and a log of a rig that differs from it."""
     rng = np.random.default_rng(5)
     rig = tendon_logs.draw_rig(rng, "joint_end")
     return COMMENT + tendon_logs.model_text(rig, rng), tendon_logs.record(rig, rng, seconds=20.0, rate=200.0)
@@ -66,7 +66,7 @@ def folder(recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.fixture(scope="module")
 def once(recorded: Recorded, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A folder in which the file was tuned, with a report, and what was printed."""
+    """Return a folder in which the file was tuned with a report, and the printed text."""
     folder = tmp_path_factory.mktemp("tuned")
     write(folder, recorded)
     printed = io.StringIO()
@@ -77,7 +77,7 @@ def once(recorded: Recorded, tmp_path_factory: pytest.TempPathFactory) -> tuple[
 
 @pytest.fixture
 def tuned(once: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of that folder for a test of its own."""
+    """Return a separate copy of that folder."""
     shutil.copytree(once[0], tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -126,7 +126,7 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
 ) -> None:
     nominal, folder, out = recorded[0], tuned, once[1]
     diff, table = out.index("+++ actuator.toml (new)"), out.index("95 % interval")
-    assert diff < table < out.index("written: actuator.toml")  # the table stands above the question
+    assert diff < table < out.index("written: actuator.toml")  # the table is printed before the question
     text = (folder / "actuator.toml").read_text()
     assert COMMENT in text
     assert (
@@ -135,7 +135,8 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
     data = tomllib.loads(text)
     source = data["provenance"]
     new = [data["sheath"]["friction_coefficient"], data["pretension"]["value"], *source["intervals"]["friction_angle"]]
-    assert max(len(str(number).replace(".", "").lstrip("0")) for number in new) <= 5  # as the interval is worth
+    # as many digits as the interval justifies
+    assert max(len(str(number).replace(".", "").lstrip("0")) for number in new) <= 5
     assert source["command"] == "tune --from-log"
     assert set(source["logs"]) == {"a.csv"}
     assert (folder / "actuator.toml.~1~").read_text() == nominal
@@ -231,7 +232,7 @@ def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.Captu
 
 @pytest.mark.slow
 def test_a_file_that_fits_already_is_not_written_again(tuned: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The second tuning on the same log gains nothing on held-out data, or next to nothing."""
+    """A second tuning on the same log changes the held-out error by at most 5 %."""
     assert tsa(*FROM_LOG, "--json", "--dry-run") == 0
     rms = json.loads(capsys.readouterr().out)["calibration"]["rms"]
     assert rms["after"] == pytest.approx(rms["before"], rel=0.05)

@@ -1,4 +1,4 @@
-"""What a tuning writes into the controller's file: nothing else changes, and one can see whether anything else did."""
+"""Changes of the controller's file by a tuning: nothing else changes, and other changes can be detected."""
 
 from __future__ import annotations
 

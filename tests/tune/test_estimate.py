@@ -1,4 +1,7 @@
-"""Which form of the transmission tune keeps, on logs from the elongation equilibrium that shares no code with it."""
+"""Selection of the form of the transmission in tune.
+
+The logs come from the elongation equilibrium, which shares no code with the package.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,7 @@ def rig_and_log(profile: str, seed: int = 3, x: float | None = None) -> tuple[te
     ("profile", "form"), [("joint_end", Form.GIVEN), ("uniform", Form.UNIFORM), ("motor_end", Form.MOTOR_END)]
 )
 def test_short_errors_that_all_forms_share_do_not_hide_the_form(profile: str, form: Form) -> None:
-    """Ten bursts of 60 ms, as after a machine that stood still."""
+    """Ten bursts of 60 ms resemble the errors after the machine stalled."""
     _, model, log = rig_and_log(profile)
     columns = {name: log[name].copy() for name in log.columns}
     rng = np.random.default_rng(8)
@@ -77,7 +80,7 @@ def test_the_new_model_predicts_sliding_better() -> None:
 
 
 def viscous_log(coefficient: float, seed: int = 3) -> tuple[TendonSheath, Dataset]:
-    """A log of a rig whose joint has viscous friction besides."""
+    """Return the model and a log of a rig whose joint also has viscous friction."""
     rng = np.random.default_rng(seed)
     rig = tendon_logs.draw_rig(rng, "joint_end")
     model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")
@@ -128,7 +131,7 @@ LAG = 4e-3  # s, of the encoder's velocity
 
 
 def late_log(profile: str, lag: float) -> tuple[TendonSheath, Dataset]:
-    """A log at 1 kHz whose velocity went through a first-order filter."""
+    """Return the model and a log at 1 kHz whose velocity passed a first-order low-pass."""
     rng = np.random.default_rng(4)
     rig = tendon_logs.draw_rig(rng, profile)
     model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")

@@ -28,7 +28,7 @@ SHORT = ("--seconds", "12", "--verify-seconds", "6")
 
 
 def tune(folder: Path, *options: str) -> int:
-    """The exit status of `tsa tune --virtual` in a folder with a rig's files."""
+    """Return the exit status of `tsa tune --virtual` in a folder with a rig's files."""
     with pytest.raises(SystemExit) as done:
         main(["tune", str(folder / rig.CONTROLLER), "--virtual", str(folder / "plant.toml"), *options])
     assert isinstance(done.value.code, int)
@@ -39,7 +39,7 @@ def tune(folder: Path, *options: str) -> int:
 def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_diagnosis_adds_in_vain(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A weight is added here that is not there, so the file without it does better on the rig."""
+    """The extension contains a weight that does not exist, so the file without it performs better on the rig."""
 
     def in_vain(logs: object, model: object, plain: Estimate) -> Estimate:
         weight = {"gravity_load": {"amplitude": 0.3, "phase": 0.0}}
@@ -59,7 +59,7 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
     reduction = data["verification"]["reduction_percent"]
     assert reduction["after"] > 85.0
     assert data["written"] == str(tmp_path / "out" / rig.MODEL)
-    assert load_tendon_sheath(tmp_path / rig.MODEL) == truth  # never the rig's own file
+    assert load_tendon_sheath(tmp_path / rig.MODEL) == truth  # the rig's own file is never changed
     new = load_tendon_sheath(tmp_path / "out" / rig.MODEL)
     assert new != truth
     assert new.origin.source == "simulated"
@@ -72,7 +72,7 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
 def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The given file and the first new file trip here; the second new file is written."""
+    """The given file and the first new file trip a fault. The second new file is written."""
     play = RigRunner.play
 
     def tripping(runner: RigRunner, name: str, *given: Any, **more: Any) -> Run:
@@ -97,7 +97,7 @@ def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
 
 @pytest.mark.slow
 def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The file of the knee knows nothing of the hip, whose gain is 0.8 rad/rad."""
+    """The file of the knee does not contain the hip, whose gain is 0.8 rad/rad."""
     assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
     files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
     knee = tmp_path / "leg" / "knee.toml"
@@ -126,11 +126,12 @@ def test_a_joint_that_is_no_other_axis_is_one_line(tmp_path: Path, capsys: pytes
 def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """S-bent, a motor of which the file says nothing, friction, pretension and stiffness up to 20 % off."""
+    """S-shaped curvature, a motor without data in the file; friction, pretension and stiffness differ by up to 20 %."""
     drawn = draw(1, 5)
     law = {"compensation": rig.COMPENSATION, "fade_in": 1.0}
     controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", drawn.axis(), {"law": law})
-    save_model(drawn.nominal, tmp_path / "actuator.toml")  # the plant's own: tune writes the controller's
+    # the plant's own file: tune writes the controller's model file
+    save_model(drawn.nominal, tmp_path / "actuator.toml")
     plant = (tmp_path / "plant.toml").read_text().replace("nominal.toml", "actuator.toml")
     (tmp_path / "plant.toml").write_text(plant)
     save_model(drawn.nominal, tmp_path / rig.MODEL)
@@ -148,7 +149,7 @@ def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     assert data["law"]["gain_margin"] >= 2.0
     reduction = data["verification"]["reduction_percent"]
     assert reduction["after"] > max(92.0, reduction["before"])
-    assert {path: path.read_bytes() for path in before} == before  # a simulated tuning writes under --out alone
+    assert {path: path.read_bytes() for path in before} == before  # a simulated tuning writes only under --out
     tuned = load_configuration(tmp_path / "out" / controller.name)
     axis = tuned.file.axes[0]
     assert tuned.models[0].origin.source == "simulated"
@@ -178,7 +179,7 @@ def test_a_new_rig_is_verified_with_compensation_although_its_file_has_none(
 def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Lean PDOs: the velocity of the motor is a derived one."""
+    """The PDOs are lean, so the motor velocity is derived."""
     assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
     files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
     capsys.readouterr()
@@ -206,7 +207,7 @@ def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
 def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_angle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The torque by the stretch contains the model's friction and cannot separate x and T_p."""
+    """The torque from the elongation contains the model's friction, so it cannot separate x and T_p."""
     leg = tmp_path / "leg"
     assert main_status("init", "--leg", str(leg)) == 0
     controller = tomlkit.parse((leg / "controller.toml").read_text())
@@ -221,7 +222,7 @@ def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_a
     factors = tomllib.loads((leg / "plant.toml").read_text())["axis"][1]["perturbation"]
     given = load_tendon_sheath(leg / "knee.toml")
     x = factors["friction_coefficient"] * given.friction_angle
-    half_loop = 2.0 * given.joint_pulley_radius * factors["pretension"] * given.pretension * x  # evenly bent
+    half_loop = 2.0 * given.joint_pulley_radius * factors["pretension"] * given.pretension * x  # even curvature
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["low"] <= half_loop <= found["high"]
     assert found["value"] == pytest.approx(half_loop, rel=0.05)

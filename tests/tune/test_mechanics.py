@@ -1,4 +1,4 @@
-"""What a shaken motor shows, against the plant that was shaken: delay, inertia, stiffness, where the sheath bends."""
+"""Estimates from a shaken motor compared with the plant: delay, inertia, stiffness and curvature profile."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_delay_inertia_and_stiffness_lie_in_their_intervals(tmp_path: Path, draw
 
 @pytest.mark.slow
 def test_a_velocity_that_the_drive_filters_changes_nothing(tmp_path: Path) -> None:
-    """First-order low-pass at 100 Hz, the default of velocity_cutoff."""
+    """The filter is a first-order low-pass at 100 Hz, the default of velocity_cutoff."""
     drawn = RIGS[0]
     log = shake(tmp_path, drawn)
     share = 1.0 - math.exp(-2.0 * math.pi * 100.0 * PERIOD)
@@ -97,7 +97,7 @@ def test_the_centre_of_the_bending_lies_in_its_interval(tmp_path: Path, drawn: D
 
 @pytest.mark.slow
 def test_an_arbitrary_course_gets_its_centre(tmp_path: Path) -> None:
-    """Straight for 30 % of the length, half of the bending within the next tenth, the rest evenly."""
+    """The profile is straight for 30 % of the length, has half of the bending in the next tenth, and the rest evenly."""
     points = [[0.0, 0.0], [0.3, 0.0], [0.4, 0.5], [1.0, 1.0]]
     centre = 1.0 - float(np.trapezoid(*np.array(points).T[::-1]))
     drawn = draw(1, 2)
@@ -120,7 +120,7 @@ def test_a_course_has_its_centre(centre: float) -> None:
 @pytest.mark.parametrize("transport", [0.6, 1.0, 2.37, 6.0])
 @pytest.mark.parametrize("lag", [0.1e-3, 1.2e-3])
 def test_a_delay_of_any_size_is_found(transport: float, lag: float) -> None:
-    """A torque loop in steps of a fiftieth of a period, which shares nothing with the package."""
+    """The reference is a torque loop in steps of a fiftieth of a period, without code of the package."""
     rng = np.random.default_rng(5)
     command = np.cumsum(rng.normal(0.0, 0.02, 3000))
     command -= np.linspace(command[0], command[-1], command.size)
@@ -130,12 +130,12 @@ def test_a_delay_of_any_size_is_found(transport: float, lag: float) -> None:
     assert found is not None
     true = (transport + 0.5) * PERIOD + lag
     assert found.delay.low <= true <= found.delay.high
-    settled = lag < 0.2 * PERIOD  # when it is measured: the instant within the period does not show
+    settled = lag < 0.2 * PERIOD  # the time of the measurement within the period is not visible
     assert found.delay.high - found.delay.low < (1.2 if settled else 0.25) * PERIOD
 
 
 def stepped(command: NDArray[np.float64], transport: float, lag: float) -> NDArray[np.float64]:
-    """What a lag makes of a held command that begins `transport` periods late; both in periods."""
+    """Return the response of a lag to a held command that is `transport` periods late. Both are in periods."""
     fine = 50
     torque, found = 0.0, np.zeros(command.size)
     for k in range(command.size):
@@ -183,14 +183,14 @@ def around(value: float, unit: str) -> Quantity:
 
 
 def learned_of(model: TendonSheath) -> Estimate:
-    """A model whose half loop is known to 2 %."""
+    """Return an estimate whose half loop is known to 2 %."""
     loop = around(0.5, "N*m")
     calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), model)
     return Estimate(model, calibration, Form.GIVEN, {}, (), ())
 
 
 def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
-    """What [axis.law] gets for a motor of 1e-4 kg*m^2 that rings so (Hz), after so long a delay (s)."""
+    """Return the [axis.law] settings for a motor of 1e-4 kg*m^2 with this ringing (Hz) and delay (s)."""
     folder = Path(__file__).resolve().parents[2] / "config"
     for name in ("controller.toml", "actuator.toml"):
         shutil.copy(folder / name, tmp_path)
@@ -231,7 +231,7 @@ def test_the_compensation_is_what_the_half_loop_surely_has(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("share", "tried"), [(1.2, 0.95), (1.0, 0.95), (0.9, 0.88), (0.5, 0.49)])
 def test_a_file_is_tried_with_no_more_friction_than_the_rig_surely_has(share: float, tried: float) -> None:
-    """Evenly bent the half loop at the motor grows with the pretension; 98 % of it is its lower end."""
+    """With even curvature, the half loop at the motor is proportional to the pretension. Its lower end is 98 %."""
     given = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
     learned = learned_of(given.recalibrated(given.friction_angle, share * given.pretension))
     found, reason = bearable(0.95, given, learned)
@@ -243,7 +243,7 @@ def test_a_file_is_tried_with_no_more_friction_than_the_rig_surely_has(share: fl
 
 
 def test_a_sheath_that_bends_at_the_joint_bears_less_of_one_that_bends_evenly() -> None:
-    """tanh x instead of x."""
+    """The half loop is proportional to tanh x instead of x."""
     given, at_joint = (
         NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": profile}})
         for profile in ("uniform", "joint_end")

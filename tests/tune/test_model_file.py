@@ -1,4 +1,4 @@
-"""The files of a tuning: diff, the kept files, and back again."""
+"""The files of a tuning: diff, backups and undo."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def controller(tmp_path: Path) -> Path:
 
 
 def test_files_are_replaced_beside_the_main_thread_too(file: Path) -> None:
-    """Only there can Python set a handler, and only there one runs."""
+    """Python can set a signal handler only in the main thread, and handlers run only there."""
     with ThreadPoolExecutor(1) as pool:
         kept = pool.submit(replace, {file: "a = 2\n"}).result()
         assert kept[file].read_text() == MODEL

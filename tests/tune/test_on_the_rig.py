@@ -1,4 +1,4 @@
-"""`tsa tune` on a simulated rig on a vcan: the whole procedure, and Ctrl-C at several stages."""
+"""`tsa tune` on a simulated rig on a vcan: the whole procedure, and interruption at several stages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tsa_ctrl.system.process_supervisor import plant, tsa
 
 RATE = 500.0  # Hz
 PATIENCE = 120.0  # s
-TRUTH = "plant/truth.csv"  # its own record
+TRUTH = "plant/truth.csv"  # the plant's own record
 SHORT = ("--seconds", "12", "--verify-seconds", "6")
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.soak]
@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.s
 
 @pytest.fixture
 def folder(tmp_path: Path, vcan: str) -> Iterator[Path]:
-    """A rig with its plant running."""
+    """Yield the folder of a rig whose plant is running."""
     rig.write(tmp_path, BusChoice("socketcan", vcan), RATE)
     (tmp_path / TRUTH).parent.mkdir()
     with plant(tmp_path, TRUTH):
@@ -44,7 +44,7 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def test_the_whole_procedure_writes_a_file_that_compensates_a_weight_too(tmp_path: Path, vcan: str) -> None:
-    """A joint with a weight that the nominal file does not know: `--extended` names it and compensates it."""
+    """The joint has a weight that the nominal file does not contain. `--extended` identifies and compensates it."""
     amplitude = 0.35  # N*m
     effects = {"effects": {"gravity_load": {"amplitude": amplitude, "phase": 0.3}}}
     rig.write(tmp_path, BusChoice("socketcan", vcan), RATE, axis=effects)
@@ -77,7 +77,7 @@ def test_the_whole_procedure_writes_a_file_that_compensates_a_weight_too(tmp_pat
 def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
     folder: Path, number: signal.Signals, stage: str, with_torque: bool
 ) -> None:
-    """While the daemon starts, under torque of probe and excitation, in the estimate; the plant says what it did."""
+    """The stages are startup, torque of probe and excitation, and estimate. The plant's record shows its response."""
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     process = subprocess.Popen(
         tsa("tune", rig.CONTROLLER, "--yes", *SHORT),
@@ -95,18 +95,18 @@ def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
     assert not list(folder.glob("**/.tune-*"))
     assert not _daemons()
-    time.sleep(0.5)  # the plant's record is a quarter of a second late
+    time.sleep(0.5)  # the plant's record is delayed by a quarter of a second
     assert not _enabled(folder)
 
 
 def _enabled(folder: Path) -> bool:
-    """Whether the power stage was on in the last row of the plant's own record."""
+    """Return True if the power stage was on in the last row of the plant's own record."""
     rows = (folder / TRUTH).read_bytes()[-4096:].split(b"\n")
     return len(rows) > 2 and rows[-2].split(b",")[5] == b"1"
 
 
 def _daemons() -> list[str]:
-    """Command lines of daemons that still run."""
+    """Return the command lines of daemons that are still running."""
     found = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and int(entry.name) != os.getpid():
@@ -120,7 +120,7 @@ def _daemons() -> list[str]:
 
 
 def test_two_values_are_compared_on_a_running_daemon(folder: Path) -> None:
-    """No compensation against most of it: the verdict is sure, and what was set before is put back."""
+    """Little compensation is compared with most of it. The verdict is clear, and the previous value is restored."""
     daemon = subprocess.Popen(
         tsa("run", rig.CONTROLLER), cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )

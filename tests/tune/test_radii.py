@@ -1,4 +1,4 @@
-"""The ratio of the radii from angles: motion, elongation and encoders made here, without the model's code."""
+"""The ratio of the radii from angles. Motion, elongation and encoders are synthesised without the model's code."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tsa_ctrl.tune.procedure import radius_ratio, with_ratio
 
 PERIOD, SECONDS = 2e-3, 20.0  # s
 MOTOR_COUNTS = 65_536
-STIFFNESS, WIND = 40.0, 0.012  # N*m/rad at the motor; rad that friction winds the tendons by, either way
-WAY = 0.02  # rad of the joint, of a reversal
-LATE = 0.5e-3  # s, of the joint's encoder
+STIFFNESS, WIND = 40.0, 0.012  # N*m/rad at the motor; rad of elongation by friction, in either direction
+WAY = 0.02  # rad of the joint, travel of a reversal
+LATE = 0.5e-3  # s, delay of the joint's encoder
 
 
 def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5, seed: int = 1) -> Dataset:
-    """20 s of a joint that is moved by two sines; the torque is independent, a weight's or a spring's."""
+    """Return 20 s of a joint moved by two sines. The torque is independent, or that of a weight or a spring."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(round(SECONDS / PERIOD))
     phase = rng.uniform(0.0, 2.0 * np.pi, 4)
@@ -54,7 +54,7 @@ def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5,
 @pytest.mark.parametrize("bits", [14, 16, 20])
 @pytest.mark.parametrize("error", [0.99, 1.0, 1.01])
 def test_the_ratio_is_found_to_two_thousandths(load: str, bits: int, error: float) -> None:
-    """The file may be right or 1 % off. The torque is independent of the angle, or a weight makes it."""
+    """The file is right or 1 % off. The torque is independent of the angle or that of a weight."""
     true = 1.25 * error
     found = radius_ratio([log(true, bits, load)], ACTUATOR)
     assert found is not None

@@ -1,4 +1,4 @@
-"""The torque ripple in tune, on logs of a mechanism that shares no code with it; the test adds the wave itself."""
+"""Torque ripple in tune. The logs come from a mechanism without code of the package, and the test adds the ripple."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tsa_ctrl.tune.ripple import with_torque_ripple
 
 
 def geared(log: Dataset, model: TendonSheath) -> Dataset:
-    """The log with the angle of a motor on rigid tendons."""
+    """Return the log with the angle of a motor on rigid tendons."""
     columns = {name: log[name].copy() for name in log.columns}
     angle = np.cumsum(columns["omega_j"]) * float(np.median(np.diff(columns["t"])))
     columns["q_m"] = angle * model.joint_pulley_radius / model.motor_pulley_radius
@@ -23,7 +23,7 @@ def geared(log: Dataset, model: TendonSheath) -> Dataset:
 
 
 def with_wave(log: Dataset, amplitude: float, cycles: float, phase: float) -> Dataset:
-    """The motor gives `amplitude` sin(cycles q_m + phase) in addition to the torque that it reports, N*m."""
+    """Return the log of a motor with a torque of `amplitude` sin(cycles q_m + phase) (N*m) that it does not report."""
     columns = {name: log[name].copy() for name in log.columns}
     columns["tau_m"] -= amplitude * np.sin(cycles * columns["q_m"] + phase)
     return Dataset.from_arrays(columns, "ripple.csv")
@@ -64,7 +64,7 @@ def test_a_motion_of_less_than_two_cycles_shows_no_wave() -> None:
     span = float(np.ptp(log["q_m"]))
     log = with_wave(log, 0.1, 1.5 * 2.0 * math.pi / span, 0.3)
     found = with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log])
-    if found is not None:  # a wave that is faster than the error that the slow one leaves
+    if found is not None:  # a ripple faster than the remaining error of the slow one
         assert found.model.effects["torque_ripple"]["cycles_per_revolution"] * span >= 2.0 * 2.0 * math.pi
 
 

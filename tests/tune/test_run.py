@@ -1,4 +1,4 @@
-"""What is learned from of a run on a machine that stands still now and then."""
+"""Usable pieces of a run on a machine that stalls occasionally."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def test_a_long_gap_parts_a_run_and_short_ends_are_left_out() -> None:
 
 
 def test_a_stretch_with_so_many_missing_cycles_that_it_is_on_no_grid_is_left_out() -> None:
-    sparse = 2.0 * PERIOD * np.arange(1500)  # every other cycle, and then all of them
+    sparse = 2.0 * PERIOD * np.arange(1500)  # every other cycle at first, and then all cycles
     t = np.concatenate([sparse, sparse[-1] + PERIOD * np.arange(1, 900), 6.0 + PERIOD * np.arange(3000)])
     (piece,) = _pieces(columns(t), "run", "hash")
     assert len(piece) == 3000
 
 
 def test_a_file_of_another_joint_is_played_as_one_of_the_joint_that_is_tuned(tmp_path: Path) -> None:
-    """The runs of a tuning come without a friction term, until the excitation has shown how much there is."""
+    """The runs of a tuning have no friction term until the excitation has determined the friction."""
     controller, _ = write(tmp_path)
     path = tmp_path / "actuator.toml"
     other = Origin("measured", {"drive": NodeIdentity(serial_number=4711, node_id=1)})
@@ -69,7 +69,7 @@ def test_a_file_of_another_joint_is_played_as_one_of_the_joint_that_is_tuned(tmp
 
 @pytest.mark.parametrize(("off", "expected"), [(0.0, 0.0), (0.02, 0.02), (float("nan"), float("inf"))])
 def test_sensor_and_elongation_are_compared_after_the_tendons_have_slid(off: float, expected: float) -> None:
-    """The first half of a run does not count: nothing is known of the tendons there."""
+    """The first half of a run does not count, because the tendons may not have slid yet."""
     t = PERIOD * np.arange(2000)
     delivered = np.sin(t)
     other = delivered + np.where(t < 1.0, 1.0, off)

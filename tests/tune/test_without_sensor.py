@@ -1,4 +1,4 @@
-"""`tsa tune` on a simulated rig whose joint torque nothing measures but the tendons' stretch."""
+"""`tsa tune` on a simulated rig without a joint torque sensor. The torque follows from the tendon elongation."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from tsa_ctrl.tune.by_stretch import estimate_by_stretch
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # by the stretch with each change: below, moved by hand; on a limb in test_beside_stretch.py
+@pytest.mark.soak  # with each change: by the elongation below, moved by hand; with a limb in test_beside_stretch.py
 @pytest.mark.parametrize("load", ["imposed", "limb"])
 def test_the_half_loop_and_the_stiffness_are_found_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], load: str
 ) -> None:
-    """15 % more friction, 12 % less pretension, 10 % softer tendons than the file says.
+    """The rig has 15 % more friction, 12 % less pretension and 10 % softer tendons than the file.
 
-    A limb creeps between its strokes: regressed on where it moves, the half loop came out 8 % too low.
+    A limb creeps between its strokes. A regression on the moving samples would give a half loop that is 8 % too low.
     """
     rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": load}})
     rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
@@ -54,9 +54,9 @@ def test_what_the_stretch_needs_is_said(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # with each change: the person below gets such a log, too; what is said without one, the next test
+@pytest.mark.soak  # with each change: the test with a person below uses such a log; the next test covers the message
 def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Alone it runs to and fro too fast for its friction to show; moved from outside (above) it is tuned."""
+    """The free joint oscillates too fast for its friction to show. If it is moved from outside (above), it is tuned."""
     rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": "free"}})
     rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
     before = (tmp_path / rig.MODEL).read_bytes()
@@ -69,7 +69,7 @@ def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsy
 
 
 class Person(io.StringIO):
-    """At a terminal: takes the joint by hand when the first line is asked for, and says yes to the second."""
+    """A person at a terminal who moves the joint when the first line is read and confirms at the second."""
 
     def __init__(self, plant: Path) -> None:
         super().__init__()
@@ -90,7 +90,7 @@ class Person(io.StringIO):
 def test_a_person_who_is_asked_moves_the_joint_and_the_tuning_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One more excitation after Enter; the plant's joint is free before and moved from outside afterwards."""
+    """There is another excitation after Enter. The plant's joint is free before it and moved from outside after it."""
     rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": "free"}})
     rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
@@ -107,7 +107,7 @@ def test_a_person_who_is_asked_moves_the_joint_and_the_tuning_goes_on(
 
 
 def test_a_cure_is_said_only_of_what_it_cures(tmp_path: Path) -> None:
-    """Angles of which one turns the wrong way are not mended by moving the joint."""
+    """Moving the joint does not correct an angle with the wrong sign."""
     t = np.arange(0.0, 4.0, 0.002)
     q_j = np.sin(2.0 * np.pi * 0.5 * t)
     model = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
