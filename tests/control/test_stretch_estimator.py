@@ -133,7 +133,7 @@ def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
 
 @pytest.mark.parametrize("wrong", [Seen(0.2 * X), Seen(0.7 * X, innovation=1e-3)], ids=["bounds", "residual"])
 def test_what_is_invalid_does_not_raise_what_is_compensated(wrong: Seen) -> None:
-    """30 % less friction was found; then the estimate contradicts itself, and the file may be what is wrong."""
+    """An estimate with 30 % less friction becomes invalid. The file's friction, which may be wrong, is not restored."""
     chosen = estimator(Seen(0.7 * X))
     run(chosen, 2.0)
     before = half_loop(chosen)
@@ -145,7 +145,7 @@ def test_what_is_invalid_does_not_raise_what_is_compensated(wrong: Seen) -> None
 
 
 def test_a_torque_sensor_that_contradicts_makes_it_invalid() -> None:
-    """Which of the two is wrong cannot be said: the model file counts again."""
+    """It is unknown which of the two is wrong, so the model file's values are used again."""
     wrong = [False]
     settings = EstimatorSettings(kind="stretch", use=True)
     seen = cast(StretchObserver, Seen(1.2 * X))
@@ -166,7 +166,7 @@ def test_a_reset_is_the_model_file() -> None:
 
 
 def late_error(folder: Path, kind: str, load: str, setpoint: dict[str, Any]) -> float:
-    """RMS error of the joint torque, mN*m, from 4.5 to 6.5 s after a sheath was bent 40 % more."""
+    """Return the RMS error of the joint torque (mN*m) from 4.5 to 6.5 s after the wrap angle was increased by 40 %."""
     folder.mkdir()
     bending = [[0.0, 1.0], [1.5, 1.0], [2.5, 1.4]]
     axis = {"estimator": {"kind": kind, "use": kind != "fixed"}}

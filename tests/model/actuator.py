@@ -1,4 +1,4 @@
-"""The actuator and the logs that the model's tests share."""
+"""The actuator and the logs that the tests of the model share."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ ACTUATOR = TendonSheath(
     pretension=45.0,
 )
 LOSS = 2.0 * 45.0 * 0.025 * np.sinh(0.26)  # N*m, half loop 2 T_p r_J sinh x
-SLOPE = 0.025 / 0.020 * np.cosh(0.26)  # 1
+SLOPE = 0.025 / 0.020 * np.cosh(0.26)  # slope of (3.55), dimensionless
 
 
 def signals(t: Array, omega: Array, **columns: Array) -> Signals:
-    """A log with this velocity; the motor torque is 0 unless given."""
+    """Return a log with this velocity (rad/s). The motor torque is 0 unless it is given."""
     return Signals(**{"t": t, "omega_j": omega, "tau_m": np.zeros_like(t), **columns})
 
 

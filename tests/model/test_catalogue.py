@@ -17,13 +17,13 @@ STAGES = list(Stage)
 
 
 def test_order_of_the_table_is_the_order_of_composition() -> None:
-    """Stages never go back."""
+    """The stages are in ascending order."""
     order = [STAGES.index(spec.stage) for spec in CATALOGUE.values()]
     assert order == sorted(order)
 
 
 def test_effects_within_a_stage_keep_their_order() -> None:
-    """Gain before ripple before motor friction; bending before stiffness before relaxation."""
+    """Gain precedes ripple and motor friction; bending precedes stiffness and relaxation."""
     names = list(CATALOGUE)
     chain = [
         ("torque_constant_error", "torque_ripple", "motor_side_friction"),
@@ -35,26 +35,26 @@ def test_effects_within_a_stage_keep_their_order() -> None:
 
 
 def test_names_are_unique() -> None:
-    """No effect hides another."""
+    """No effect replaces another of the same name."""
     assert len(CATALOGUE) == len(EFFECTS)
 
 
 def test_parameters_are_read_from_the_class() -> None:
-    """Name and default of a field, unit and bounds of its annotation."""
+    """Name and default come from a field, unit and bounds from its annotation."""
     last = CATALOGUE["torque_ripple"].parameters[-1]
     assert last == Parameter("rad", low=-math.pi, high=math.pi, name="phase", default=0.0)
 
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_every_parameter_has_its_annotation(spec: Specification) -> None:
-    """One for each field of the class, in its order."""
+    """There is one parameter for each field of the class, in the same order."""
     fields = [field.name for field in dataclasses.fields(spec.effect) if field.name != "constants" or not spec.named]
     assert [p.name for p in spec.parameters] == fields
 
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_what_is_hidden_is_allowed(spec: Specification) -> None:
-    """Ten draws of the demo are within the effect's bounds."""
+    """Ten random trials of the demo are within the effect's bounds."""
     rng = np.random.default_rng(3)
     for _ in range(10 if spec.demo else 0):
         drawn = {key: size.value(rng) if isinstance(size, Draw) else size for key, size in (spec.demo or {}).items()}
@@ -67,7 +67,7 @@ def test_names_of_excluded_effects_exist() -> None:
 
 
 def test_twins_are_written_once_and_exist() -> None:
-    """Every pair that can be confused stands on one of the two; the names are effects, or parameter_error."""
+    """Each indistinguishable pair is listed at one of its two effects. The names are effects or parameter_error."""
     pairs = [frozenset({name, other}) for name, spec in CATALOGUE.items() for t in spec.twins for other in t.names]
     assert len(pairs) == len(set(pairs))
     assert {name for pair in pairs for name in pair} <= {*CATALOGUE, "parameter_error"}
@@ -98,10 +98,10 @@ SCALES = Scales(
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_a_fit_starts_within_the_bounds(spec: Specification) -> None:
-    """Every start, with its amplitudes a tenth of the torque, is a table that a model file may hold."""
+    """Every start, with its amplitudes set to 0.1, is a valid table of a model file."""
     assert not spec.untestable(SCALES)
     variants = spec.search(spec.name, SCALES)
-    assert bool(variants) is spec.hypothesis  # a diagnosis never proposes a formula of the user
+    assert bool(variants) is spec.hypothesis  # a diagnosis never proposes the user's own formula
     for variant in variants:
         for start in (*variant.starts, *variant.full_strength):
             point = np.array(start)
@@ -111,7 +111,7 @@ def test_a_fit_starts_within_the_bounds(spec: Specification) -> None:
 
 
 def test_logs_that_cannot_show_an_effect() -> None:
-    """Too little warmth, no path that changes, a velocity from the angle: said in words."""
+    """The temperature varies too little, the path length is constant, and the velocity is derived from the angle."""
     poor = dataclasses.replace(SCALES, heating=0.1, bending=0.0, derived_velocity="omega_j")
     said = {name: spec.untestable(poor) for name, spec in CATALOGUE.items() if spec.untestable(poor)}
     assert said == {
@@ -122,7 +122,7 @@ def test_logs_that_cannot_show_an_effect() -> None:
 
 
 def test_without_a_motor_angle_nothing_follows_it() -> None:
-    """No ripple, and presliding over the joint alone."""
+    """There is no ripple, and presliding depends on the joint alone."""
     blind = dataclasses.replace(SCALES, motor_step=math.nan)
     assert not CATALOGUE["torque_ripple"].search("torque_ripple", blind)
     labels = [v.label for v in CATALOGUE["presliding_hysteresis"].search("presliding_hysteresis", blind)]
@@ -130,7 +130,7 @@ def test_without_a_motor_angle_nothing_follows_it() -> None:
 
 
 def test_defaults_are_filled_in() -> None:
-    """A file may omit the defaults of the catalogue; what depends on the log stays out."""
+    """A file may omit the defaults of the catalogue. A value that depends on the log is not filled in."""
     assert check_effects({"pretension_relaxation": {"relaxed_fraction": 0.1, "time_constant": 9}}, "file") == {
         "pretension_relaxation": {"relaxed_fraction": 0.1, "time_constant": 9.0, "law": "exponential"}
     }
@@ -147,6 +147,6 @@ def test_defaults_are_filled_in() -> None:
     ],
 )
 def test_bounds(parameter: Parameter, accepted: tuple[object, ...], refused: tuple[object, ...]) -> None:
-    """Open and closed bounds, whole numbers, choices; numbers are finite."""
+    """Bounds are open or closed, and there are integers and choices. Numbers must be finite."""
     assert all(parameter.accepts(value) for value in accepted)
     assert not any(parameter.accepts(value) for value in refused)

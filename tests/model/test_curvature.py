@@ -1,4 +1,4 @@
-"""Where a sheath bends: alpha and beta by closed forms and by integration, the centre, what is no profile."""
+"""Curvature profiles: alpha and beta by closed forms and by integration, the centre, and invalid profiles."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ S_BENT: Points = ((0.0, 0.1), (0.3, 0.4), (0.3, 0.5), (0.7, 0.5), (1.0, 1.0))
 
 
 def alpha_and_beta(profile: str | Points, x: float) -> tuple[float, float]:
-    """Over l_us, at the signed friction angle x."""
+    """Return alpha and beta over l_us at the signed friction angle x."""
     chosen = Profile.of(profile)
     return chosen.mean_exponential(SCALARS, x), chosen.mean_exponential(SCALARS, -x)
 
 
 @pytest.mark.parametrize(("mu", "total", "difference"), [(0.05, 2.00617, 0.15724), (0.01, 2.00025, 0.03142)])
 def test_motor_end_extreme_of_the_figure(mu: float, total: float, difference: float) -> None:
-    """All curvature at the motor end, Theta = pi/2: the printed values of alpha + beta and abs(alpha - beta)."""
+    """With all curvature at the motor end and Theta = pi/2, alpha + beta and abs(alpha - beta) have the printed values."""
     alpha, beta = alpha_and_beta("motor_end", mu * math.pi / 2)
     assert round(alpha + beta, 5) == total
     assert round(abs(alpha - beta), 5) == difference
@@ -32,23 +32,23 @@ def test_motor_end_extreme_of_the_figure(mu: float, total: float, difference: fl
 
 @pytest.mark.parametrize("x", [-0.26, 0.26])
 def test_uniform_curvature(x: float) -> None:
-    """(exp(x) - 1)/x and (1 - exp(-x))/x."""
+    """alpha and beta are (exp(x) - 1)/x and (1 - exp(-x))/x."""
     assert alpha_and_beta("uniform", x) == pytest.approx((math.expm1(x) / x, -math.expm1(-x) / x), rel=1e-15)
 
 
 def test_joint_end_curvature_leaves_the_length() -> None:
-    """With all curvature at the joint end nothing rubs before the end: alpha = beta = l_us."""
+    """With all curvature at the joint end there is no friction before the end: alpha = beta = l_us."""
     assert alpha_and_beta("joint_end", 0.6) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize("profile", [*NAMED, S_BENT])
 def test_without_friction_alpha_and_beta_are_the_length(profile: str | Points) -> None:
-    """mu = 0, whatever the course."""
+    """It holds at mu = 0 for any profile."""
     assert alpha_and_beta(profile, 0.0) == pytest.approx((1.0, 1.0), rel=1e-15)
 
 
 def test_straight_bent_straight() -> None:
-    """The bent middle is the uniform form, the rest is constant."""
+    """The bent middle has the uniform form, and the remaining integrand is constant."""
     x = 0.3
     alpha, _ = alpha_and_beta(((0.0, 0.0), (1.0 / 3.0, 0.0), (2.0 / 3.0, 1.0), (1.0, 1.0)), x)
     assert 3.0 * alpha == pytest.approx(1.0 + math.expm1(x) / x + math.exp(x), rel=1e-14)
@@ -57,13 +57,16 @@ def test_straight_bent_straight() -> None:
 @pytest.mark.parametrize("x", [-1.0, -0.26, 0.26, 1.0])
 @pytest.mark.parametrize("profile", [*NAMED, S_BENT])
 def test_alpha_and_beta_are_the_integrals(profile: str | Points, x: float) -> None:
-    """(3.36), (3.39) against the capstan equation integrated step by step along the tendon."""
+    """The reference of (3.36) and (3.39) is the capstan equation, integrated step by step along the tendon."""
     pair = Pair(Profile.of(profile).points, 0.0, axial_stiffness=1.0, length=1.0)
     assert alpha_and_beta(profile, x) == pytest.approx((pair.along(x)[1], pair.along(-x)[1]), rel=1e-10)
 
 
 def test_curve_by_points_comes_near_a_formula() -> None:
-    """kappa = 2 s on unit length: Theta(s) = s^2, alpha = integral of exp(x s^2), here by its series."""
+    """For kappa = 2 s on unit length, Theta(s) = s^2.
+
+    The reference of alpha, the integral of exp(x s^2), is its series.
+    """
     x = 0.4
     series = sum(x**n / math.factorial(n) / (2 * n + 1) for n in range(30))
     points = tuple((k / 200, (k / 200) ** 2) for k in range(201))
@@ -72,7 +75,7 @@ def test_curve_by_points_comes_near_a_formula() -> None:
 
 @pytest.mark.parametrize("x", [-1.0, -1e-9, 0.0, 1e-9, 0.26])
 def test_floats_and_arrays_agree(x: float) -> None:
-    """One formula, two kinds of numbers, also where x vanishes."""
+    """One formula serves scalars and arrays, including the limit x = 0."""
     for profile in (*NAMED, S_BENT):
         by_array = Profile.of(profile).mean_exponential(ARRAYS, np.array([x, x]))
         assert by_array.shape == (2,)
@@ -81,18 +84,18 @@ def test_floats_and_arrays_agree(x: float) -> None:
 
 @pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
 def test_centre_of_the_named_profiles(profile: str, centre: float) -> None:
-    """s_c."""
+    """The reference is the known s_c of each profile."""
     assert Profile.of(profile).centre == pytest.approx(centre)
 
 
 def test_centre_is_the_mean_place_of_the_bends() -> None:
-    """A tenth at 0, 0.3 about 0.15, a tenth at 0.3, half about 0.85."""
+    """A tenth of the bending is at 0, 0.3 about 0.15, a tenth at 0.3, and half about 0.85."""
     assert Profile.of(S_BENT).centre == pytest.approx(0.1 * 0.0 + 0.3 * 0.15 + 0.1 * 0.3 + 0.5 * 0.85)
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1.0)), max_size=6))
 def test_any_rising_points_are_a_profile(inner: list[tuple[float, float]]) -> None:
-    """Sorted points between the ends; its centre lies on the sheath."""
+    """Any sorted points between the ends are valid, and the centre lies on the sheath."""
     lengths, shares = sorted(u for u, _ in inner), sorted(b for _, b in inner)
     points = as_points([[0.0, 0.0], *map(list, zip(lengths, shares, strict=True)), [1.0, 1.0]])
     assert points is not None
@@ -120,5 +123,5 @@ def test_any_rising_points_are_a_profile(inner: list[tuple[float, float]]) -> No
     ],
 )
 def test_what_is_no_profile(value: object) -> None:
-    """Too few points, falling points, wrong ends, no numbers."""
+    """There are too few points, falling points, wrong ends or values that are not numbers."""
     assert as_points(value) is None

@@ -1,4 +1,4 @@
-"""[effects.custom]: a formula of the model file, in simulation and inverse; what cannot be inverted is refused."""
+"""[effects.custom]: a formula of the model file in simulation and inverse. Formulas without an inverse are rejected."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_formula_without_a_value_is_said_with_its_place() -> None:
         "1.5*tau",
         "0.2*sin(40*tau)",
         "tau*abs(omega_j)",
-        "0.1*dahl(tau, 0.05)",  # after a turn it takes four times what comes
+        "0.1*dahl(tau, 0.05)",  # after a reversal its slope is four times that of the torque
         "tau - 2*lag(tau, 1)*tanh(q_j)",
     ],
 )
@@ -95,9 +95,9 @@ def test_a_controller_refuses_what_cannot_be_inverted(expression: str) -> None:
     [
         ("tau - ring(tau, 10, 0.05)", r"hardly any more \(below 5 %\) coming out within 1 ms"),
         ("tau - lag(tau, 0.5)", "hardly any more"),
-        ("2*lag(tau, 1)", "no more coming out in the end"),  # what comes at once goes away again, and below 0
+        ("2*lag(tau, 1)", "no more coming out in the end"),  # the initial response decays again, to below 0
         ("1.5*dahl(0.01*tau, 1)*lag(tau, 1)", "no more coming out|grows without end"),
-        ("3*(lag(tau, 0.1) - lag(tau, 1))", "grows without end"),  # well at once and in the end, and not between
+        ("3*(lag(tau, 0.1) - lag(tau, 1))", "grows without end"),  # valid at once and in the end, but not in between
     ],
 )
 def test_what_an_inverse_with_a_memory_would_run_away_with_is_refused(expression: str, said: str) -> None:
@@ -112,7 +112,7 @@ def test_what_an_inverse_with_a_memory_would_run_away_with_is_refused(expression
         "0.4*(tau - lag(tau, 0.5))",
         "0.9*(tau - ring(tau, 10, 0.05))",
         "0.05*dahl(tau, 0.2) + 0.3*lag(tau, 5)",
-        "0.3*lag(abs(omega_j), 2) + 0.2*ring(sigma, 3, 0.3)",  # nothing of tau
+        "0.3*lag(abs(omega_j), 2) + 0.2*ring(sigma, 3, 0.3)",  # does not depend on tau
     ],
 )
 def test_what_has_an_inverse_is_taken(expression: str) -> None:
@@ -125,7 +125,7 @@ MEMORIES = ["0.5*(tau - lag(tau, 0.1))", "0.3*(ring(tau, 8, 0.1) - tau)", "0.04*
 @pytest.mark.parametrize("stage", ["joint", "motor"])
 @pytest.mark.parametrize("expression", MEMORIES)
 def test_the_inverse_delivers_what_is_wanted_through_cycles_that_were_lost(expression: str, stage: str) -> None:
-    """And whatever else asks for the inverse in between: only the cycle's own torque moves what is remembered."""
+    """Other calls of the inverse do not change its memory. Only the cycle's own torque does."""
     model = with_custom(expression, stage=stage).with_effects(
         {"tendon_slack": {}, "custom": {"expression": expression, "stage": stage}}
     )
@@ -137,7 +137,7 @@ def test_the_inverse_delivers_what_is_wanted_through_cycles_that_were_lost(expre
     def play() -> list[float]:
         out = []
         for at, tau, speed in zip(t.tolist(), wanted.tolist(), omega.tolist(), strict=True):
-            assert feedforward.update(math.nan, 1.0, speed, t=at) != 0.0  # refused, and nothing moves
+            assert feedforward.update(math.nan, 1.0, speed, t=at) != 0.0  # rejected without a change of the memory
             out.append(feedforward.update(tau, 1.0, speed, t=at))
             feedforward.domain()
         return out
@@ -150,7 +150,7 @@ def test_the_inverse_delivers_what_is_wanted_through_cycles_that_were_lost(expre
 
 
 def test_over_a_log_longer_than_a_block_it_remembers() -> None:
-    """predict works in blocks; a memory goes through."""
+    """`predict` works in blocks, and the memory continues across them."""
     t = np.arange(2 * BLOCK + 100) * 1e-3
     signals = Signals(t=t, tau_m=0.4 * np.sin(0.3 * t), omega_j=np.ones(len(t)))
     plain = predict(BASE, signals)
@@ -168,7 +168,7 @@ def test_over_a_log_longer_than_a_block_a_formula_is_that_of_each_sample(count: 
     signals = Signals(t=t, tau_m=0.4 * np.sin(0.3 * t), omega_j=omega, q_j=q_j, omega_m=omega)
     stiff = BASE.with_effects({"joint_stiffness": {"stiffness": 0.3, "rest_angle": 0.0}})
     custom = {"expression": "0.2*tau*abs(omega_j) + 0.01*t"}
-    tendons = predict(BASE, signals)  # what the joint's own spring takes is no part of tau
+    tendons = predict(BASE, signals)  # tau does not include the torque of the joint's own spring
     taken = 0.2 * tendons * np.abs(omega) + 0.01 * t
     found = predict(stiff.with_effects({**stiff.effects, "custom": custom}), signals)
     np.testing.assert_allclose(predict(stiff, signals) - found, taken, atol=1e-12)
@@ -181,7 +181,7 @@ def test_over_a_log_longer_than_a_block_a_formula_is_that_of_each_sample(count: 
 
 
 def test_a_plain_drive_remembers_too() -> None:
-    """tau_M += f."""
+    """The formula enters as tau_M += f."""
     t = np.arange(500) * 0.01
     signals = Signals(t=t, tau_m=np.zeros(500), omega_j=np.cos(3.0 * t), omega_m=np.cos(3.0 * t))
     drive = RigidDrive(viscous_friction=0.2)
@@ -191,7 +191,7 @@ def test_a_plain_drive_remembers_too() -> None:
 
 
 def test_a_torque_that_is_cut_is_what_is_remembered() -> None:
-    """Beyond slack the tendons deliver less than desired, and the memory continues from there."""
+    """Beyond slack the tendons deliver less than desired, and the memory continues from the delivered torque."""
     model = with_custom("0.5*(tau - lag(tau, 0.3))")
     t = np.arange(400) * 2e-3
     wanted = np.where(t < 0.4, 3.0, 0.3)

@@ -1,4 +1,4 @@
-"""A formula is read, bounded, and has the same value on each machine; what is no formula is refused by name."""
+"""A formula is parsed, is bounded, and has the same value for scalars and arrays. Invalid formulas are rejected."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_where_a_formula_has_no_value_it_is_nan_on_both_machines(text: str) -> N
 
 
 def test_a_formula_is_kept_in_its_range_and_fades_out_beyond() -> None:
-    """A quarter of the range beyond either end hardly anything of it is left."""
+    """At a quarter of the range beyond either end, less than 0.3 % of it remains."""
     program = parse("q_j*inside(q_j, -0.2, 0.6)", NAMES, {}, "x")
     for q in (-0.2, 0.0, 0.2, 0.6):
         assert program.value((0.0, q, 0.0)) == pytest.approx(q, rel=0.003, abs=1e-9)

@@ -80,7 +80,7 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
         }
     ),
 }
-INVERTIBLE |= {  # nothing of the torque
+INVERTIBLE |= {  # effects that do not change the torque
     "series_spring": st.fixed_dictionaries({"stiffness": numbers(1e3, 1e5), "end": st.just("joint")}),
     "tendon_creep": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time_constant": numbers(0.1, 100.0)}),
     "pulley_slip": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)}),
@@ -92,7 +92,7 @@ NOT_INVERTIBLE = {
     "torque_saturation",
     "backlash",
     "velocity_lag",
-    "routing_by_joint",  # is read as [routing]
+    "routing_by_joint",  # is handled as [routing]
 }
 
 
@@ -110,7 +110,7 @@ class Motion:
 
 
 def command(model: TendonSheath, scale: float = 1.0) -> tuple[Array, Array]:
-    """tau_M and the domain's two bounds, sample by sample for the motion."""
+    """Return tau_M (n,) and the two bounds of the domain (n, 2), for each sample of the motion."""
     feedforward = Feedforward(model, 5e-3)
     columns = (
         scale * Motion.tau_j_des,
@@ -135,7 +135,7 @@ def delivered(model: TendonSheath, tau_m: Array) -> Array:
 
 
 def assert_round_trip(effects: dict[str, dict[str, Any]], scale: float = 1.0) -> None:
-    """Equal wherever the inverse was not cut off at the edge of the model's domain."""
+    """Require that the desired torque is delivered wherever the inverse is inside the model's domain."""
     if "elongation_coupling" in effects:
         for name in CATALOGUE["elongation_coupling"].excludes:
             effects.pop(name, None)
@@ -154,7 +154,7 @@ def test_effects_are_inverted_or_declared() -> None:
 
 
 def test_without_effects() -> None:
-    """(3.55) and its inverse over a whole motion, within the domain."""
+    """(3.55) and its inverse agree over a whole motion within the domain."""
     np.testing.assert_allclose(delivered(ACTUATOR, command(ACTUATOR)[0]), Motion.tau_j_des, atol=1e-12)
 
 
@@ -170,7 +170,7 @@ def test_each_effect_is_inverted(name: str, data: st.DataObject) -> None:
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_stack_is_inverted(data: st.DataObject) -> None:
-    """Any combination of invertible effects, with slack so that no torque is outside the domain where it may be."""
+    """Any combination of invertible effects is inverted, at any scale of the desired torque."""
     names = data.draw(st.sets(st.sampled_from(sorted(INVERTIBLE)), min_size=2))
     assert_round_trip({name: data.draw(INVERTIBLE[name]) for name in sorted(names)}, data.draw(st.floats(0.0, 4.0)))
 
@@ -186,7 +186,7 @@ SIGNALS = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.sampled_f
     st.data(),
 )
 def test_command_is_finite(names: set[str], rows: list[tuple[float, ...]], data: st.DataObject) -> None:
-    """Whatever the measurements are, huge, infinite or nan, a finite wish gives a finite command."""
+    """For any measurements, even huge, infinite or nan, a finite desired torque gives a finite command."""
     if "elongation_coupling" in names:
         names -= set(CATALOGUE["elongation_coupling"].excludes)
     others = {
@@ -202,23 +202,23 @@ def test_command_is_finite(names: set[str], rows: list[tuple[float, ...]], data:
 
 
 class TestDomain:
-    """abs(tau_M) <= 2 T_p r_M unless the model knows slack."""
+    """The domain is abs(tau_M) <= 2 T_p r_M unless the model includes slack."""
 
     def test_command_ends_at_the_domain(self) -> None:
-        """1.8 N*m here, both ways."""
+        """The bound is 1.8 N*m in both directions."""
         feedforward = Feedforward(ACTUATOR, PERIOD)
         assert feedforward.domain() == pytest.approx((-1.8, 1.8))
         assert feedforward.update(50.0, 1.0, 0.5) == pytest.approx(1.8)
         assert feedforward.update(-50.0, 1.0, 0.5) == pytest.approx(-1.8)
 
     def test_slack_has_none(self) -> None:
-        """Beyond it one tendon carries all."""
+        """Beyond slack, one tendon carries the whole torque."""
         feedforward = Feedforward(with_effect("tendon_slack"), PERIOD)
         assert feedforward.domain() == (-math.inf, math.inf)
         assert feedforward.update(5.0, 1.0, 0.5) == pytest.approx(5.0 * 0.8 * math.exp(0.26))
 
     def test_full_model_keeps_both_tendons_tight(self) -> None:
-        """At the bound one motor-side tension of (3.54) is 0."""
+        """At the bound, one motor-side tension of (3.54) is 0."""
         feedforward = Feedforward(with_effect("elongation_coupling", curvature_profile="motor_end"), PERIOD)
         x = 0.26
         tau_m = feedforward.update(50.0, 1.0, 0.5)
@@ -226,7 +226,7 @@ class TestDomain:
         assert pretension - tau_m / 0.04 == pytest.approx(0.0, abs=1e-9)
 
     def test_motor_side_effects_come_on_top(self) -> None:
-        """The pulley may have 1.8 N*m; the drive's friction is paid besides, and helps the other way."""
+        """The pulley may have 1.8 N*m. The drive's friction is added, and it helps in the other direction."""
         feedforward = Feedforward(with_effect("motor_side_friction", coulomb=0.1), PERIOD)
         assert feedforward.update(50.0, 1.0, 0.5) == pytest.approx(1.9)
         assert feedforward.update(-50.0, 1.0, 0.5) == pytest.approx(-1.7)
@@ -237,13 +237,13 @@ class TestMeasurements:
     """A value that is not measured is nan."""
 
     def test_missing_value_keeps_the_last(self) -> None:
-        """One lost encoder frame does not step the torque."""
+        """One lost encoder frame does not cause a torque step."""
         feedforward = Feedforward(with_effect("joint_stiffness", stiffness=0.5), PERIOD)
         before = feedforward.update(0.1, 1.0, 0.5, 0.3)
         assert feedforward.update(0.1, 1.0, 0.5, NAN) == before
 
     def test_effect_without_its_measurement_is_left_out(self) -> None:
-        """Until the first value comes."""
+        """It is omitted until the first value arrives."""
         feedforward = Feedforward(with_effect("gravity_load", amplitude=0.5), PERIOD)
         plain = Feedforward(ACTUATOR, PERIOD)
         assert feedforward.update(0.1, 1.0, 0.5) == pytest.approx(plain.update(0.1, 1.0, 0.5), rel=1e-14)
@@ -252,7 +252,7 @@ class TestMeasurements:
         assert feedforward.left_out == ()
 
     def test_friction_state_survives_a_late_measurement(self) -> None:
-        """A temperature that comes later does not reset what presliding remembers."""
+        """A later temperature does not reset the presliding state."""
         model = ACTUATOR.with_effects(
             {
                 "presliding_hysteresis": {"presliding_distance": 0.1},
@@ -266,11 +266,11 @@ class TestMeasurements:
         assert feedforward.update(0.0, 1.0, 0.5, q_m=0.05, temperature=25.0) == pytest.approx(moved, rel=1e-12)
 
     def test_nan_wish_is_passed_on(self) -> None:
-        """It is the limiter that refuses it."""
+        """The limiter rejects it."""
         assert math.isnan(Feedforward(ACTUATOR, PERIOD).update(NAN, 1.0, 0.5))
 
     def test_acceleration_is_derived_when_absent(self) -> None:
-        """A steady 2 rad/s^2 is known after some filter times."""
+        """A steady 2 rad/s^2 is determined after several filter time constants."""
         feedforward = Feedforward(with_effect("inertia", inertia=0.1), PERIOD)
         plain = Feedforward(ACTUATOR, PERIOD)
         for i in range(200):
@@ -278,7 +278,7 @@ class TestMeasurements:
         assert found == pytest.approx(plain.update(0.2, 1.0, 0.4), rel=1e-6)
 
     def test_periods_without_an_update_do_not_raise_the_acceleration(self) -> None:
-        """Only each third period has an update, with its time."""
+        """Only every third period has an update, with its time."""
         feedforward = Feedforward(with_effect("inertia", inertia=0.1), PERIOD)
         for i in range(0, 300, 3):
             found = feedforward.update(0.0, 1.0, 2.0 * i * PERIOD, t=i * PERIOD)
@@ -286,17 +286,17 @@ class TestMeasurements:
 
 
 class TestSettings:
-    """Changes while running, and forgetting."""
+    """Changes while running, and reset."""
 
     def test_new_values_count_from_the_next_update(self) -> None:
-        """Friction angle and pretension."""
+        """Both friction angle and pretension take effect."""
         feedforward = Feedforward(ACTUATOR, PERIOD)
         feedforward.set(friction_angle=0.3, pretension=50.0)
         assert feedforward.update(0.0, 1.0, 0.5) == pytest.approx(0.020 * 2.0 * 50.0 * math.tanh(0.3))
         assert (feedforward.friction_angle, feedforward.pretension) == pytest.approx((0.3, 50.0))
 
     def test_direction_is_continuous(self) -> None:
-        """Half a direction gives sinh of half the angle; standstill gives no friction term."""
+        """Half a direction gives tanh of half the angle in the motor torque, and standstill gives no friction term."""
         feedforward = Feedforward(ACTUATOR, PERIOD)
         assert feedforward.update(0.0, 0.5, 0.1) == pytest.approx(0.020 * 2.0 * 45.0 * math.tanh(0.13))
         assert feedforward.update(0.0, 0.0, 0.0) == 0.0
@@ -331,16 +331,16 @@ class TestNotes:
         ],
     )
     def test_what_cannot_be_compensated(self, name: str, parameters: dict[str, float], word: str) -> None:
-        """The effect and the reason."""
+        """A note states the effect and the reason."""
         (note,) = Feedforward(with_effect(name, **parameters), PERIOD).notes
         assert note.startswith(f"{name}: ")
         assert word in note
 
     def test_missing_measurement(self) -> None:
-        """An axis without a joint angle cannot know its gravity."""
+        """The gravity load of an axis without a joint angle is unknown."""
         (note,) = Feedforward(with_effect("gravity_load", amplitude=0.5), PERIOD, signals=("q_m",)).notes
         assert note == "gravity_load: not compensated, this axis does not measure q_j"
 
     def test_compensated_effects_need_no_words(self) -> None:
-        """Silence is good news."""
+        """A compensated effect gives no note."""
         assert Feedforward(with_effect("viscous_friction", coefficient=0.1), PERIOD).notes == ()

@@ -1,4 +1,4 @@
-"""Functions with a memory: against the matrix exponential, closed forms and the blind benchmark's own loops."""
+"""Functions with memory, compared with the matrix exponential, closed forms and the loops of the blind benchmark."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IDS = [f"{memory.kind} {memory.constants}" for memory in EVERY]
 
 
 def course(seed: int = 1, uneven: bool = True) -> tuple[Array, Array]:
-    """t (s) and x, 400 samples, steps from half to twice 10 ms."""
+    """Return t (s) and x, 400 samples each, with steps of half to twice 10 ms, or of 10 ms."""
     rng = np.random.default_rng(seed)
     steps = 0.01 * (rng.uniform(0.5, 2.0, 400) if uneven else np.ones(400))
     t = np.cumsum(steps)
@@ -30,7 +30,7 @@ def course(seed: int = 1, uneven: bool = True) -> tuple[Array, Array]:
 
 
 def system(memory: Memory) -> tuple[Array, Array]:
-    """A and b of dz/dt = A z + b x, whose first z is the value."""
+    """Return A and b of dz/dt = A z + b x. The first component of z is the value."""
     if memory.kind == "lag":
         (constant,) = memory.constants
         return np.array([[-1.0 / constant]]), np.array([1.0 / constant])
@@ -39,7 +39,10 @@ def system(memory: Memory) -> tuple[Array, Array]:
 
 
 def reference(memory: Memory, x: Array, t: Array) -> Array:
-    """The exponential of each step's own matrix, x a ramp in it; hysteresis by the loop of the blind benchmark."""
+    """Return the reference values (n,): the matrix exponential of each step with x as a ramp.
+
+    The reference of the hysteresis is the loop of the blind benchmark.
+    """
     if memory.kind == "dahl":
         return np.asarray(blind.bristle(x, memory.constants[0], 0.0))
     a, b = system(memory)
@@ -88,7 +91,7 @@ def test_a_step_rings_with_its_frequency_and_overshoots_by_its_damping() -> None
 
 
 def test_hysteresis_is_dahls_loop() -> None:
-    """From 0 it rises as 1 - exp(-x/w); after a turn at z it falls as (1 + z) exp(-(x_turn - x)/w) - 1."""
+    """From 0 it rises as 1 - exp(-x/w). After a reversal at z it falls as (1 + z) exp(-(x_turn - x)/w) - 1."""
     up = np.linspace(0.0, 1.0, 50)
     x = np.concatenate([up, up[-2::-1]])
     z = Memory("dahl", (0.4,)).over(x, np.arange(len(x), dtype=float))
@@ -98,7 +101,7 @@ def test_hysteresis_is_dahls_loop() -> None:
 
 @pytest.mark.parametrize("memory", EVERY, ids=IDS)
 def test_cycle_by_cycle_it_is_the_same_as_over_the_log(memory: Memory) -> None:
-    """Whatever is asked for in between; a cycle that accepts nothing is a longer step."""
+    """Other calls have no influence, and a cycle that accepts nothing lengthens the next step."""
     t, x = course()
     rng = np.random.default_rng(2)
     kept = np.sort(rng.choice(len(t), 300, replace=False))
@@ -142,7 +145,7 @@ def test_whatever_the_steps_it_stays_bounded(
     t, most = np.cumsum(steps), float(np.max(np.abs(x))) * (1.0 + 1e-9) + 1e-9
     assert np.all(np.abs(Memory("lag", (constant,)).over(x, t)) <= most)
     assert np.all(np.abs(Memory("dahl", (width,)).over(x, t)) <= 1.0)
-    # Each ramp can add its whole swing to what still swings
+    # Each ramp can add its whole amplitude to the oscillation that persists.
     assert np.all(np.abs(Memory("ring", (frequency, damping)).over(x, t)) <= 4.0 * len(x) * most)
 
 

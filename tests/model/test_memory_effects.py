@@ -1,4 +1,4 @@
-"""Effects that remember, against closed forms; the friction state is read off the joint torque at tau_M = 0."""
+"""Effects with memory, compared with closed forms. The friction state is derived from the joint torque at tau_M = 0."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ T = np.arange(4000) / RATE
 
 
 def triangle(amplitude: float, period: float) -> Array:
-    """Starts at 0 upwards."""
+    """Return a triangle wave that starts at 0 and rises, (n,)."""
     phase = (T / period + 0.25) % 1.0
     return amplitude * (1.0 - 4.0 * np.abs(phase - 0.5))
 
 
 def friction_state(tau_j: Array) -> Array:
-    """z from tau_J = -2 T_p r_J sinh(z x) at tau_M = 0."""
+    """Return z from tau_J = -2 T_p r_J sinh(z x) at tau_M = 0, (n,)."""
     return np.arcsinh(-tau_j / (2.0 * 45.0 * 0.025)) / 0.26
 
 
 class TestDahl:
-    """dz/ds = (1 - sign(ds) z)/q_p."""
+    """The Dahl model is dz/ds = (1 - sign(ds) z)/q_p."""
 
     def test_reversal_decays_exponentially_in_displacement(self) -> None:
-        """From z = 1 at the reversal: z = -1 + 2 exp(-s/q_p)."""
+        """From z = 1 at the reversal, z = -1 + 2 exp(-s/q_p)."""
         q = 1.0 - np.abs(1.0 - T / 2.0)  # up to 1 rad at t = 2 s, then down
         omega = np.where(T < 2.0, 0.5, -0.5)
         z = friction_state(
@@ -43,13 +43,13 @@ class TestDahl:
         np.testing.assert_allclose(z[after], expected, atol=1e-9)
 
     def test_starts_at_the_direction_when_the_log_starts_moving(self) -> None:
-        """z(0) = sigma(0), and stays there while the motion goes on."""
+        """z(0) = sigma(0), and z stays there during the motion."""
         model = with_effect("presliding_hysteresis", presliding_distance=0.1)
         found = predict(model, signals(T, np.full_like(T, -0.5), q_j=-0.5 * T))
         np.testing.assert_allclose(found, LOSS, rtol=1e-12)
 
     def test_starts_at_zero_when_the_log_starts_at_rest(self) -> None:
-        """z = 1 - exp(-s/q_p) from rest."""
+        """From rest, z = 1 - exp(-s/q_p)."""
         omega = np.where(T < 1.0, 0.0, 0.5)
         q = np.where(T < 1.0, 0.0, 0.5 * (T - 1.0))
         z = friction_state(
@@ -58,7 +58,7 @@ class TestDahl:
         np.testing.assert_allclose(z, -np.expm1(-q / 0.1), atol=1e-12)
 
     def test_starts_at_zero_when_what_it_follows_rests_while_the_joint_is_loaded(self) -> None:
-        """The joint moves at once and the motor rests for a second: z is 0 until the motor moves."""
+        """The joint moves at once and the motor rests for a second. z is 0 until the motor moves."""
         model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
         omega = np.where(T < 1.0, -2.0, 0.5)
         q_m = np.where(T < 1.0, 0.0, 0.5 * (T - 1.0))
@@ -66,14 +66,14 @@ class TestDahl:
         np.testing.assert_allclose(z, -np.expm1(-q_m / 0.1), atol=1e-12)
 
     def test_does_not_depend_on_speed(self) -> None:
-        """The same path at a quarter of the speed gives the same states at the same places."""
+        """The same path at four times the speed gives the same states at the same places."""
         effect = PreslidingHysteresis(0.07)
         slow = effect.state(triangle(0.3, 4.0), 0.0)
         fast = effect.state(triangle(0.3, 4.0)[::4], 0.0)
         np.testing.assert_allclose(slow[::4], fast, atol=1e-12)
 
     def test_follows_the_motor_where_the_log_has_its_angle(self) -> None:
-        """Default displacement: motor angle, else joint angle, else the integrated velocity."""
+        """The default displacement is the motor angle, else the joint angle, else the integrated velocity."""
         effect = PreslidingHysteresis(0.1)
         log = signals(T, np.full_like(T, 0.5), q_j=0.5 * T, q_m=0.7 * T)
         np.testing.assert_array_equal(effect.path(log), 0.7 * T)
@@ -82,7 +82,7 @@ class TestDahl:
 
 
 class TestMaxwellSlip:
-    """Mean of N elements that slip after q_p i/N."""
+    """The state is the mean of N elements that slip after q_p i/N."""
 
     def test_virgin_curve(self) -> None:
         """From rest each element is a ramp that saturates: z = mean of min(1, s N/(q_p i))."""
@@ -91,7 +91,7 @@ class TestMaxwellSlip:
         np.testing.assert_allclose(PreslidingHysteresis(0.2, elements=4).state(s, 0.0), expected, atol=1e-12)
 
     def test_masing_rule(self) -> None:
-        """A reversal branch is the virgin curve, twice as large either way."""
+        """A reversal branch is the virgin curve, scaled by two in both directions."""
         s = np.linspace(0.0, 0.4, 4001)
         effect = PreslidingHysteresis(0.2, elements=5)
         down = effect.state(0.4 - s, 1.0)
@@ -99,7 +99,7 @@ class TestMaxwellSlip:
         np.testing.assert_allclose(down, 1.0 - 2.0 * virgin, atol=1e-9)
 
     def test_small_loop_closes(self) -> None:
-        """Return-point memory: after an inner loop the outer branch goes on as if it had not been."""
+        """Return-point memory: after an inner loop the outer branch continues as if the loop had not occurred."""
         effect = PreslidingHysteresis(0.2, elements=5)
         detour = np.array([0.0, 0.15, 0.10, 0.15, 0.20])
         straight = np.array([0.0, 0.15, 0.20])
@@ -113,7 +113,7 @@ class TestMaxwellSlip:
     st.sampled_from([-1.0, 0.0, 1.0]),
 )
 def test_live_state_equals_the_log_state(path: list[float], distance: float, elements: int, start: float) -> None:
-    """Sample by sample and over a whole log the friction state is the same number, within [-1, 1]."""
+    """The friction state is the same sample by sample and over a whole log. It lies within [-1, 1]."""
     effect = PreslidingHysteresis(distance, elements)
     live = PreslidingState(effect)
     found = np.array([live.update(s, start) for s in path])
@@ -122,7 +122,7 @@ def test_live_state_equals_the_log_state(path: list[float], distance: float, ele
 
 
 class TestBacklash:
-    """The tendon part is 0 while abs(q - q_r) < gap."""
+    """The torque of the tendons is 0 while abs(q - q_r) < gap."""
 
     GAP = 0.1
 
@@ -131,7 +131,7 @@ class TestBacklash:
         return predict(with_effect("backlash", gap=self.GAP), signals(T, omega, q_j=q))
 
     def test_dead_interval_has_the_width_of_the_gap(self) -> None:
-        """After each turn of a triangle of slope 1.2 rad/s nothing arrives for gap/1.2 s."""
+        """After each reversal of a triangle wave of 1.2 rad/s, no torque reaches the joint for gap/1.2 s."""
         q = triangle(0.3, 1.0)
         dead = self.tau_j(q) == 0.0
         starts = np.flatnonzero(dead[1:] & ~dead[:-1]) + 1
@@ -140,25 +140,25 @@ class TestBacklash:
         assert (ends - starts)[:7] / RATE == pytest.approx(np.full(7, self.GAP / 1.2), abs=0.0015)
 
     def test_no_play_before_the_first_reversal(self) -> None:
-        """A log that starts moving starts with the play closed."""
+        """A log that starts with motion starts with the backlash closed."""
         assert np.all(self.tau_j(0.2 * T) != 0.0)
 
     def test_two_counts_are_no_reversal(self) -> None:
-        """An encoder that dithers by two counts on the way up does not open the play."""
+        """An encoder that dithers by two counts during the motion does not open the backlash."""
         count = 1e-3
         q = count * np.round(0.2 * T / count)
         q[2000:2010] -= 2.0 * count
         assert np.all(self.tau_j(q) != 0.0)
 
     def test_three_counts_are_a_reversal(self) -> None:
-        """One count more and it does."""
+        """A drop by four counts opens the backlash."""
         count = 1e-3
         q = count * np.round(0.2 * T / count)
         q[2000:2010] -= 4.0 * count
         assert np.any(self.tau_j(q) == 0.0)
 
     def test_joint_side_is_felt_inside_the_play(self) -> None:
-        """Only the tendon part vanishes."""
+        """Only the torque of the tendons vanishes."""
         q = triangle(0.3, 1.0)
         model = ACTUATOR.with_effects({"backlash": {"gap": self.GAP}, "torque_offset": {"offset": 0.3}})
         found = predict(model, signals(T, np.gradient(q, T), q_j=q))
@@ -166,29 +166,29 @@ class TestBacklash:
 
 
 class TestResolution:
-    """Tests of the assumed size of an encoder count."""
+    """Determination of the size of an encoder count."""
 
     def test_grid(self) -> None:
-        """The step of the grid, when the angles lie on one."""
+        """If the angles lie on a grid, the resolution is its step."""
         count = 2.0 * np.pi / 8192
         assert resolution(count * np.round(triangle(0.3, 1.0) / count)) == pytest.approx(count, rel=1e-6)
 
     def test_noise(self) -> None:
-        """A few times the noise, when they do not."""
+        """If the angles do not lie on a grid, the resolution is two to five times the noise."""
         noise = np.random.default_rng(1).normal(scale=1e-4, size=T.size)
         assert 2e-4 < resolution(triangle(0.3, 1.0) + noise) < 5e-4
 
     def test_standstill(self) -> None:
-        """An angle that never changes has no count."""
+        """An angle that never changes has a resolution of 0."""
         assert resolution(np.full(100, 0.2)) == 0.0
 
 
 class TestTransportDelay:
-    """Measured tau_J is late."""
+    """The measured tau_J is delayed."""
 
     @pytest.mark.parametrize("delay", [0.0, 0.004, 0.0043, 0.01237])
     def test_ramp_is_shifted_exactly(self, delay: float) -> None:
-        """A straight line comes back shifted by any fraction of a sample."""
+        """A straight line is shifted exactly by any fraction of a sample."""
         log = signals(T, np.ones_like(T), tau_m=0.2 * T)
         prompt, late = predict(ACTUATOR, log), predict(with_effect("transport_delay", delay=delay), log)
         slope = (prompt[1] - prompt[0]) * RATE
@@ -197,7 +197,7 @@ class TestTransportDelay:
         np.testing.assert_allclose(late[~later], prompt[0], atol=1e-12)
 
     def test_sine_is_shifted_in_phase(self) -> None:
-        """Linear interpolation of a 3 Hz sine at 1 kHz is good to 5e-5 of its amplitude."""
+        """Linear interpolation of a 3 Hz sine at 1 kHz has an error of 5e-5 of its amplitude."""
         log = signals(T, np.ones_like(T), tau_m=np.sin(2.0 * np.pi * 3.0 * T))
         late = predict(with_effect("transport_delay", delay=0.0125), log)
         shifted = signals(T, np.ones_like(T), tau_m=np.sin(2.0 * np.pi * 3.0 * (T - 0.0125)))
@@ -205,7 +205,7 @@ class TestTransportDelay:
 
 
 class TestVelocityLag:
-    """True omega from the logged one through 1/(1 + T s)."""
+    """The true omega is obtained from the logged output of 1/(1 + T s)."""
 
     LAG, W = 0.02, 2.0 * np.pi
 
@@ -215,7 +215,7 @@ class TestVelocityLag:
         return np.sin(self.W * T), gain * np.sin(self.W * T - phase), gain * self.W * np.cos(self.W * T - phase)
 
     def test_true_velocity_returns(self) -> None:
-        """Viscous friction sees the true velocity."""
+        """Viscous friction acts on the true velocity."""
         true, logged, derivative = self.logged()
         effects = {"velocity_lag": {"time_constant": self.LAG}, "viscous_friction": {"coefficient": 0.5}}
         found = predict(ACTUATOR.with_effects(effects), signals(T, logged, acceleration_j=derivative))
@@ -223,7 +223,7 @@ class TestVelocityLag:
         np.testing.assert_allclose(found[moving], (-LOSS * np.sign(true) - 0.5 * true)[moving], atol=1e-9)
 
     def test_derivative_may_come_from_the_log(self) -> None:
-        """Without an acceleration column the reversal is found to a few milliseconds."""
+        """Without an acceleration column the reversals are found within a few milliseconds."""
         true, logged, _ = self.logged()
         found = predict(with_effect("velocity_lag", time_constant=self.LAG), signals(T, logged))
         wrong = np.abs(found + LOSS * np.sign(true)) > 1e-9
@@ -231,7 +231,7 @@ class TestVelocityLag:
 
 
 class TestRelaxation:
-    """T_p *= 1 - c (1 - exp(-(t - t_0)/T)), or 1 - c log10(1 + (t - t_0)/T)."""
+    """T_p *= 1 - c (1 - exp(-(t - t_0)/T)), or T_p *= 1 - c log10(1 + (t - t_0)/T)."""
 
     def half_loop(self, **parameters: object) -> Array:
         t = T + 7.0
@@ -239,11 +239,11 @@ class TestRelaxation:
         return -predict(model, signals(t, np.ones_like(t))) / LOSS
 
     def test_starts_with_the_log(self) -> None:
-        """t_0 is the log's first sample unless given."""
+        """t_0 is the log's first sample unless it is given."""
         np.testing.assert_allclose(self.half_loop(), 1.0 - 0.3 * (1.0 - np.exp(-T / 2.0)), rtol=1e-12)
 
     def test_logarithmic(self) -> None:
-        """The other law."""
+        """The logarithmic law decreases the pretension with log10(1 + (t - t_0)/T)."""
         np.testing.assert_allclose(self.half_loop(law="logarithmic"), 1.0 - 0.3 * np.log10(1.0 + T / 2.0), rtol=1e-12)
 
     def test_nothing_before_its_start(self) -> None:
@@ -254,6 +254,6 @@ class TestRelaxation:
 
 
 def test_integrated_angle_is_trapezoidal() -> None:
-    """Exact for a velocity that is a straight line, on any grid."""
+    """The integral is exact for a linear velocity on any grid."""
     t = np.array([0.0, 0.1, 0.35, 0.4])
     np.testing.assert_allclose(integrate(2.0 * t, t), t**2, atol=1e-15)

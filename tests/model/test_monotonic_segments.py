@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as arrays
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 
-counted = arrays.arrays(np.int64, st.integers(1, 80), elements=st.integers(-4, 4))  # stands, and comes back to a place
+counted = arrays.arrays(np.int64, st.integers(1, 80), elements=st.integers(-4, 4))  # rests, and returns to a place
 sharp = arrays.arrays(np.float64, st.integers(1, 80), elements=st.floats(-1.0, 1.0, allow_subnormal=False))
 paths = st.one_of(counted.map(lambda counts: 0.1 * np.cumsum(counts)), sharp)
 starts = st.sampled_from([-1.0, 0.0, 1.0])
@@ -29,7 +29,7 @@ def dahl_by_steps(path: Array, distance: float, start: float) -> Array:
 
 
 def maxwell_by_steps(path: Array, distance: float, elements: int, start: float) -> Array:
-    """Springs that slip at +-1."""
+    """Return the mean state of springs that slip at +-1, integrated over the step of each sample."""
     states, z = [start] * elements, [start]
     for step in np.diff(path):
         stiffness = [elements / (distance * (k + 1)) for k in range(elements)]
@@ -39,7 +39,10 @@ def maxwell_by_steps(path: Array, distance: float, elements: int, start: float) 
 
 
 def reversals_by_steps(path: Array, threshold: float) -> Array:
-    """The extreme from which the path has come back by more than `threshold`, from the sample behind it on."""
+    """Return the last reversal for each sample: the extreme from which the path returned by more than `threshold`.
+
+    It applies from the sample after the extreme on; it is nan before the first reversal.
+    """
     out = np.full(len(path), math.nan)
     extreme, since, direction = path[0], 0, 0
     for i, place in enumerate(path):
@@ -59,7 +62,7 @@ def reversals_by_steps(path: Array, threshold: float) -> Array:
 
 @given(paths, st.floats(0.01, 3.0), starts)
 def test_dahl(path: Array, distance: float, start: float) -> None:
-    """The closed form of each leg is the sum of its steps."""
+    """The closed form over each leg equals the sum of its steps."""
     np.testing.assert_allclose(
         dahl(MonotonicSegments.of(path), distance, start), dahl_by_steps(path, distance, start), atol=1e-12
     )
@@ -67,14 +70,14 @@ def test_dahl(path: Array, distance: float, start: float) -> None:
 
 @given(paths, st.floats(0.01, 3.0), st.integers(1, 8), starts)
 def test_maxwell_slip(path: Array, distance: float, elements: int, start: float) -> None:
-    """An element that slips slips to the end of its leg."""
+    """An element that slips continues to slip to the end of its leg."""
     found = maxwell_slip(MonotonicSegments.of(path), distance, elements, start)
     np.testing.assert_allclose(found, maxwell_by_steps(path, distance, elements, start), atol=1e-11)
 
 
 @given(paths, st.sampled_from([0.0, 0.05, 0.15, 0.25, 1.0]))
 def test_last_reversal(path: Array, threshold: float) -> None:
-    """Bit for bit: the places are the path's own."""
+    """The values are equal bit for bit, because they are places of the path."""
     np.testing.assert_array_equal(
         last_reversal(MonotonicSegments.of(path), threshold), reversals_by_steps(path, threshold)
     )
@@ -82,7 +85,7 @@ def test_last_reversal(path: Array, threshold: float) -> None:
 
 @pytest.mark.parametrize("legs", [2, 3, 16, 17, 1000])
 def test_state_passes_through_many_legs(legs: int) -> None:
-    """However many blocks the maps are composed in, the last sample knows the first one."""
+    """The state at the last sample depends on the first one for any number of composed blocks."""
     rng = np.random.default_rng(legs)
     path = np.cumsum(rng.uniform(0.1, 1.0, legs) * (-1.0) ** np.arange(legs)) * 1e-3
     found = dahl(MonotonicSegments.of(path), 10.0, 1.0), maxwell_slip(MonotonicSegments.of(path), 10.0, 4, 1.0)
@@ -91,7 +94,7 @@ def test_state_passes_through_many_legs(legs: int) -> None:
 
 
 def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> None:
-    """Two samples at the top belong to the way up."""
+    """Both samples at the top belong to the leg upward."""
     legs = MonotonicSegments.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
     assert legs.first.tolist() == [0, 5, 6]
     assert legs.way.tolist() == [1.0, -1.0, 1.0]
@@ -99,7 +102,7 @@ def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> N
 
 
 def test_a_path_that_stands_has_one_leg() -> None:
-    """And its state stays."""
+    """The state does not change."""
     legs = MonotonicSegments.of(np.full(5, 0.3))
     assert legs.first.tolist() == [0]
     np.testing.assert_array_equal(dahl(legs, 0.1, 0.0), np.zeros(5))

@@ -1,4 +1,4 @@
-"""Test the actuator model file: accepted files, one-line errors, and that a written file is the same model."""
+"""The actuator model file: accepted files, one-line errors, and writing without a change of the model."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DRIVE = '[actuator]\nkind = "rigid_drive"\ninertia = 0.002\ncoulomb_friction = 0
 
 
 def changed(old: str, new: str) -> str:
-    """The example file with one line exchanged."""
+    """Return the example file with `old` replaced by `new`."""
     text = EXAMPLE.read_text(encoding="utf-8")
     assert old in text
     return text.replace(old, new)
@@ -39,12 +39,12 @@ def loaded(folder: Path, text: str) -> TendonSheath | RigidDrive:
 
 
 def bare(model: TendonSheath | RigidDrive) -> TendonSheath | RigidDrive:
-    """Without the name of the file."""
+    """Return the model without the name of its file."""
     return dataclasses.replace(model, source="")
 
 
 def test_example_is_the_reference_actuator() -> None:
-    """The commented example loads to its own numbers."""
+    """The commented example contains the values of the reference actuator."""
     assert bare(load_model(EXAMPLE)) == dataclasses.replace(ACTUATOR, bending_centre=0.5)
 
 
@@ -56,7 +56,7 @@ def with_course(course: str, centre: str = "") -> str:
 
 
 def test_a_course_of_the_bending_has_its_own_centre_and_is_squeezed_to_one_that_is_given(tmp_path: Path) -> None:
-    """0.05 and 0.75 are the middles of its two bends; read, written and read again it is the same."""
+    """The centre follows from the middles 0.05 and 0.75 of the two bends. A written file gives the same model."""
     course = str([list(point) for point in COURSE])
     own = loaded(tmp_path, with_course(course))
     assert isinstance(own, TendonSheath)
@@ -84,7 +84,7 @@ def test_what_is_no_course_is_refused_in_one_line(tmp_path: Path, course: str, w
 
 
 def test_derived_quantities() -> None:
-    """x = mu Theta, k_t = EA/l_us, and no series length without a series element."""
+    """x = mu Theta, k_t = EA/l_us, and there is no series length without a series element."""
     assert ACTUATOR.friction_angle == pytest.approx(0.26)
     assert ACTUATOR.tendon_stiffness == pytest.approx(50e3)
     assert ACTUATOR.series_length == 0.0
@@ -92,13 +92,13 @@ def test_derived_quantities() -> None:
 
 
 def test_series_spring_softens() -> None:
-    """k_t = 1/(l_us/EA + 1/k_s): the reason for the mechanism's name."""
+    """k_t = 1/(l_us/EA + 1/k_s), so an equal spring halves it."""
     soft = dataclasses.replace(ACTUATOR, series_stiffness=50e3)
     assert soft.pretension_slope == pytest.approx(0.5 * ACTUATOR.pretension_slope)
 
 
 def test_place_of_the_series_spring(tmp_path: Path) -> None:
-    """It is at the motor's end by default."""
+    """The default is the motor's end."""
     for line, at_joint in (("", False), ('series_position = "motor"\n', False), ('series_position = "joint"\n', True)):
         model = loaded(tmp_path, changed("[sheath]", f"series_stiffness = 2e4\n{line}[sheath]"))
         assert isinstance(model, TendonSheath)
@@ -106,7 +106,7 @@ def test_place_of_the_series_spring(tmp_path: Path) -> None:
 
 
 def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
-    """(3.51), (3.56): 35 N/rad over 1.4 rad."""
+    """By (3.51) and (3.56), the pretension is 35 N/rad over 1.4 rad."""
     text = changed("# unstrained_bending_angle", "unstrained_bending_angle").replace("value = 45.0", "# value")
     model = loaded(tmp_path, text)
     assert isinstance(model, TendonSheath)
@@ -115,7 +115,7 @@ def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("spring", "pretension"), [("", 45.0), ("series_stiffness = 2e4", 12.857142857)])
 def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: str, pretension: float) -> None:
-    """(3.56): EA/l_us is 50 N/mm, with a spring of 20 N/mm in series 14.3; the file stores the pretension."""
+    """By (3.56), EA/l_us is 50 N/mm, or 14.3 N/mm with a series spring of 20 N/mm. The file stores the pretension."""
     text = changed("# length_change", "length_change").replace("value = 45.0", "# value")
     model = loaded(tmp_path, text.replace("[sheath]", f"{spring}\n[sheath]"))
     assert isinstance(model, TendonSheath)
@@ -153,7 +153,7 @@ def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: st
     ],
 )
 def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
-    """The message has place, value and allowed values."""
+    """The message contains the place, the value and the allowed values."""
     with pytest.raises(UsageError) as caught:
         loaded(tmp_path, changed(old, new))
     assert re.search(message, str(caught.value))
@@ -191,7 +191,7 @@ def test_wrong_effect_is_one_line(tmp_path: Path, table: str, message: str) -> N
 
 
 def test_written_model_is_the_same(tmp_path: Path) -> None:
-    """Effects with defaults, choices and series element included."""
+    """The model contains effects with defaults, choices and a series element."""
     model = dataclasses.replace(ACTUATOR, series_stiffness=2e4).with_effects(
         {
             "presliding_hysteresis": {"presliding_distance": 0.0313, "displacement": "joint"},
@@ -204,7 +204,7 @@ def test_written_model_is_the_same(tmp_path: Path) -> None:
 
 
 def test_written_course_of_the_bending_is_the_same(tmp_path: Path) -> None:
-    """Points of the curvature profile, and a spring at the joint."""
+    """The model contains points of the curvature profile and a spring at the joint."""
     profile = [[0.0, 0.0], [0.3, 0.5], [0.7, 0.5], [1.0, 1.0]]
     model = dataclasses.replace(ACTUATOR, series_stiffness=2e4, series_at_joint=True)
     model = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
@@ -222,13 +222,13 @@ def test_template_keeps_its_comments(tmp_path: Path) -> None:
 
 
 def test_recalibration_moves_friction_through_mu() -> None:
-    """Theta stays, because the theta column is compared with it."""
+    """Theta is kept, because the theta column is compared with it."""
     model = ACTUATOR.recalibrated(friction_angle=0.52)
     assert (model.friction_coefficient, model.bending_angle) == pytest.approx((0.2, 2.6))
 
 
 def test_straight_sheath_cannot_be_recalibrated_in_friction() -> None:
-    """x is 0 whatever mu is."""
+    """x is 0 for any mu."""
     with pytest.raises(UsageError, match="bending_angle is 0"):
         dataclasses.replace(ACTUATOR, bending_angle=0.0).recalibrated(friction_angle=0.1)
 
@@ -237,12 +237,12 @@ class TestReferenceTension:
     """T_ref of tension_dependent_friction defaults to the file's pretension."""
 
     def test_stays_when_the_pretension_is_recalibrated(self) -> None:
-        """Else a new pretension would be a new friction as well."""
+        """Otherwise a new pretension would change the friction as well."""
         model = ACTUATOR.with_effects({"tension_dependent_friction": {"exponent": 0.2}}).recalibrated(pretension=60.0)
         assert model.effects["tension_dependent_friction"]["reference_tension"] == 45.0
 
     def test_must_be_given_without_pretension(self) -> None:
-        """A power of T/0 means nothing."""
+        """A power of T/0 is undefined."""
         with pytest.raises(UsageError, match="give reference_tension"):
             dataclasses.replace(ACTUATOR, pretension=0.0).with_effects(
                 {"tension_dependent_friction": {"exponent": 0.2}}
@@ -250,36 +250,36 @@ class TestReferenceTension:
 
 
 class TestRigidDrive:
-    """[actuator] kind = "rigid_drive"."""
+    """Model files with [actuator] kind = "rigid_drive"."""
 
     def test_absent_parameters_are_none(self, tmp_path: Path) -> None:
-        """Absent is not 0: it can be a cause."""
+        """An absent parameter is not 0, because it can be a cause."""
         assert bare(loaded(tmp_path, DRIVE)) == RigidDrive(inertia=0.002, coulomb_friction=0.05)
 
     def test_round_trip(self, tmp_path: Path) -> None:
-        """Written and read."""
+        """A written model is read again without a change."""
         model = RigidDrive(0.002, None, 0.01, -0.03, effects={"joint_stiffness": {"stiffness": 0.5, "rest_angle": 0.0}})
         save_model(model, tmp_path / "drive.toml")
         assert bare(load_model(tmp_path / "drive.toml")) == model
 
     @pytest.mark.parametrize("table", ["[effects.tendon_slack]", "[effects.backlash]\ngap = 0.1"])
     def test_effects_of_tendons_are_refused(self, tmp_path: Path, table: str) -> None:
-        """They have no meaning without a transmission."""
+        """These effects have no meaning without a transmission."""
         with pytest.raises(UsageError, match="has no meaning for a rigid_drive"):
             loaded(tmp_path, f"{DRIVE}{table}\n")
 
     def test_is_no_tendon_sheath(self, tmp_path: Path) -> None:
-        """Where a controller needs one."""
+        """A rigid drive is rejected where a controller requires a tendon-sheath model."""
         (tmp_path / "drive.toml").write_text(DRIVE, encoding="utf-8")
         with pytest.raises(UsageError, match="give a tendon-sheath model"):
             load_tendon_sheath(tmp_path / "drive.toml")
 
 
 class TestGearedDrive:
-    """[actuator] kind = "geared_drive"."""
+    """Model files with [actuator] kind = "geared_drive"."""
 
     def test_round_trip(self, tmp_path: Path) -> None:
-        """Written and read; absent keys stay absent."""
+        """A written model is read again without a change, and absent keys stay absent."""
         effects = {"torque_saturation": {"limit": 2.0}, "torque_sensor_lag": {"time_constant": 0.1}}
         model = GearedDrive(9.0, 0.9, None, 0.05, effects=effects)
         save_model(model, tmp_path / "drive.toml")
@@ -296,7 +296,7 @@ class TestGearedDrive:
         ],
     )
     def test_what_is_wrong_is_said(self, tmp_path: Path, text: str, message: str) -> None:
-        """The message names the key and the allowed values."""
+        """The message contains the key or the reason."""
         with pytest.raises(UsageError, match=message):
             loaded(tmp_path, f'[actuator]\nkind = "geared_drive"\n{text}\n')
 

@@ -1,4 +1,4 @@
-"""Wrong units in a model file: each is an error that gives place, value, range and the likely mistake."""
+"""Wrong units in a model file are errors that state place, value, range and the likely mistake."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXAMPLE = tomllib.loads((ROOT / "config" / "actuator.toml").read_text(encoding="
 
 
 def rejected(changes: dict[str, dict[str, float]], words: str) -> str:
-    """The one line with which the example and these changes are rejected."""
+    """Return the one-line error with which the example with these changes is rejected."""
     with pytest.raises(UsageError, match=words) as error:
         model_from(merged(EXAMPLE, changes), "knee.toml")
     line = str(error.value)
@@ -61,7 +61,7 @@ def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value:
     ],
 )
 def test_numbers_that_contradict_each_other_are_rejected(changes: dict[str, dict[str, float]], words: str) -> None:
-    """Before they reach a motor: a log of such a rig can be calibrated and diagnosed all the same."""
+    """The check comes before a motor runs. A log of such a rig can still be calibrated and diagnosed."""
     model = model_from(merged(EXAMPLE, changes), "knee.toml")
     with pytest.raises(UsageError, match=words) as error:
         check_consistent(model)
@@ -81,7 +81,8 @@ def test_gram_force_is_found_with_the_motor_at_every_pretension(tmp_path: Path, 
 
 @pytest.mark.parametrize("tension", [2.0, 45.0, 150.0])
 def test_the_same_in_newtons_is_loaded(tmp_path: Path, tension: float) -> None:
-    path, _ = write(tmp_path, controller(setpoint={"amplitude": 0.02 * tension}))  # a tendon goes slack at 0.05
+    # a tendon goes slack at a factor of 0.05
+    path, _ = write(tmp_path, controller(setpoint={"amplitude": 0.02 * tension}))
     document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
     document["pretension"] = {"value": tension}
     (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
@@ -89,7 +90,7 @@ def test_the_same_in_newtons_is_loaded(tmp_path: Path, tension: float) -> None:
 
 
 def test_an_inertia_in_other_units_would_ring_as_no_motor_does(tmp_path: Path) -> None:
-    path, _ = write(tmp_path, controller(law={"motor_inertia": 1.0, "damping": 0.0}))  # g*m^2
+    path, _ = write(tmp_path, controller(law={"motor_inertia": 1.0, "damping": 0.0}))  # in g*m^2 by mistake
     with pytest.raises(UsageError, match=r"motor_inertia 1 .* would ring at 1.0. Hz; allowed is 2 to 5000 Hz"):
         load_configuration(path)
 
@@ -100,7 +101,7 @@ def test_soft_tendons_of_a_series_elastic_actuator_are_loaded() -> None:
 
 
 def test_a_calibration_beyond_the_greatest_friction_coefficient_moves_the_angle_and_loads_again() -> None:
-    """Only the product is identified, so it is the bending angle that was wrong."""
+    """Only the product is identified, so the bending angle is corrected."""
     straight = dataclasses.replace(ACTUATOR, bending_angle=0.5)
     found = straight.recalibrated(friction_angle=0.6)
     assert found.friction_angle == pytest.approx(0.6)

@@ -21,50 +21,50 @@ T = np.arange(2000) / 1000.0
 
 
 class TestStandstill:
-    """sigma at omega = 0."""
+    """The direction sigma at omega = 0."""
 
     def test_keeps_the_last_direction(self) -> None:
-        """And takes the first one before the first motion."""
+        """Before the first motion, the first direction is used."""
         omega = np.array([0.0, 0.0, -1.0, 0.0, 2.0, 0.0, 0.0])
         expected = -LOSS * np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
         np.testing.assert_allclose(predict(ACTUATOR, signals(np.arange(7.0), omega)), expected, rtol=1e-12)
 
     def test_log_without_motion_is_in_the_middle_of_the_band(self) -> None:
-        """No direction ever: no friction either way."""
+        """Without any motion, the friction is 0."""
         found = predict(ACTUATOR, signals(np.arange(3.0), np.zeros(3), tau_m=np.ones(3)))
         np.testing.assert_allclose(found, 1.25, rtol=1e-12)
 
 
 class TestBending:
-    """The theta column, and bending that follows the joint."""
+    """The theta column, and bending that depends on the joint angle."""
 
     def test_theta_changes_friction_angle_and_pretension(self) -> None:
-        """x = mu Theta, T_p0 = value + 35 N/rad (Theta - bending_angle)."""
+        """x = mu Theta, and T_p0 = value + 35 N/rad (Theta - bending_angle)."""
         theta = np.array([2.6, 2.8, 3.0])
         found = predict(ACTUATOR, signals(np.arange(3.0), np.ones(3), theta=theta))
         expected = -2.0 * (45.0 + 35.0 * (theta - 2.6)) * 0.025 * np.sinh(0.1 * theta)
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
     def test_series_element_holds_the_pretension(self) -> None:
-        """k_t halves with a series spring as stiff as the tendon."""
+        """k_t is halved by a series spring as stiff as the tendon."""
         soft = dataclasses.replace(ACTUATOR, series_stiffness=50e3)
         found = predict(soft, signals(np.arange(1.0), np.ones(1), theta=np.array([3.0])))
         np.testing.assert_allclose(found, -2.0 * (45.0 + 17.5 * 0.4) * 0.025 * np.sinh(0.3), rtol=1e-12)
 
     def test_straightened_sheath_is_slack(self) -> None:
-        """T_p0 below 0 is 0: without motor torque nothing is left."""
+        """A T_p0 below 0 is set to 0, so there is no torque without motor torque."""
         found = predict(ACTUATOR, signals(np.arange(1.0), np.ones(1), theta=np.array([1.0])))
         assert found == pytest.approx([0.0])
 
     def test_joint_angle_adds_to_the_column(self) -> None:
-        """Theta = theta + k q."""
+        """The effect gives Theta = theta + k q."""
         effect = with_effect("configuration_dependent_bending", bending_per_joint_angle=0.5)
         by_effect = predict(effect, signals(T, np.ones_like(T), q_j=0.4 * T, theta=np.full_like(T, 2.5)))
         by_column = predict(ACTUATOR, signals(T, np.ones_like(T), theta=2.5 + 0.2 * T))
         np.testing.assert_allclose(by_effect, by_column, rtol=1e-12)
 
     def test_friction_never_drives(self) -> None:
-        """A bending angle that an effect pushes below 0 is a straight sheath."""
+        """If an effect makes the bending angle negative, the sheath is straight."""
         effect = with_effect("configuration_dependent_bending", bending_per_joint_angle=-9.0)
         found = predict(effect, signals(np.arange(1.0), np.ones(1), q_j=np.array([1.0]), tau_m=np.ones(1)))
         assert found == pytest.approx([1.25])
@@ -76,19 +76,19 @@ class TestTwins:
     LOG = signals(T, np.where(T < 1.0, 0.5, -0.5), tau_m=1.2 * np.sin(20.0 * T))
 
     def test_asymmetric_sheaths_scale_by_direction(self) -> None:
-        """Equals exp(sigma k x/2) times (3.55)."""
+        """The torque equals exp(sigma k x/2) times (3.55)."""
         found = predict(with_effect("sheath_asymmetry", relative_difference=0.3), self.LOG)
         sigma = np.sign(self.LOG.omega_j)
         np.testing.assert_allclose(found, np.exp(sigma * 0.15 * 0.26) * predict(ACTUATOR, self.LOG), atol=1e-12)
 
     def test_load_dependent_friction_satisfies_its_equation(self) -> None:
-        """tau_J = B - sigma k abs(tau_J)."""
+        """The torque satisfies tau_J = B - sigma k abs(tau_J)."""
         found = predict(with_effect("load_dependent_friction", coefficient=0.2), self.LOG)
         residual = found - predict(ACTUATOR, self.LOG) + np.sign(self.LOG.omega_j) * 0.2 * np.abs(found)
         np.testing.assert_allclose(residual, 0.0, atol=1e-12)
 
     def test_slack_is_continuous_and_has_one_tendon_beyond(self) -> None:
-        """Slope r_J/r_M exp(-x) above 2 T_p r_M in positive direction."""
+        """Above 2 T_p r_M the slope in positive direction is r_J/r_M exp(-x)."""
         tau_m = np.array([1.8 - 1e-9, 1.8 + 1e-9, 2.0, 2.1])
         log = signals(np.arange(4.0), np.ones(4), tau_m=tau_m)
         found = predict(with_effect("tendon_slack"), log)
@@ -96,17 +96,17 @@ class TestTwins:
         assert (found[3] - found[2]) / 0.1 == pytest.approx(1.25 * math.exp(-0.26), rel=1e-9)
 
     def test_soft_series_element_makes_the_full_model_simple(self) -> None:
-        """With k_s -> 0 the elongation no longer couples."""
+        """For k_s -> 0 the elongation no longer changes the tensions."""
         soft = dataclasses.replace(ACTUATOR, series_stiffness=1e-6)
         coupled = soft.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
         np.testing.assert_allclose(predict(coupled, self.LOG), predict(ACTUATOR, self.LOG), rtol=1e-6)
 
 
 class TestDomain:
-    """Where one tendon is slack."""
+    """The range in which one tendon is slack."""
 
     def test_fraction_beyond(self) -> None:
-        """abs(tau_m) >= 2 T_p r_M = 1.8 N*m, the bound included."""
+        """The range is abs(tau_m) >= 2 T_p r_M = 1.8 N*m, including the bound."""
         log = signals(np.arange(5.0), np.ones(5), tau_m=np.array([0.0, 1.79, 1.8, -1.9, -1.0]))
         assert beyond_slack(ACTUATOR, log) == pytest.approx(0.4)
 
@@ -124,18 +124,18 @@ class TestColumns:
     """Effects name their required columns."""
 
     def test_missing_column_is_one_line(self) -> None:
-        """Effect, column and what to do."""
+        """The error states the effect and the column."""
         with pytest.raises(UsageError, match=r"\[effects.gravity_load\] needs column q_j, which the log does not have"):
             predict(with_effect("gravity_load", amplitude=1.0), signals(T, T))
 
     def test_motor_displacement_needs_the_motor_angle(self) -> None:
-        """Asked for explicitly, it is not replaced by the joint's."""
+        """An explicit motor displacement is not replaced by the joint's."""
         model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
         with pytest.raises(UsageError, match="needs column q_m"):
             predict(model, signals(T, T, q_j=T))
 
     def test_all_that_lack_are_listed(self) -> None:
-        """The report lists effects that a log cannot test."""
+        """The result lists the effects that a log cannot test."""
         model = ACTUATOR.with_effects(
             {"thermal_friction_drift": {"temperature_coefficient": 0.01}, "inertia": {"inertia": 0.1}}
         )
@@ -143,15 +143,15 @@ class TestColumns:
 
 
 class TestComposition:
-    """Effects enter by their stage."""
+    """Effects are applied in the order of their stages."""
 
     def test_full_model_stands_alone(self) -> None:
-        """Not together with slack, asymmetry or tension dependence."""
+        """It cannot be combined with slack, for example."""
         with pytest.raises(UsageError, match="cannot be combined"):
             Stack.of({"elongation_coupling": {"curvature_profile": "uniform"}, "tendon_slack": {}})
 
     def test_order_in_the_file_does_not_matter(self) -> None:
-        """Composition follows the catalogue."""
+        """Composition follows the order of the catalogue."""
         a, b = {"torque_constant_error": {"relative_error": 0.1}}, {"motor_side_friction": {"coulomb": 0.05}}
         log = signals(T, np.ones_like(T), tau_m=T)
         forward, backward = (predict(ACTUATOR.with_effects(e), log) for e in ({**a, **b}, {**b, **a}))
@@ -159,7 +159,7 @@ class TestComposition:
         np.testing.assert_allclose(forward, SLOPE * (1.1 * T - 0.05) - LOSS, rtol=1e-12)
 
     def test_no_prediction_loads_the_compiler(self) -> None:
-        """Start-up of the commands that predict stays quick, also with effects that remember."""
+        """The startup of commands that predict stays fast, even for effects with memory."""
         script = (
             "import sys, numpy as np\n"
             "from tests.model.actuator import ACTUATOR, signals\n"
@@ -174,7 +174,7 @@ class TestComposition:
 
 
 def test_long_logs_are_predicted_as_short_ones() -> None:
-    """The blocks in which a long log is worked through leave no seam."""
+    """The prediction of a long log in blocks has no discontinuity."""
     t = np.arange(3 * BLOCK + 17) * 1e-3
     omega, tau_m, theta = np.cos(3.0 * t), np.sin(2.0 * t), 2.6 + 0.1 * np.sin(t)
     model = ACTUATOR.with_effects(
@@ -197,7 +197,7 @@ class TestRigidDrive:
     LOG = Signals(t=T, tau_m=np.zeros_like(T), omega_j=np.zeros_like(T), omega_m=OMEGA)
 
     def test_base_equation(self) -> None:
-        """Inertia, Coulomb, viscous, offset; the acceleration is derived without phase."""
+        """The terms are inertia, Coulomb, viscous and offset. The acceleration is derived with zero phase."""
         found = predict(RigidDrive(0.01, 0.2, 0.03, 0.05), self.LOG)
         expected = 0.01 * self.W * np.cos(self.W * T) + 0.2 * np.sign(self.OMEGA) + 0.03 * self.OMEGA + 0.05
         np.testing.assert_allclose(found[100:-100], expected[100:-100], atol=1e-4 * 0.01 * self.W + 1e-12)
@@ -212,13 +212,13 @@ class TestRigidDrive:
         np.testing.assert_allclose(predict(RigidDrive(effects=effects), self.LOG), 0.4 * self.OMEGA - 0.1, atol=1e-15)
 
     def test_reported_torque_is_predicted(self) -> None:
-        """A drive whose constant is 10 % off reports that much less."""
+        """A drive whose torque constant is 10 % too large reports a torque that is smaller by this factor."""
         effects = {"torque_constant_error": {"relative_error": 0.1}}
         found = predict(RigidDrive(viscous_friction=0.2, effects=effects), self.LOG)
         np.testing.assert_allclose(found * 1.1, 0.2 * self.OMEGA, atol=1e-15)
 
     def test_load_dependent_friction_satisfies_its_equation(self) -> None:
-        """tau_M = L + sigma k abs(tau_M), L the torque without it."""
+        """The torque satisfies tau_M = L + sigma k abs(tau_M), with the torque L without this effect."""
         effects = {"load_dependent_friction": {"coefficient": 0.2}, "gravity_load": {"amplitude": 1.0, "phase": 0.3}}
         log = dataclasses.replace(self.LOG, q_m=0.5 * np.sin(3.0 * T))
         found = predict(RigidDrive(effects=effects), log)
@@ -227,7 +227,7 @@ class TestRigidDrive:
         np.testing.assert_allclose(residual[1:-1], 0.0, atol=1e-12)
 
     def test_velocity_may_come_from_the_angle(self) -> None:
-        """q_m in place of omega_m."""
+        """q_m replaces omega_m."""
         log = signals(T, np.zeros_like(T), q_m=-np.cos(self.W * T) / self.W)
         found = predict(RigidDrive(viscous_friction=0.5), log)
         np.testing.assert_allclose(found[100:-100], 0.5 * self.OMEGA[100:-100], atol=1e-4)
@@ -240,13 +240,13 @@ class TestRigidDrive:
         np.testing.assert_allclose(found, 0.2 * -np.expm1(-0.5 * T / 0.1), atol=1e-12)
 
     def test_needs_motor_motion(self) -> None:
-        """One line that names the columns."""
+        """The error lists the columns."""
         with pytest.raises(UsageError, match="omega_m or q_m"):
             predict(RigidDrive(), signals(T, T))
 
 
 class TestGearedDrive:
-    """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s the sign of tau_M omega_J."""
+    """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, with the sign s of tau_M omega_J."""
 
     W = 2.0 * np.pi
     OMEGA = np.sin(W * T + 0.1)
@@ -261,17 +261,17 @@ class TestGearedDrive:
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
     def test_without_losses_it_is_the_ratio(self) -> None:
-        """A file with the ratio alone."""
+        """The file contains only the ratio."""
         np.testing.assert_allclose(predict(GearedDrive(9.0), self.LOG), 9.0 * self.TAU_M, atol=1e-14)
 
     def test_effects_of_the_catalogue_apply(self) -> None:
-        """At the motor before the gear, at the joint behind it."""
+        """Effects apply at the motor before the gear, or at the joint behind it."""
         effects = {"torque_saturation": {"limit": 0.2}, "viscous_friction": {"coefficient": 0.4}}
         found = predict(GearedDrive(9.0, effects=effects), self.LOG)
         np.testing.assert_allclose(found, 9.0 * np.clip(self.TAU_M, -0.2, 0.2) - 0.4 * self.OMEGA, atol=1e-12)
 
     def test_a_formula_reads_the_torque_behind_the_gear(self) -> None:
-        """Stage "joint"."""
+        """The formula has the stage "joint"."""
         effects = {"custom": {"expression": "0.1*tau", "stage": "joint"}}
         np.testing.assert_allclose(predict(GearedDrive(9.0, effects=effects), self.LOG), 0.9 * 9.0 * self.TAU_M)
 
@@ -280,7 +280,7 @@ class TestTorqueSensorLag:
     """The reported torque is the true one through 1/(1 + T s)."""
 
     def test_a_step_rises_to_63_percent_in_one_time_constant(self) -> None:
-        """From rest at the first sample, the step between two samples of a fine grid."""
+        """The drive rests at the first sample. The step lies between two samples of a fine grid."""
         t = np.arange(4000) * 1e-4
         log = signals(t, np.ones_like(t), tau_m=np.where(t < 0.1, 0.0, 1.0))
         effects = {"torque_sensor_lag": {"time_constant": 0.05}}
@@ -290,7 +290,7 @@ class TestTorqueSensorLag:
         np.testing.assert_allclose(found[after], -np.expm1(-(t[after] - 0.1) / 0.05), atol=2e-3)
 
     def test_none_is_none(self) -> None:
-        """T = 0."""
+        """A time constant of 0 has no effect."""
         log = signals(T, T, tau_m=np.sin(T))
         effects = {"torque_sensor_lag": {"time_constant": 0.0}}
         np.testing.assert_array_equal(predict(GearedDrive(1.0, effects=effects), log), np.sin(T))

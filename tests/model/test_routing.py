@@ -1,4 +1,4 @@
-"""Test the `[routing]` table of a model file, its functions, and its one-line errors."""
+"""The `[routing]` table of a model file, its functions, and its one-line errors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_file_without_routing_has_none() -> None:
 
 
 def test_gains_bend_both_sheaths_in_proportion_to_the_joints(tmp_path: Path) -> None:
-    """0.8 * 0.5 - 0.3 * 0.2 = 0.34 rad beyond Theta_0."""
+    """The wrap angle exceeds Theta_0 by 0.8 * 0.5 - 0.3 * 0.2 = 0.34 rad."""
     routing = routed(tmp_path, BOTH)
     assert routing.joints == ("hip", "knee")
     assert routing.alike
@@ -106,7 +106,7 @@ def test_a_joint_that_is_no_axis_is_refused_with_the_names_of_those_that_are(tmp
 
 
 def test_the_extremes_over_the_travel_are_those_of_a_fine_grid(tmp_path: Path) -> None:
-    """The table's valley at 0 lies within the travel of the ankle."""
+    """The minimum of the table at 0 lies within the travel of the ankle."""
     route = routed(tmp_path, TABLE).a
     travel = {"hip": (-0.5, 0.7), "knee": (0.0, 1.2), "ankle": (-0.4, 2.0)}
     grid = {name: [low + (high - low) * i / 40 for i in range(41)] for name, (low, high) in travel.items()}
@@ -120,7 +120,7 @@ def test_the_extremes_over_the_travel_are_those_of_a_fine_grid(tmp_path: Path) -
 
 
 def test_a_sheath_that_would_be_bent_less_than_straight_is_refused_with_place_and_remedy(tmp_path: Path) -> None:
-    """2.6 - 0.8 * 4 = -0.6 rad."""
+    """The wrap angle would be 2.6 - 0.8 * 4 = -0.6 rad."""
     routing = routed(tmp_path, BOTH)
     routing.check_travel(2.6, {"hip": (-1.0, 1.0), "knee": (-math.pi, math.pi)}, "plant.toml")
     routing.check_travel(2.6, {}, "plant.toml")

@@ -1,4 +1,4 @@
-"""The sliding transmission as a line, against the capstan equation integrated along the tendons."""
+"""The sliding transmission as a line, compared with the capstan equation integrated along the tendons."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ def pair_of(profile: str | Points, spring: str = "none", x: float = X) -> Pair:
 @pytest.mark.parametrize("spring", SPRINGS)
 @pytest.mark.parametrize("profile", PROFILES, ids=str)
 class TestAgainstIntegration:
-    """Any course of the bending, with and without a spring in series at either end."""
+    """Any curvature profile, with and without a series spring at either end."""
 
     @pytest.mark.parametrize("sigma", [-1.0, 1.0])
     def test_line(self, profile: str | Points, spring: str, sigma: float) -> None:
-        """tau_J = a tau_M - sigma b."""
+        """The line is tau_J = a tau_M - sigma b."""
         line = sliding(model_of(profile, spring), sigma)
         for tau_m in (-1.0, 0.0, 1.5):
             expected = pair_of(profile, spring).joint_torque(tau_m, sigma)
@@ -72,7 +72,7 @@ class TestAgainstIntegration:
         np.testing.assert_allclose(found, tau_m, rtol=0.0, atol=1e-10)
 
     def test_transmitted_torque(self, profile: str | Points, spring: str) -> None:
-        """The same, an instant at a time."""
+        """The same torque is obtained for a single instant."""
         transmitted = transmitted_by(model_of(profile, spring))
         pair = pair_of(profile, spring)
         for tau_m in (-1.0, 0.4):
@@ -80,42 +80,42 @@ class TestAgainstIntegration:
             assert transmitted(tau_m, X, T_P) == pytest.approx(expected, abs=1e-10)
 
     def test_half_loop_at_the_motor(self, profile: str | Points, spring: str) -> None:
-        """h: the motor torque at which nothing arrives at the joint."""
+        """h is the motor torque at which the joint torque is 0."""
         h = sliding(model_of(profile, spring)).motor_half_loop
         assert pair_of(profile, spring).joint_torque(h, 1.0) == pytest.approx(0.0, abs=1e-10)
 
     def test_pretension_while_sliding(self, profile: str | Points, spring: str) -> None:
-        """(T1 + T3)/2 without motor torque, over T_p0."""
+        """The level is (T1 + T3)/2 without motor torque, divided by T_p0."""
         t1, t3 = pair_of(profile, spring).motor_tensions(0.0, 1.0)
         assert pretension_level(model_of(profile, spring)) == pytest.approx(0.5 * (t1 + t3) / T_P, rel=1e-10)
 
     def test_domain_ends_where_a_tendon_is_slack(self, profile: str | Points, spring: str) -> None:
-        """At the largest command one motor-side tension is 0."""
+        """At the largest command, one motor-side tension is 0."""
         tau_m = Feedforward(model_of(profile, spring), 1e-3).update(50.0, 1.0, 0.5)
         assert min(pair_of(profile, spring).motor_tensions(tau_m, 1.0)) == pytest.approx(0.0, abs=1e-8)
 
 
 @pytest.mark.parametrize(("profile", "f"), [("joint_end", math.tanh(X)), ("uniform", X), ("motor_end", math.sinh(X))])
 def test_friction_at_the_motor_of_the_named_profiles(profile: str, f: float) -> None:
-    """h = 2 T_p r_M f with f = tanh x, x, sinh x."""
+    """h = 2 T_p r_M f with f = tanh x, x and sinh x."""
     assert sliding(model_of(profile)).motor_half_loop == pytest.approx(2.0 * T_P * R_M * f, rel=1e-14)
 
 
 def test_simplified_model_is_all_bending_at_the_joint() -> None:
-    """(3.55): slope r_J/r_M cosh x, half loop 2 T_p r_J sinh x, centre at the joint."""
+    """(3.55) has the slope r_J/r_M cosh x, the half loop 2 T_p r_J sinh x and the centre at the joint."""
     assert sliding(ACTUATOR) == pytest.approx((R_J / R_M * math.cosh(X), 2.0 * T_P * R_J * math.sinh(X)), rel=1e-14)
     assert sliding(ACTUATOR).motor_half_loop == pytest.approx(2.0 * T_P * R_M * math.tanh(X), rel=1e-14)
     assert bending_centre(ACTUATOR) == 1.0
 
 
 def test_soft_spring_at_the_motor_leads_back_to_it() -> None:
-    """EA/k_s much longer than the tendon holds the pretension at the motor, which is what (3.55) assumes."""
+    """If EA/k_s is much longer than the tendon, the pretension at the motor is constant, as (3.55) assumes."""
     soft = dataclasses.replace(model_of("uniform"), series_stiffness=1e-6)
     assert sliding(soft) == pytest.approx(sliding(ACTUATOR), rel=1e-8)
 
 
 def test_soft_spring_at_the_joint_holds_the_pretension_there() -> None:
-    """T2 + T4 is constant then: slope r_J/(r_M cosh x), half loop 2 T_p r_J tanh x, wherever the sheath bends."""
+    """T2 + T4 is constant: the slope is r_J/(r_M cosh x) and the half loop 2 T_p r_J tanh x, for any profile."""
     soft = dataclasses.replace(model_of(S_BENT), series_stiffness=1e-6, series_at_joint=True)
     expected = (R_J / R_M / math.cosh(X), 2.0 * T_P * R_J * math.tanh(X))
     assert sliding(soft) == pytest.approx(expected, rel=1e-8)
@@ -123,14 +123,14 @@ def test_soft_spring_at_the_joint_holds_the_pretension_there() -> None:
 
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_asymmetric_sheaths_differ_by_direction(sigma: float) -> None:
-    """exp(sigma k x/2) times (3.55)."""
+    """The line is exp(sigma k x/2) times (3.55)."""
     factor = math.exp(sigma * 0.3 * X / 2.0)
     found = sliding(with_effect("sheath_asymmetry", relative_difference=0.3), sigma)
     assert found == pytest.approx([factor * value for value in sliding(ACTUATOR, sigma)], rel=1e-13)
 
 
 def test_tension_dependence_gives_its_tangent() -> None:
-    """Value and slope of the prediction about tau_M = 0."""
+    """The tangent has value and slope of the prediction at tau_M = 0."""
     model = with_effect("tension_dependent_friction", exponent=0.3)
     tau_m = np.array([-1e-4, 0.0, 1e-4])
     below, at, above = predict(model, Signals(t=np.arange(3.0), tau_m=tau_m, omega_j=np.ones(3)))
@@ -140,13 +140,13 @@ def test_tension_dependence_gives_its_tangent() -> None:
 
 
 def test_angle_and_pretension_may_be_given() -> None:
-    """Those that an estimator holds, in place of the file's."""
+    """The values of an estimator can replace those of the file."""
     assert sliding(ACTUATOR, 1.0, 0.5, 30.0) == pytest.approx(sliding(ACTUATOR.recalibrated(0.5, 30.0)), rel=1e-14)
 
 
 @pytest.mark.parametrize("spring", SPRINGS)
 def test_stiffness_at_the_motor(spring: str) -> None:
-    """Turn the motor by 1 mrad with the joint held and no friction; the elongation of each tendon gives the torque."""
+    """The motor turns by 1 mrad with a locked joint and no friction. The elongation of each tendon gives the torque."""
     pair = pair_of("uniform", spring, x=0.0)
     per_newton = pair.along(0.0)[1]  # m/N
     torque = 2.0 * R_M * (R_M * 1e-3 / per_newton)
@@ -154,13 +154,13 @@ def test_stiffness_at_the_motor(spring: str) -> None:
 
 
 def test_stiffness_of_the_reference_actuator() -> None:
-    """2 EA/l r_M^2 = 40 N*m/rad."""
+    """The stiffness is 2 EA/l r_M^2 = 40 N*m/rad."""
     assert motor_stiffness(ACTUATOR) == pytest.approx(40.0)
 
 
 @pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
 def test_centre_of_the_bending(profile: str, centre: float) -> None:
-    """s_c of the model's own profile."""
+    """The centre s_c is that of the model's own profile."""
     assert bending_centre(model_of(profile)) == pytest.approx(centre)
 
 
@@ -175,5 +175,5 @@ def test_centre_of_the_bending(profile: str, centre: float) -> None:
     ],
 )
 def test_compliance_between_bends_and_joint(profile: str, spring: str, expected: float) -> None:
-    """l/EA is 2e-5 m/N, the spring 5e-5 m/N."""
+    """l/EA is 2e-5 m/N, and the spring has 5e-5 m/N."""
     assert joint_side_compliance(model_of(profile, spring)) == pytest.approx(expected, abs=1e-18)

@@ -1,4 +1,4 @@
-"""Joint torque from stretch and motor torque, against the capstan equation integrated along the tendons."""
+"""Joint torque from elongation and motor torque, compared with the capstan equation integrated along the tendons."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ def model_of(points: Points, x: float, **more: float) -> TendonSheath:
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 @pytest.mark.parametrize(("x", "tension"), [(0.05, 20.0), (0.26, 45.0), (0.9, 70.0)])
 def test_the_line_is_that_of_the_capstan(points: Points, sigma: float, x: float, tension: float) -> None:
-    """Exact at any friction angle, pretension and torque, in both directions."""
+    """The line is exact for any friction angle, pretension and torque, in both directions."""
     pair = Pair(points, x, tension)
     tau_m = 0.4
     t3 = pair.motor_tensions(tau_m, sigma)[1]
-    path = tension * pair.along(0.0)[1]  # m that each tendon is stretched by the pretension alone
+    path = tension * pair.along(0.0)[1]  # m, elongation of each tendon by the pretension alone
     stretch = t3 * pair.along(-sigma * x)[1] - path
-    line = stretch_line(model_of(points, x, pretension=0.3 * tension))  # its own pretension does not matter
+    line = stretch_line(model_of(points, x, pretension=0.3 * tension))  # the pretension of the model has no influence
     assert line.torque(stretch, tau_m) == pytest.approx(pair.joint_torque(tau_m, sigma), abs=1e-6)
 
 
 @pytest.mark.parametrize(("spring", "place"), [("motor_spring", False), ("joint_spring", True)])
 def test_a_series_spring_moves_the_centre(spring: str, place: bool) -> None:
-    """At the motor towards the joint, and vice versa; the line is the capstan equation's."""
+    """A spring at the motor moves it towards the joint, and vice versa. The line agrees with the capstan equation."""
     pair = dataclasses.replace(Pair(NAMED["uniform"], 0.26), **{spring: 1.0 / 1e5})
     t3 = pair.motor_tensions(0.4, 1.0)[1]
     stretch = t3 * pair.along(-0.26)[1] - 45.0 * pair.along(0.0)[1]
@@ -50,7 +50,7 @@ def test_a_series_spring_moves_the_centre(spring: str, place: bool) -> None:
 
 
 def test_friction_hardly_matters() -> None:
-    """From nothing to 0.5 the line moves by less than 2.2 %, the figure of (x/2)/tanh(x/2)."""
+    """From x = 0 to 0.5, the line changes by less than 2.2 %, according to (x/2)/tanh(x/2)."""
     none, much = (stretch_line(model_of(NAMED["uniform"], x)) for x in (1e-9, 0.5))
     assert none.per_stretch == pytest.approx(4.0 * 60e3 / 1.2 * 0.025)
     assert 1.0 < much.per_stretch / none.per_stretch < 1.022
@@ -58,7 +58,7 @@ def test_friction_hardly_matters() -> None:
 
 
 def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
-    """At and near singular values; a model without a profile is evenly bent."""
+    """Values at and near the singularity are rejected. A model without a profile has even curvature."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
     assert unsupported_reason(actuator()) == ""
     with pytest.raises(UsageError, match=r"the bends sit at the joint .* measure it with a joint torque sensor"):
@@ -76,7 +76,10 @@ def test_angles_become_stretch() -> None:
 @pytest.mark.parametrize("x", [1e-6, 0.26, 0.9])
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_the_ends_of_the_tendons_make_the_stretch(points: Points, x: float, sigma: float) -> None:
-    """For every shape, all at the joint as well, but for a constant: by the capstan, in both directions."""
+    """It holds for every profile, including all bends at the joint, in both directions.
+
+    The reference is the capstan equation.
+    """
     pair = Pair(points, x)
     by_motor, by_joint = compliances(model_of(points, x))
 
@@ -88,7 +91,10 @@ def test_the_ends_of_the_tendons_make_the_stretch(points: Points, x: float, sigm
 
 
 def test_what_stretches_the_tendons_is_before_the_joint_and_counts_a_tendon_alone_twice() -> None:
-    """A weight on the joint is not in it, friction in the motor is; beyond 2 T_p r_M = 1.8 N*m a tendon is slack."""
+    """The joint end excludes a torque offset, and the motor end includes motor friction.
+
+    Beyond 2 T_p r_M = 1.8 N*m one tendon is slack.
+    """
     still = np.zeros(4)
     signals = Signals(t=np.arange(4.0), tau_m=np.array([0.4, -0.4, 2.4, -2.4]), omega_j=still + 0.5, q_j=still)
     plain = actuator()

@@ -1,4 +1,4 @@
-"""Tensions at the motor, and the full model (3.53)-(3.54) against its closed forms."""
+"""Tensions at the motor, and the full model (3.53)-(3.54) compared with its closed forms."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ R_M, R_J, T_P = 0.020, 0.025, 45.0
 
 @given(st.floats(-5.0, 5.0))
 def test_tensions_keep_pretension_and_torque(tau_m: float) -> None:
-    """(3.40): (T1 + T3)/2 = T_p; (3.45): r_M (T3 - T1) = tau_M."""
+    """By (3.40), (T1 + T3)/2 = T_p. By (3.45), r_M (T3 - T1) = tau_M."""
     t1, t3 = transmission.motor_tensions(tau_m, T_P, R_M)
     assert (t1 + t3) / 2.0 == pytest.approx(T_P, abs=1e-12)
     assert R_M * (t3 - t1) == pytest.approx(tau_m, abs=1e-12)
 
 
 def full(chosen: str | Points, tau_m: float, x: float) -> tuple[float, float]:
-    """(tau_J, T_p) by the full model at the signed friction angle x."""
+    """Return (tau_J, T_p) by the full model at the signed friction angle x."""
     profile = Profile.of(chosen)
     alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
     line = transmission.full_model(SCALARS, (x, x), alpha, beta, T_P, R_M, R_J)
@@ -36,7 +36,7 @@ def full(chosen: str | Points, tau_m: float, x: float) -> tuple[float, float]:
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 @pytest.mark.parametrize("tau_m", [-1.0, 0.0, 1.5])
 class TestFullModel:
-    """The four profiles that have closed forms, at mu = 0.1, Theta = 2.6 rad."""
+    """Profiles with closed forms, at mu = 0.1 and Theta = 2.6 rad."""
 
     X = 0.26
 
@@ -47,12 +47,12 @@ class TestFullModel:
         assert full("motor_end", tau_m, x)[0] == pytest.approx(expected, abs=1e-12)
 
     def test_uniform(self, sigma: float, tau_m: float) -> None:
-        """tau_J = r_J (tau_M/r_M - 2 T_p0 x): slope 1, and x in place of sinh x."""
+        """tau_J = r_J (tau_M/r_M - 2 T_p0 x), with slope r_J/r_M and x in place of sinh x."""
         expected = R_J * (tau_m / R_M - 2.0 * T_P * sigma * self.X)
         assert full("uniform", tau_m, sigma * self.X)[0] == pytest.approx(expected, abs=1e-12)
 
     def test_joint_end(self, sigma: float, tau_m: float) -> None:
-        """Exactly (3.55), with T_p = T_p0."""
+        """The result is exactly (3.55) with T_p = T_p0."""
         x = sigma * self.X
         found, pretension = full("joint_end", tau_m, x)
         expected = R_J * (tau_m / R_M * math.cosh(x) - 2.0 * T_P * math.sinh(x))
@@ -60,12 +60,12 @@ class TestFullModel:
         assert pretension == pytest.approx(T_P, rel=1e-14)
 
     def test_without_friction(self, sigma: float, tau_m: float) -> None:
-        """mu = 0 is lossless."""
+        """There is no loss at mu = 0."""
         assert full("uniform", tau_m, 0.0)[0] == pytest.approx(R_J / R_M * tau_m, abs=1e-12)
 
 
 def test_arrays_and_floats_agree() -> None:
-    """The same formulas for a log and for one instant."""
+    """The same formulas serve a log and a single instant."""
     x, alpha, beta = np.array([-0.3, 0.1]), np.array([0.9, 1.1]), np.array([1.1, 0.9])
     by_array = transmission.full_model(ARRAYS, (x, x), alpha, beta, np.array(T_P), R_M, R_J)
     by_float = transmission.full_model(SCALARS, (0.1, 0.1), 1.1, 0.9, T_P, R_M, R_J)
@@ -75,7 +75,10 @@ def test_arrays_and_floats_agree() -> None:
 @pytest.mark.parametrize("course", ["uniform", "motor_end", [(0.0, 0.0), (0.3, 0.7), (1.0, 1.0)]])
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_tendons_of_different_friction_angles(course: str | Points, sigma: float) -> None:
-    """With x_a = 0.36 and x_b = 0.16 both lengths, integrated along the sheath, equal those of the pretension."""
+    """The reference uses x_a = 0.36 and x_b = 0.16.
+
+    The total length of both tendons equals its value at the pretension.
+    """
     x, imbalance, tau_m = 0.26, 0.1 / 0.26, 0.7
     points = Profile.of(course).points
     found = Elongating((R_M, R_J), Profile.of(course)).torque(SCALARS, tau_m, sigma, x, T_P, imbalance)

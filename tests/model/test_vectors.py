@@ -1,4 +1,4 @@
-"""Reference values of the memoryless effects, alone and composed; agreement to 1e-9 N*m."""
+"""Reference values of the memoryless effects, alone and in combination, with an agreement of 1e-9 N*m."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ACTUATOR = TendonSheath(
     pretension=45.0,
 )
 
-# One row per state: tau_m, omega_j, q_j, q_m, acceleration_j, temperature, t
+# One row per state with these columns.
 COLUMNS = ("tau_m", "omega_j", "q_j", "q_m", "acceleration_j", "temperature", "t")
 STATES = (
     (1.0, 0.5, 0.3, 0.375, -1.0, 33.0, 6.0),
@@ -197,13 +197,15 @@ def expected_torque(effects: dict[str, dict[str, Any]], state: tuple[float, ...]
 
 @pytest.mark.parametrize(("effects", "expected"), CASES, ids=["+".join(effects) or "none" for effects, _ in CASES])
 def test_joint_torque_equals_the_reference(effects: dict[str, dict[str, Any]], expected: tuple[float, ...]) -> None:
-    """Each state of the reference table, for each case, to 1e-9 N*m."""
+    """Each state of the reference table agrees within 1e-9 N*m in each case."""
     found = [expected_torque(effects, state) for state in STATES]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9)
 
 
 def test_a_joint_that_moves_as_this_one_bends_the_sheath_as_this_one() -> None:
-    """The references of configuration_dependent_bending hold for a hip with the same angle, in part or in full."""
+    """The references of configuration_dependent_bending hold for a hip with the same angle, with all or part of the
+    gain.
+    """
     gain = {"bending_per_joint_angle": 0.6}
     expected = next(values for effects, values in CASES if effects == {"configuration_dependent_bending": gain})
     for effects in (

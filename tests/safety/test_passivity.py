@@ -1,4 +1,4 @@
-"""The energy observer detects energy added by the compensation and ignores that of gain, zero and delay errors."""
+"""The energy observer detects energy added by the compensation and ignores errors of gain, zero and delay."""
 
 from __future__ import annotations
 

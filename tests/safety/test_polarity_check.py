@@ -129,7 +129,8 @@ class Course:
                 tt_held, tj_held, jj_held = (filtered(x[part]) for x in (t * t, t * j, j * j))
                 with np.errstate(all="ignore"):
                     follows = tj_held / np.sqrt(tt_held * jj_held) > 0.8
-                    more = 1.0 + 0.012 * LIMIT / np.sqrt(tt_held)  # that the motor may give of its own
+                    # tolerance for torque that the motor adds without reporting it
+                    more = 1.0 + 0.012 * LIMIT / np.sqrt(tt_held)
                     beyond = tj_held / tt_held > 1.3 * GEARED * more
                     told = follows & beyond & (tt_held > (0.005 * LIMIT) ** 2)
                     gain[part] = np.where(told, tj_held / tt_held, 0.0)
@@ -311,7 +312,10 @@ def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_
 def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor_that_is_held_fast(
     itself: float, found: bool, way: float
 ) -> None:
-    """By 0.045 rad/s, too slowly to count by that alone; a motor that goes `itself` rad/s against it is reversed."""
+    """The joint moves at 0.045 rad/s, which does not count as motion.
+
+    A motor that moves against it by `itself` rad/s is reversed.
+    """
     sense, said = PolarityCheck(2.0, GEARED, PERIOD, 0.033), None
     for n in range(1500):
         wound = max(-0.033, -GEARED * 0.045 * n * PERIOD)  # until the tendons slide
@@ -330,11 +334,11 @@ def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
         assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
         assert isinstance(
             run(PolarityCheck(2.0, GEARED, PERIOD), 0.0, gain), expected
-        )  # a rig too stiff for its encoders
+        )  # a rig that is too stiff for its encoders
 
 
 def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_shows_the_motor() -> None:
-    """By 0.04 rad/s the way of the torque, on tendons that need not have slid."""
+    """The joint moves at 0.04 rad/s in the direction of the torque, and its tendons may not have slid."""
     sense, said = PolarityCheck(2.0, GEARED, PERIOD, 0.05), None
     for n in range(500):
         said = said or sense.update(n * PERIOD, n * PERIOD, UNKNOWN, -0.5 * n * PERIOD, 1.0, 0.04)
@@ -343,15 +347,16 @@ def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_sh
 
 @pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True), (3.5, False)])
 def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
-    """By more than three times is no torque constant wrong: that is a hand that moves the limb."""
-    said = run(PolarityCheck(2.0, GEARED, PERIOD), gain=gain, rise=8.0)  # ripple and gear friction matter little
+    """More than three times is not a wrong torque constant but a hand that moves the limb."""
+    # ripple and gear friction have little influence
+    said = run(PolarityCheck(2.0, GEARED, PERIOD), gain=gain, rise=8.0)
     assert isinstance(said, Finding) is found
     if found:
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
 
 
 def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
-    """All bends at the joint, x = 0.8: cosh 0.8 = 1.34 times the ratio of the pulleys."""
+    """With all bends at the joint and x = 0.8, the gain is cosh 0.8 = 1.34 times the ratio of the pulleys."""
     slope = math.cosh(0.8)
     assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=1.1 * slope, rise=8.0), Finding)
     assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD, slope=slope), gain=1.1 * slope, rise=8.0), float)
@@ -360,7 +365,7 @@ def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
 
 
 def test_a_joint_that_is_moved_accuses_no_motor_of_giving_more() -> None:
-    """There friction turns with the motion, and what it gives back follows the torque."""
+    """On a moving joint, friction reverses with the motion, and the torque that it returns follows the motor torque."""
     assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=2.0, omega_j=0.3), float)
     assert isinstance(run(PolarityCheck(2.0, GEARED, PERIOD), gain=2.0, omega_j=math.nan), float)
 

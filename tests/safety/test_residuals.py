@@ -18,7 +18,7 @@ GIVE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.0)
 
 
 class Tendons:
-    """A joint with a prescribed angle, a torque, and the motor: elongation tau/K, and friction that follows the joint."""
+    """A joint with a prescribed angle, and a motor at the elongation tau/K plus friction that follows the joint."""
 
     def __init__(self, softer: float = 1.0, friction: float = 1.0, give: Give = GIVE, period: float = PERIOD) -> None:
         self.check = Elongation(give, period)

@@ -1,4 +1,4 @@
-"""The excitation: within its bounds, smooth at both ends, at frequencies other than the motion's, and rejected early."""
+"""The excitation: within its bounds, smooth at both ends, away from the motion's frequencies, and rejected early."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_both_tendons_pull_at_the_most_torque_even_if_the_pretension_is_a_fifth_
 @pytest.mark.parametrize("x", [0.05, 0.3, 0.6, 0.9, 1.2])
 @pytest.mark.parametrize("shape", ["file", "motor_end", "uniform"])
 def test_a_torque_can_excite_every_friction_angle(x: float, shape: str) -> None:
-    """Both tendons are under tension by the capstan equation, even with friction angle and pretension wrong by a fifth."""
+    """Both tendons are under tension by the capstan equation, even if friction angle and pretension are a fifth off."""
     model = dataclasses.replace(ACTUATOR, friction_coefficient=x / ACTUATOR.bending_angle)
     profile = {"file": "joint_end", "motor_end": "motor_end", "uniform": "uniform"}[shape]
     if shape != "file":

@@ -97,7 +97,7 @@ def test_the_centre_of_the_bending_lies_in_its_interval(tmp_path: Path, drawn: D
 
 @pytest.mark.slow
 def test_an_arbitrary_course_gets_its_centre(tmp_path: Path) -> None:
-    """The profile is straight for 30 % of the length, has half of the bending in the next tenth, and the rest evenly."""
+    """The profile is straight for 30 % of the length and has half of the bending in the next tenth."""
     points = [[0.0, 0.0], [0.3, 0.0], [0.4, 0.5], [1.0, 1.0]]
     centre = 1.0 - float(np.trapezoid(*np.array(points).T[::-1]))
     drawn = draw(1, 2)
