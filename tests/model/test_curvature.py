@@ -24,7 +24,7 @@ def alpha_and_beta(profile: str | Points, x: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("mu", "total", "difference"), [(0.05, 2.00617, 0.15724), (0.01, 2.00025, 0.03142)])
 def test_motor_end_extreme_of_the_figure(mu: float, total: float, difference: float) -> None:
-    """With all curvature at the motor end and Theta = pi/2, alpha + beta and abs(alpha - beta) have the printed values."""
+    """For Theta = pi/2 at the motor end, alpha + beta and abs(alpha - beta) have the printed values."""
     alpha, beta = alpha_and_beta("motor_end", mu * math.pi / 2)
     assert round(alpha + beta, 5) == total
     assert round(abs(alpha - beta), 5) == difference
