@@ -1,7 +1,7 @@
 """Check the diagnosis on a small blind benchmark; `tools/run bench/diagnose` is the large one.
 
-The draws are fixed, so that a count changes only with the code. The limits follow from the targets and the number of
-cases.
+The random trials are fixed, so that a count changes only with the code. The limits follow from the targets and the
+number of cases.
 
 Each change is tested on one case of each effect, a third of the causes outside the catalogue, two logs of each kind
 without an effect, and three pairs (`EACH_CHANGE`). The table gives, for a share of right answers that falls from the

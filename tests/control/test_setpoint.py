@@ -124,7 +124,7 @@ def test_file_is_interpolated(tmp_path: Path) -> None:
 
 
 def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
-    """After the last row the torque is 0, or the file plays again when asked to."""
+    """After the last row the torque is 0, or the file is repeated if `loop` is set."""
     write(tmp_path / "a.csv", "t,tau_j_des\n0,0.5\n1,0.7\n")
     once = waveform(SetPointSettings(kind="file", file="a.csv"), tmp_path)
     loop = waveform(SetPointSettings(kind="file", file="a.csv", loop=True), tmp_path)

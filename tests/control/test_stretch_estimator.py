@@ -177,9 +177,12 @@ def late_error(folder: Path, kind: str, load: str, setpoint: dict[str, Any]) -> 
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # with each change: below by the stretch, in tests/daemon/test_bending_change.py by the sensor
+# with each change, the elongation is tested below and the sensor in tests/daemon/test_bending_change.py
+@pytest.mark.soak
 def test_a_bending_change_is_followed_as_well_as_by_a_torque_sensor(tmp_path: Path) -> None:
-    """Friction and pretension rise by 40 and 80 %: known without a joint torque sensor within seconds."""
+    """Friction and pretension rise by 40 % and 80 %. The change is detected within seconds without a joint torque
+    sensor.
+    """
     by_sensor = late_error(tmp_path / "sensor", "sensor", "imposed", GAIT)
     by_stretch = late_error(tmp_path / "stretch", "stretch", "imposed", GAIT)
     assert by_stretch <= 1.5 * by_sensor

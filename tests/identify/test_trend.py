@@ -76,7 +76,7 @@ def test_false_alarms_are_as_rare_as_is_said() -> None:
     """
     rng = np.random.default_rng(1)
     told = sum(bool(judged(runs(6e4 * (1.0 + 0.1 * rng.standard_normal(12)))).changes) for _ in range(400))
-    assert told <= 10  # 4 are expected at 1 %; more than 10 have a chance of 0.3 %
+    assert told <= 10  # 4 are expected at 1 %; the probability of more than 10 is 0.3 %
     assert ALARM == 0.01
 
 

@@ -1,4 +1,4 @@
-"""Test the live inverse: with its command the model delivers the desired torque."""
+"""The live inverse: with its command, the model delivers the desired torque."""
 
 from __future__ import annotations
 

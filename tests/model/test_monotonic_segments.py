@@ -1,4 +1,4 @@
-"""Test the memory of friction and backlash along a path against loops over the samples."""
+"""The memory of friction and backlash along a path, compared with loops over the samples."""
 
 from __future__ import annotations
 

@@ -114,7 +114,7 @@ class Course:
             y = self.band(travel, first, end)
             ty, ay, yy = (filtered(x) for x in (t * y, a * y, y * y))
             with np.errstate(all="ignore"):
-                share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # of the travel, by radii that are off
+                share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # share of the travel that wrong radii add
                 stretch = np.nan_to_num((ta - share * ty) / np.sqrt(tt * (aa - 2.0 * share * ay + share**2 * yy)))
                 sensor = np.nan_to_num(tj / np.sqrt(tt * jj))
             seen = most - least > 1.5 * self.counts
@@ -184,7 +184,7 @@ class Course:
             if winds:
                 continue
             if fast and abs(travel[n]) > 0.15 * self.wound and not driven[n + 1 :].all():
-                return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # something else moves it
+                return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # another cause moves the joint
             judged += PERIOD
             which = "shown" if shown else "driven" if driven[n] else "at rest"
             if wrong[which].update(judged, suspect):

@@ -39,8 +39,8 @@ from tsa_ctrl.tune.procedure import shaken
 from tsa_ctrl.tune.swing import Swing
 
 SECONDS = 4.0
-RIGS = [draw(1, number) for number in (1, 13, 16)]  # all centres, delays of 1 and 3 periods
-MORE = [draw(1, number) for number in (3, 9)]  # another shape of one of these centres, a light motor
+RIGS = [draw(1, number) for number in (1, 13, 16)]  # all centres of curvature, with delays of 1 and 3 periods
+MORE = [draw(1, number) for number in (3, 9)]  # another profile with one of these centres, and a light motor
 AND_SOAK = [*RIGS, *(pytest.param(drawn, marks=pytest.mark.soak) for drawn in MORE)]
 CENTRES = {"motor_end": 0.0, "uniform": 0.5, "s_bent": 0.5, "joint_end": 1.0}
 

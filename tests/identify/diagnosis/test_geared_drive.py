@@ -75,7 +75,7 @@ def test_stairs_of_torque_on_a_held_joint_show_gain_zero_and_saturation(name: st
 
 
 def test_the_motion_of_the_joint_may_come_from_the_motor() -> None:
-    """The ratio turns q_m and omega_m into the joint's, and back."""
+    """The gear ratio converts q_m and omega_m to the joint, and back."""
     case = geared_case("none", 0, short=True)
     model = model_from(tomllib.loads(case.model), "nominal")
     assert isinstance(model, GearedDrive)
