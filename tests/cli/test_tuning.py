@@ -10,7 +10,7 @@ import pytest
 
 from tests.virtual.files import controller, plant, write
 from tests.virtual.serving import ServedRun
-from tsa_ctrl.cli import tune
+from tsa_ctrl.cli import tuning
 from tsa_ctrl.cli.tuning import Live
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.ipc.client import Client
@@ -28,7 +28,7 @@ def test_torque_and_angle_come_from_the_daemon_that_runs(tmp_path: Path, monkeyp
         plant(joint={"load": "held"}),
     )
     run = ServedRun(*files, seconds=2.0)
-    monkeypatch.setattr(tune, "Client", partial(Client, clock=run.clock, sleep=run.sleep))
+    monkeypatch.setattr(tuning, "Client", partial(Client, clock=run.clock, sleep=run.sleep))
     found: list[str] = []
     (name,) = (axis.name for axis in load_configuration(files[0]).file.axes)
 

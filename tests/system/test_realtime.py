@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.realtime import RealtimeSettings, Ticker, sleep_until
+from tsa_ctrl.system.realtime import RealtimeSettings, Ticker
+from tsa_ctrl.system.sleep import sleep_until
 
 PERIOD = 1_000_000
 

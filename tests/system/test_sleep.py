@@ -7,7 +7,7 @@ from select import select
 
 import pytest
 
-from tsa_ctrl.system.realtime import Alarm, Lead
+from tsa_ctrl.system.sleep import Alarm, Lead
 
 
 @pytest.fixture

@@ -22,7 +22,8 @@ from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.process_supervisor import unheard_by_children
-from tsa_ctrl.system.realtime import RealtimeSettings, sleep_until
+from tsa_ctrl.system.realtime import RealtimeSettings
+from tsa_ctrl.system.sleep import sleep_until
 from tsa_ctrl.version import build_kind
 
 PROC, SYS = Path("/proc"), Path("/sys")

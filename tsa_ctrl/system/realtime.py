@@ -2,9 +2,6 @@
 
 A right that is asked for and not in force is an error unless the settings allow running without. Garbage collection is
 frozen: existing objects are never scanned again, and the loop makes no reference cycles.
-
-The loop sleeps until an absolute time of the monotonic clock (Linux: clock_nanosleep(2) with TIMER_ABSTIME), or waits
-for a timer that was set before (timerfd_create(2)).
 """
 
 from __future__ import annotations
@@ -12,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -195,68 +191,3 @@ class Ticker:
         self.skipped += skip
         self.overruns += 1
         return skip
-
-
-CLOCK_MONOTONIC = 1  # linux/time.h
-TIMER_ABSTIME = TFD_TIMER_ABSTIME = 1
-_sleep, _create, _set = _libc.clock_nanosleep, _libc.timerfd_create, _libc.timerfd_settime
-
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
-
-
-class _Timerspec(ctypes.Structure):  # struct itimerspec
-    _fields_ = (("interval", _Timespec), ("value", _Timespec))
-
-
-_sleep.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.POINTER(_Timespec), ctypes.c_void_p)
-_set.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.POINTER(_Timerspec), ctypes.c_void_p)
-
-
-def sleep_until(deadline: int) -> None:
-    """Sleep until `deadline` (ns of CLOCK_MONOTONIC); a signal's Python handler runs, then the sleep goes on."""
-    request = _Timespec(*divmod(deadline, 1_000_000_000))
-    while _sleep(CLOCK_MONOTONIC, TIMER_ABSTIME, request, None) != 0:
-        if time.monotonic_ns() >= deadline:
-            return
-
-
-class Alarm:
-    """A descriptor `fd` that becomes readable at a time given beforehand, so that waiting for it sets no timer.
-
-    Raises OSError where the kernel gives none.
-    """
-
-    def __init__(self) -> None:
-        self.fd: int = _create(CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
-        if self.fd < 0:
-            number = ctypes.get_errno()
-            raise OSError(number, os.strerror(number))
-        self._request = _Timerspec()
-
-    def set(self, deadline: int) -> None:
-        """Readable from `deadline` (ns of CLOCK_MONOTONIC, above 0) on, and not before."""
-        value = self._request.value
-        value.seconds, value.nanoseconds = divmod(deadline, 1_000_000_000)
-        _set(self.fd, TFD_TIMER_ABSTIME, self._request, None)
-
-    def close(self) -> None:
-        """Give the descriptor back; once."""
-        os.close(self.fd)
-
-
-class Lead:
-    """How much before a deadline to ask to be woken: what waking has cost lately, `most` (s) at most."""
-
-    GAIN = 0.1  # of the difference by which one observation moves it
-    STEP = 4e-6  # s at most: a stall counts no more than that
-
-    def __init__(self, most: float) -> None:
-        self.value = 0.0
-        self._most = most
-
-    def learn(self, late: float) -> None:
-        """`late`: s from the time asked for to being awake."""
-        step = max(-self.STEP, min(self.GAIN * (late - self.value), self.STEP))
-        self.value = max(0.0, min(self.value + step, self._most))

@@ -29,7 +29,7 @@ from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.run import Children
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.realtime import sleep_until
+from tsa_ctrl.system.sleep import sleep_until
 
 FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")

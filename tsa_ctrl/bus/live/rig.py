@@ -22,7 +22,7 @@ from tsa_ctrl.bus.live.read_back import Heard, ReadBack, StopBit, StopInput, hel
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.realtime import Lead
+from tsa_ctrl.system.sleep import Lead
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old and new answers cannot be distinguished
 _OTHERS = 16  # emergencies and heartbeats that may lie between timely answers

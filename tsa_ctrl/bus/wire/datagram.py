@@ -23,7 +23,7 @@ from contextlib import suppress
 from tsa_ctrl.bus.wire.bus import BusInProcess, Frame
 from tsa_ctrl.bus.wire.socketcan import FRAME
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.realtime import sleep_until
+from tsa_ctrl.system.sleep import sleep_until
 
 _KIND = (socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 MOST_PARTICIPANTS = 16  # each costs a sender one system call per frame

@@ -14,7 +14,7 @@ from select import select
 
 from tsa_ctrl.bus.wire.bus import FLUSH_LIMIT, BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.realtime import Alarm, sleep_until
+from tsa_ctrl.system.sleep import Alarm, sleep_until
 
 FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
 _MOST = 64  # frames taken by one call
