@@ -1,14 +1,14 @@
-"""A log whose transmission creates energy has a reversed channel; this names it.
+"""Find a channel with a reversed sign: it makes the transmission of a log create energy.
 
-While sliding, the motor's torque carries the joint's torque, what is stored or accelerated, and the friction, which
-always points against the motion:
+While the tendons slide, the motor torque is the sum of the joint torque, stored and accelerating torques, and the
+friction, which always opposes the motion:
 
     R tau_M = a tau_J + F sigma + k q + J domega/dt + c,    R = r_J / r_M,    a > 0,    F > 0
 
-Springs, weights and inertia give back what they take and are fitted beside it (q, sin q, cos q, domega/dt, 1), so that
-only friction is left to judge, which may change with bending and temperature. A reversed tau_M changes the signs of a
-and F, a reversed tau_J the sign of a, a reversed omega the sign of F. A log is refused only where a sign is beyond
-doubt: block by block, and by more than the residual explains.
+Springs, weights and inertia return the energy that they store. They are fitted as well (q, sin q, cos q, domega/dt, 1),
+so that F contains only friction, which may change with wrap angle and temperature. A reversed tau_M changes the signs
+of a and F, a reversed tau_J the sign of a, and a reversed omega the sign of F. A log is rejected only if a sign is
+certain: by the scatter of blocks of time, and compared with the residual.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ from tsa_ctrl.model.steady_sliding import wound_by_friction
 Array = NDArray[np.float64]
 
 BLOCKS = 12  # of time, the clusters of the standard errors: t of 11 degrees of freedom is 2.2
-# Standard errors: a sign turned or columns swapped is an accusation; of 12 blocks one good log in 2,500 has as much
+# Standard errors at which a sign is certain. A good log must not be rejected; with 12 blocks one in 2,500 exceeds this.
 CERTAIN = 5.0
 CLEAR = 0.5  # of the residual's RMS: a smaller term may be an error of the fit
 CARRIES = 0.2  # of the motor torque's deviation: the joint torque must explain this share before its sign is judged
 APART = 0.2  # of ln(ratio^2): pulleys of such different radii distinguish swapped torques from a reversed velocity
-MOVES = 0.01  # rad, standard deviation of an angle beyond what noise of a velocity integrates to
+MOVES = 0.01  # rad, standard deviation of an angle; the integral of velocity noise stays below it
 RELATED = 0.5  # correlation of an angle with the integral of its velocity, at least
-# Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. For an hour at 1 kHz
-# the fit of all would be the most memory that a diagnosis needs, 0.6 GB
+# Most samples of a fit: in a longer log only every second, third ... sample counts, so that 12 blocks have 50,000 each.
+# A fit of all samples of an hour at 1 kHz would require 0.6 GB, more than any other part of a diagnosis.
 MOST = 600_000
-FOLLOWS = 0.5  # correlation of measured and simulated torque, at least; 0.9 and more where they belong together
-CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less is of a constant load
-FEWEST = 200  # samples of a correlation
+FOLLOWS = 0.5  # least correlation of measured and simulated torque; it is 0.9 or more if they belong together
+CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less belongs to a constant load
+FEWEST = 200  # least number of samples for a correlation
 VARIES = 0.15  # of the friction torque: friction varies by a tenth with speed, place and time
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
-FEWEST_MEANS = 20  # whose spread is then known to a sixth
-THROUGH = 1.0  # of the way in which a reversal runs through the sheath
-SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
+FEWEST_MEANS = 20  # least number of means; their spread is then known to a sixth
+THROUGH = 1.0  # of the joint travel in which a reversal runs through the sheath
+SURE = 3.0  # standard errors by which a friction torque must lie outside: one log in 400 does so by chance
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
@@ -70,9 +70,9 @@ class _Signs:
 
 
 def check_energy(dataset: Dataset, model: Model) -> None:
-    """Raise UsageError, naming the channel, when a sign in the log makes its transmission create energy.
+    """Raise UsageError, with the name of the channel, if a sign in the log makes its transmission create energy.
 
-    Logs that are too short, too still or too uniform pass without a result.
+    Logs that are too short or that contain too little motion in both directions are not checked.
     """
     if isinstance(model, TendonSheath):
         _check_kinematics(dataset)
@@ -83,7 +83,7 @@ def check_energy(dataset: Dataset, model: Model) -> None:
 
 
 def _check_kinematics(dataset: Dataset) -> None:
-    """An angle and its velocity have one sign; so have motor and joint velocity while sliding."""
+    """Raise UsageError if an angle and its recorded velocity have opposite signs or are not the same motion."""
     for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
         if angle in dataset and velocity in dataset and velocity not in dataset.derived:
             rate = np.gradient(dataset[angle], dataset.period)
@@ -141,7 +141,7 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
 
 
 def foreign_torque(dataset: Dataset, model: Model) -> str:
-    """Return why the torques of a log cannot belong to its motion or to this model; empty where nothing shows that.
+    """Return the reason why the torques of a log cannot belong to its motion or to this model; empty without one.
 
     The measured joint torque is compared with the simulated one. It must follow the simulated one where both change
     apart from motion and weight, and the friction torque F of both must agree within FRICTION_FACTOR beyond
@@ -223,16 +223,20 @@ def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: 
 
 
 def is_noise(column: Array) -> bool:
-    """Return True if neighbours, also as means over a hundred samples, have nothing to do with each other."""
+    """Return True if neighbouring samples are uncorrelated, and so are neighbouring means over a hundred samples."""
     coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
     series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]
     return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) > 0.0 for y in series)
 
 
 def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> None:
-    """Raise UsageError when tau_m and tau_j may have changed places, which turns the sign of friction alone.
+    """Raise UsageError: tau_m and tau_j are swapped, or the velocity is reversed; both reverse the sign of F only.
 
-    carried: ratio tau_m / tau_j, about 1 / cosh x; with the columns swapped it is about ratio^2 cosh x.
+    The message states the more probable cause first.
+
+    Args:
+        carried: ratio of tau_m, converted to the joint, to tau_j: about 1 / cosh x, or about ratio^2 cosh x with the
+            columns swapped.
     """
     swapped = math.log(ratio**2)
     surely = abs(swapped) > APART and abs(math.log(carried) - swapped) < 0.5 * abs(swapped)
@@ -281,7 +285,7 @@ def _opposed(x: Array, y: Array) -> bool:
 def _signs(
     dataset: Dataset, tau_m: Array, omega: Array, sliding: NDArray[np.bool_], tau_j: Array | None
 ) -> _Signs | None:
-    """Of a and F; None if the log does not determine them."""
+    """Return the signs of a and F, or None if the log does not determine them."""
     thin = max(1, len(omega) // MOST)
     sigma, tau_m, sliding = np.sign(omega)[::thin], tau_m[::thin], sliding[::thin]
     if sliding.sum() < 100 or abs(float(np.mean(sigma[sliding]))) > 0.9:
@@ -315,7 +319,7 @@ def _signs(
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:
-    """Standard errors that hold for residuals correlated within a block (sandwich with blocks as clusters)."""
+    """Return standard errors that hold for residuals correlated within a block (sandwich with blocks as clusters)."""
     bread = np.linalg.pinv(columns.T @ columns, rcond=1e-9)
     scores = np.stack([columns[block == b].T @ residual[block == b] for b in range(BLOCKS)])
     return np.asarray(np.sqrt(np.diag(bread @ (scores.T @ scores) @ bread)), dtype=np.float64)

@@ -1,8 +1,8 @@
-"""Velocities and accelerations of a log: recorded, or from what was counted by one smoother for every verb.
+"""Provide velocities and accelerations of a log, recorded or derived by one smoother for all commands.
 
-A velocity that is not recorded comes from its angle; an acceleration from the velocity where that is recorded, since a
-velocity that is late shows only beside its own derivative, else from the angle. The cut-off follows from the data
-(`smoothing`), and its cost is reported.
+A velocity that is not recorded is derived from its angle. An acceleration is derived from the recorded velocity,
+because a late velocity can be detected only with its own derivative; without a recorded velocity it is derived from the
+angle. The cut-off follows from the data (`smoothing`), and the expected error is reported.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ from tsa_ctrl.identify.smoothing import LowPass, Smoothed, smoothed
 from tsa_ctrl.model.functions import Array
 
 SHAFTS = (("q_j", "omega_j", "acceleration_j"), ("q_m", "omega_m", "acceleration_m"))
-STANDING = 0.5  # s: slower than one encoder count in it, an angle has no velocity of a certain direction
-SURE = 4.0  # errors that a velocity must be from 0 for its sign to be sure: 6e-5 of Gaussian errors are larger
+STANDING = 0.5  # s: an angle that changes by less than one encoder count in this time has no certain direction
+SURE = 4.0  # times its error by which a velocity must differ from 0 for a certain sign: 6e-5 of Gaussian errors do so
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The recorded `columns` of one log, each (n,) on a grid of `period` s, smoothed when first asked for.
+    """The recorded `columns` of one log, each (n,) at a constant `period` in s, smoothed at the first use.
 
-    `cutoff` in Hz takes the place of the data's own bandwidth.
+    `cutoff`: Hz, used instead of the bandwidth of the data; None for that bandwidth. `known`: the columns smoothed so
+    far.
     """
 
     columns: Mapping[str, Array]
@@ -33,14 +34,14 @@ class Motion:
     known: dict[str, Smoothed] = field(default_factory=dict)
 
     def smoothed(self, name: str) -> Smoothed:
-        """A recorded angle or velocity."""
+        """Return a recorded angle or velocity, smoothed."""
         if name not in self.known:
             kind = "angle" if name.startswith("q") else "velocity"
             self.known[name] = smoothed(self.columns[name], self.period, kind, self.cutoff)
         return self.known[name]
 
     def derived(self) -> dict[str, Array]:
-        """Velocities that were not recorded, by name."""
+        """Return the velocities (rad/s) that were not recorded but follow from an angle, by name."""
         return {
             velocity: directed(self.smoothed(angle))
             for angle, velocity, _ in SHAFTS
@@ -48,7 +49,7 @@ class Motion:
         }
 
     def accelerations(self) -> dict[str, Array]:
-        """rad/s^2, by name, of every shaft that has a motion."""
+        """Return the accelerations (rad/s^2) of all shafts with a recorded motion, by name."""
         out = {}
         for angle, velocity, name in SHAFTS:
             if name in self.columns:
@@ -60,7 +61,7 @@ class Motion:
         return out
 
     def made(self) -> tuple[Made, ...]:
-        """The results of the smoother so far."""
+        """Return the columns that the smoother has derived so far."""
         out = []
         for angle, velocity, acceleration in SHAFTS:
             if angle in self.known and velocity not in self.columns:
@@ -76,7 +77,11 @@ class Motion:
 
 @dataclass(frozen=True)
 class Made:
-    """A column `name` derived from `source`; `error` is the RMS expected of it, `noise` the noise's part, SI."""
+    """A column `name` derived from `source`.
+
+    `error` is its expected RMS error, and `noise` the part of the noise in that error, both in the column's unit.
+    `asked`: Hz, the cut-off that the user set, or None.
+    """
 
     name: str
     source: str
@@ -87,7 +92,7 @@ class Made:
 
 
 def in_words(made: Iterable[Made]) -> tuple[str, ...]:
-    """One line for each kind of derived column, over all logs: the method and its cost."""
+    """Return one sentence for each kind of derived column, over all logs: the method and the expected error."""
     kinds: dict[tuple[str, str], list[Made]] = {}
     for each in made:
         kinds.setdefault((each.name, each.source), []).append(each)
@@ -112,22 +117,24 @@ def _span(values: Sequence[float]) -> str:
 
 
 def directed(found: Smoothed) -> Array:
-    """The velocity of a smoothed angle, with the sign of the motion around wherever its own is not sure.
+    """Return the velocity of a smoothed angle, with the sign of the surrounding motion where its own is not certain.
 
-    Below one count in STANDING a sign is noise or the filter's ringing, and the encoder is at rest.
+    Below one count in STANDING, the sign is noise or ringing of the filter, and the velocity is set to 0 where the
+    direction does not change.
     """
     steps = np.abs(np.diff(found.raw))
     moved = steps[steps > 0.0]
-    still = (float(moved.min()) if len(moved) else 0.0) / STANDING  # of an unquantised angle next to nothing
+    still = (float(moved.min()) if len(moved) else 0.0) / STANDING  # nearly 0 for an angle without counts
     return with_sure_signs(found.rate, found.value, found.errors[1], still, found.errors[0])
 
 
 def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, near: float) -> Array:
-    """`velocity` (n,) rad/s, with the sign of the surrounding motion within SURE `error` of 0.
+    """Return `velocity` (n,), rad/s, with the sign of the surrounding motion where its own sign is not certain.
 
-    Between two stretches of one direction the motion has that direction too, and up to `still` rad/s the velocity is 0;
-    between opposite ones it turns once, at the extremum of `angle` (n,): in the middle of the samples that may be it
-    as they are `near` it, rad.
+    A sign is certain if the velocity exceeds both `still` (rad/s) and SURE times `error` (rad/s). Between two motions
+    in one direction the velocity has that direction, and is 0 up to `still`. Between opposite motions it reverses once,
+    at the extremum of `angle` (n,): in the middle of the samples that are within `near` (rad) of it. Without any
+    certain sign the result is 0.
     """
     surely = (np.abs(velocity) > max(still, SURE * error)) & (velocity != 0.0)
     moving = np.flatnonzero(surely)
@@ -136,7 +143,7 @@ def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, n
     standing = np.abs(velocity) <= still
     out = np.where(surely, velocity, 0.0)
     edges = np.flatnonzero(np.diff(moving) > 1)
-    stretches = [(int(moving[at]), int(moving[at + 1])) for at in edges]  # the sure samples on either side
+    stretches = [(int(moving[at]), int(moving[at + 1])) for at in edges]  # the samples with a certain sign around it
     for before, after in [(-1, int(moving[0])), *stretches, (int(moving[-1]), len(velocity))]:
         inside = slice(before + 1, after)
         ends = [velocity[at] for at in (before, after) if 0 <= at < len(velocity)]

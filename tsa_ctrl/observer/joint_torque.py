@@ -16,22 +16,25 @@ from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, Str
 #
 # tau_J = 2 k_t r_J (s - s_0) - s_c z h_J,        -1 <= z <= 1
 #
-# h_J is the friction torque at the joint (half the hysteresis width), s_c the centre of the bending. z is the
-# direction while both ends of the tendons move the same way for long enough, and unknown otherwise. The zero s_0 is a
-# pair of bounds: while the commanded motor torque is about 0, s - s_0 is the friction alone. The band is wide, but a
-# wrong torque constant and a wrong 0x6077 do not move it.
+# h_J is the friction torque at the joint (half the hysteresis width), and s_c the centre of the bending. z is the
+# direction of motion once both ends of the tendons have moved the same way far enough, and unknown otherwise. The zero
+# s_0 is known within two bounds: while the commanded motor torque is about 0, s - s_0 contains only friction. The band
+# is wide, but an error of the torque constant or of 0x6077 does not change it.
 
 IDLE = 0.05  # N*m of commanded torque that counts as about 0
-SMOOTH = 0.003  # s, low-pass of both ways
+SMOOTH = 0.003  # s, low-pass of both positions
 SETTLED = 0.03  # s, memory of the commanded torque
-STRANGE = 2.0  # 1, most of the motor torque over the commanded one
+STRANGE = 2.0  # 1, largest assumed ratio of the true motor torque to the commanded one
 NOISE = 0.02  # N*m of the motor, cogging and offset of its current
 CREEP = 2e-6  # m/s, fastest drift of the zero
-GEARING = 2e-3  # 1, of the path of the joint: radii at which the tendons lie
+GEARING = 2e-3  # 1, of the joint pulley's travel: error of the radii at which the tendons lie
 
 
 class ElongationTorque:
-    """`low` and `high`: N*m at the joint, nan before the first measurement; plain floats, a microsecond a cycle."""
+    """Bounds of the joint torque that do not depend on the reported motor torque; about a microsecond per cycle.
+
+    Attributes: `low`, `high`: N*m at the joint, nan before the first measurement.
+    """
 
     def __init__(self, model: TendonSheath, period: float, counts: tuple[float, float]) -> None:
         """Prepare the estimate; `period`: s; `counts`: rad of one count at the motor's and the joint's pulley."""
@@ -53,7 +56,7 @@ class ElongationTorque:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the zero too."""
+        """Reset all states and the zero of the elongation."""
         self.low = self.high = self._motor = math.nan
         self._joint = 0.0
         self._zero_low, self._zero_high = -math.inf, math.inf  # m
@@ -61,7 +64,12 @@ class ElongationTorque:
         self._command = 0.0  # N*m, maximum of the last 30 ms
 
     def update(self, q_m: float, q_j: float, command: float) -> None:
-        """Take one cycle: rad of motor and joint, N*m that the motor was commanded. Skip values that are not finite."""
+        """Take the measurements of one cycle; skip them if a value is not finite.
+
+        Args:
+            q_m, q_j: rad of motor and joint.
+            command: N*m, commanded motor torque.
+        """
         motor, joint = self._r_m * q_m, self._r_j * q_j
         if not math.isfinite(motor + joint + command):
             return
@@ -83,7 +91,7 @@ class ElongationTorque:
         else:
             slid = 0.0
         self._slid = slid
-        # Bounds of z times the friction over the file's value.
+        # Bounds of z, multiplied by the ratio of the true friction to the file's.
         forward, backward = self._most_friction, -self._most_friction
         if slid > self._way:
             backward = 0.0  # friction may be lost at any time, so the file gives no lower bound of it
@@ -98,7 +106,7 @@ class ElongationTorque:
             low = stretch + self._at_motor * backward - room
             high = stretch + self._at_motor * forward + room
             self._zero_low, self._zero_high = max(self._zero_low, low), min(self._zero_high, high)
-            if self._zero_low > self._zero_high:  # the zero has moved: the encoders or the tendons are others
+            if self._zero_low > self._zero_high:  # the zero has moved: an encoder or a tendon has slipped
                 self._zero_low, self._zero_high = low, high
         least = self._per_stretch * (stretch - self._zero_high)
         most = self._per_stretch * (stretch - self._zero_low)
@@ -163,15 +171,15 @@ class ModelTorque:
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
 
-MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
-SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
-SOFT = 0.1  # s for which the tendons must give as much more than the model's as they may
+MEMORY = 2.0  # s over which sensor and elongation are compared: one or two reversals, so that none decides alone
+SENSOR = 0.03  # 1, of its torque: error of a correct joint torque sensor, in addition to the band
+SOFT = 0.1  # s for which the stiffness must be at its lower bound before a contradiction is reported
 LEAST_FRICTION = 0.5  # 1, of the file's friction. A motor of twice the reported torque halves the apparent friction
-OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
+OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: a contradiction above the first, cleared below the second
 
 
 class Measured(Protocol):
-    """The image of an axis, as far as it is needed here; SI, nan where there is nothing."""
+    """The measurements of an axis that this module uses, in SI units; nan for a missing one."""
 
     @property
     def tau_m(self) -> float: ...
@@ -190,9 +198,10 @@ class Measured(Protocol):
 
 
 class JointTorque:
-    """`torque`, `low`, `high`: N*m at the joint, from the tendon elongation, with its 95 % band; nan without one.
+    """Joint torque of one axis by the tendon elongation, and a comparison with the joint torque sensor.
 
-    `model`: the same from the model alone. `stretch`: the observer, None on a rig that cannot have it (`why_not`).
+    Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan without an estimate. `model`: the
+    estimate from the model alone. `stretch`: the observer, or None on a rig that cannot have one (`why_not`).
     """
 
     def __init__(
@@ -212,8 +221,8 @@ class JointTorque:
             why_not: the reason for that.
             period: s.
             elongation: the estimate that does not use the reported torque.
-            shape_known: the model file states where the sheath bends. Otherwise a wrong shape looks like a wrong
-                stiffness, and the stiffness tells nothing of the motor torque.
+            shape_known: True if the model file states where the sheath bends. Otherwise a wrong shape looks like a
+                wrong stiffness, and the stiffness cannot show an error of the motor torque.
         """
         self.model = model
         self.elongation = elongation
@@ -227,16 +236,17 @@ class JointTorque:
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
         self._most_friction_angle = self._friction_angle if stretch is None else stretch.most_friction_angle
         self.why_not = why_not
-        self.contradicted = False  # the joint torque sensor lies outside the stretch's band most of the time
-        self.difference = 0.0  # N*m, of sensor less stretch, over the last seconds
+        self.contradicted = False  # the joint torque sensor is outside the band of the elongation most of the time
+        self.difference = 0.0  # N*m, sensor minus estimate by the elongation, averaged over the last seconds
         self._forget = period / MEMORY
         self._outside = 0.0
 
     def _combine(self) -> None:
-        """Find the joint torque from the tendon elongation and the ends of its 95 % band; nan without one.
+        """Set the joint torque by the tendon elongation and its 95 % band; nan without an estimate.
 
         The narrow band of the observer holds while the elongation is as the reported motor torque predicts. Afterwards
-        the band without the reported torque is added, as the motor may give another torque than it reports.
+        the band is extended by the one that does not use the reported torque, because the motor may deliver another
+        torque than it reports.
         """
         stretch, wide = self.stretch, self.elongation
         if stretch is None or self._faulty:
@@ -249,22 +259,22 @@ class JointTorque:
         self.torque, self.low, self.high = torque, low, high
 
     def distrust(self) -> None:
-        """Report no torque until the next enable: a signal of this axis was found wrong."""
+        """Report no torque until the next enable, because a signal of this axis is faulty."""
         self._faulty = True
         self._combine()
 
     def _explained(self, stretch: StretchObserver) -> bool:
-        """Return True if a stiffness explains the elongation with a friction that the file allows.
+        """Return True if the estimated friction is within the range that the file and a wrong motor torque allow.
 
-        A motor that gives more torque than it reports makes friction look less, never more. More friction than the
-        file's uncertainty allows shows another curvature profile.
+        A motor that delivers more torque than it reports makes the friction look smaller, never larger. More friction
+        than the file's uncertainty allows shows another curvature profile.
         """
         friction_angle = stretch.friction_angle * self._friction_angle / stretch.modelled
         return LEAST_FRICTION * self._friction_angle < friction_angle < self._most_friction_angle
 
     @property
     def contradiction(self) -> str | None:
-        """Return the finding that the motor gives more than it reports, None without one."""
+        """Return the finding that the motor delivers more torque than it reports, or None without that finding."""
         if self._soft < SOFT or self.stretch is None:
             return None
         return (
@@ -300,7 +310,7 @@ class JointTorque:
             self.stretch.set_pretension(pretension)
 
     def pass_over(self, periods: int) -> None:
-        """Count periods without a cycle."""
+        """Take account of `periods` without a cycle."""
         if self.stretch is not None:
             self.stretch.pass_over(periods)
             self._combine()
@@ -322,7 +332,7 @@ class JointTorque:
             tau_j: N*m of the joint torque sensor, or nan.
             command: N*m that the motor is commanded.
             enabled: torque is permitted.
-            routed: rad of the motor by which paths of different lengths move it away from the joint.
+            routed: rad of the motor that different path lengths of the tendons add to its angle.
         """
         if enabled and not self._enabled:
             self._faulty = False

@@ -11,10 +11,11 @@ motor torque that does not reach the joint:
 
 `tsa_ctrl.model.stretch` defines P and Q. The zero s_0, the error of the radii kappa, the error of the compliance
 gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
-sigma m g. m is the model's friction torque at the present wrap angle over that at the nominal one: a fit proves the
-ratio of the true friction to the modelled one, whatever other joints do to the sheath meanwhile. One direction alone
-leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite. The numbers of a fit change
-between two strokes only, so that friction that is lost within a stroke is seen within it.
+sigma m g. m is the model's friction torque at the present wrap angle over that at the nominal one. The fit therefore
+determines the ratio of the true friction to the modelled one, also while other joints bend the sheath. One direction
+alone determines only s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite. Once a fit of
+whole strokes is certain enough, it changes only between two strokes, so that a loss of friction is detected within a
+stroke.
 One stroke in each direction gives the sum of two frictions: a friction g in both, or h in the first and 2 g - h in the
 second. Until a third stroke agrees, h may be the most that the model file permits, and 2 g - h is the lower bound.
 A third stroke that disagrees replaces the first one.
@@ -41,7 +42,7 @@ from tsa_ctrl.model.stretch import compliance_centre, stretch_line
 from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 
 SLIDES = 0.05  # rad/s of the joint above which it slides: three times the noise of a 16 bit encoder's velocity
-GATE = 1.0  # of the joint's way in which a reversal runs through the sheath, before a sample counts
+GATE = 1.0  # of the joint travel in which a reversal runs through the sheath; samples count only after it
 SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
 # s over which a reading is averaged as well where the motor's inertia is unknown. The motor's swing on its tendons, at
 # 40 Hz and more, then looks like friction that oscillates, and a limit that follows it drives the swing. 0.025 s is too
@@ -50,19 +51,20 @@ RINGS = 0.1
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
 NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
 MEMORY = 1.5  # rad of the joint after which older strokes count 1/e
-RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: by 1 % the radii at which tendons lie are known
-# 1: radii that the strokes show to be right within this (95 %) leave the stiffness to the observer of the elongation
+RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: the radii at which the tendons lie are known within 1 %
+# 1, error of the radii (95 %) up to which the stiffness of the elongation observer is used, because larger errors may
+# mislead that observer
 RIGHT_RADII = 0.001
-LEARNED = 0.02  # 1, standard deviation of that stiffness: what another curvature profile within a turn makes of it
+LEARNED = 0.02  # 1, least standard deviation of that stiffness, because of an unknown curvature profile in reversals
 SURE = 1.65  # standard deviations of a one-sided 95 % bound
 CERTAIN = 0.1  # of the friction torque: standard deviation below which the fit of whole strokes is kept within a stroke
-UNLIKE = 2.0  # times the variance of a sample: a stroke that adds more than this to the misfit is not of one friction
-MOST_SKIPPED = 4  # strokes in a row without a fit, after which the zero must have moved: a tendon or an encoder slipped
-REPEATED = 2  # strokes before the one that repeats a direction
+UNLIKE = 2.0  # times the variance of a sample: the friction changed in a stroke that adds more than this to the misfit
+MOST_SKIPPED = 4  # successive strokes without a fit, after which the zero must have moved: a tendon or encoder slipped
+REPEATED = 2  # strokes before the third one, which repeats a direction
 AGREES = 3.0  # standard deviations by which the third stroke may differ from the first two
-AVERAGED = 3.0 * SMOOTH  # rad of the joint after which 95 % of a reading are of this stroke
-FIT_EVERY = 32  # cycles between two fits before that
-ALIKE = 1.25  # of one direction's friction, at most in the other: the same sheaths; more is a zero that is wrong
+AVERAGED = 3.0 * SMOOTH  # rad of the joint after which 95 % of a reading come from the present stroke
+FIT_EVERY = 32  # cycles between two fits within a stroke, which limits the computing time
+ALIKE = 1.25  # most friction of one direction over the other's: both use the same sheaths; more is a wrong zero
 LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath gives no scale for a reading
 SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1: of the joint torque, and of the friction torque, from a data sheet
 
@@ -92,8 +94,8 @@ class ProvenFriction:
             period: s, of the loop.
             inertia: kg*m^2 of the motor, 0 where it is not known.
             has_sensor: True if the joint torque is measured.
-            observer: of the elongation, None without a joint encoder; it learns the stiffness, which the strokes
-                alone show only while the set-point varies.
+            observer: of the elongation, None without a joint encoder. It estimates the stiffness, which the strokes
+                alone determine only while the set-point varies.
         """
         self._period = period
         self._inertia = inertia
@@ -127,23 +129,23 @@ class ProvenFriction:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, the zero of the elongation included."""
+        """Reset all states, including the zero of the elongation."""
         self._origin = math.nan
         self._kept = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)
-        self._variance = 0.0  # m^2 of a sample, as the last fit left it
-        self._skipped = 0  # strokes in a row that no fit explains
-        self._strokes = 0  # that have ended, those in a row of one direction counted once
+        self._variance = 0.0  # m^2, variance of a sample by the last fit
+        self._skipped = 0  # successive strokes that no fit explains
+        self._strokes = 0  # finished strokes; successive strokes in one direction count once
         self._counted = 0  # direction of the last of them
         self._is_repeated = self._has_sensor  # the third stroke has been read
-        self._repeated = 0.0  # rad of the joint that it was read
-        self._last = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)  # the stroke that ended last
-        self._mean = math.nan  # 1, friction torque of both directions by the fit, of the file's
+        self._repeated = 0.0  # rad of the joint over which it was read
+        self._last = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)  # the last finished stroke
+        self._mean = math.nan  # 1, friction torque of both directions by the fit, over the file's value
         self._fit, self._scale = (0.0, 0.0, 0.0), 0.0
-        self._covariance: tuple[float, ...] = ()  # of the fit, its upper triangle; empty before the first one
+        self._covariance: tuple[float, ...] = ()  # upper triangle of the fit's covariance; empty before the first fit
         self._settled = False
         self._read = [math.nan, math.nan]  # 1, of the model's friction torque, by direction
         self._spread = [math.inf, math.inf]
-        self._held = math.nan  # N*m, `modelled` by which earlier readings are the bounds; nan after a new reading
+        self._held = math.nan  # N*m, `modelled` of bounds that come from earlier readings; nan after a reading
         self.low, self.high, self.reads = 0.0, math.inf, False
         self._direction, self._gap, self._until = 0, 0.0, FIT_EVERY
         self._sums: tuple[float, ...] = ()
@@ -151,13 +153,13 @@ class ProvenFriction:
         self.pause()
 
     def pause(self) -> None:
-        """Pass over a cycle without torque: the next motion is a new one."""
+        """Skip a cycle without torque; the gate after a reversal starts again."""
         self.reads = False
         self._omega = math.nan
         self._way = self._gap = 0.0
 
     def miss(self, seconds: float) -> None:
-        """Pass over `seconds` without measurements; in a long gap an encoder may have started again."""
+        """Skip `seconds` without measurements; reset after a long gap, because an encoder may have restarted."""
         self.reads = False
         self._omega = math.nan
         self._gap += seconds
@@ -244,7 +246,15 @@ class ProvenFriction:
         self._take(direction, friction, way, 0.0, scale * math.sqrt(variance) if variance > 0.0 else 0.0)
 
     def _take(self, direction: int, friction: float, way: float, tau_j: float, deviation: float = -1.0) -> None:
-        """Average a reading over the way of the joint, and bound it."""
+        """Average a reading over the joint travel, and update the bounds.
+
+        Args:
+            direction: 1 or -1.
+            friction: N*m at the motor.
+            way: rad, joint travel in this cycle.
+            tau_j: N*m of the joint torque sensor; used only for the default deviation.
+            deviation: N*m, standard deviation of the reading; below 0 for that of the sensor.
+        """
         if not math.isfinite(friction):
             return
         side = 1 if direction > 0 else 0
@@ -283,7 +293,7 @@ class ProvenFriction:
         self._until = FIT_EVERY
 
     def _end_stroke(self) -> None:
-        """Keep the stroke's evidence on zero, radii and compliance, unless friction changed within it."""
+        """Add the finished stroke to the fit of zero, radii and compliance, unless friction changed within it."""
         stroke, n = self._stroke(), self._sums[0]
         self._begin_stroke()
         if not n > 0.0:
@@ -323,12 +333,12 @@ class ProvenFriction:
         return _Sums(np.array(normal), np.array([y, yq, yt, sigma * my]), yy)
 
     def _misfit(self, sums: _Sums) -> float:
-        """Return the sum of squares that a fit leaves, the prior's included, over the variance of a sample."""
+        """Return the residual sum of squares of a fit, including that of the prior, over the variance of a sample."""
         found = np.linalg.solve(sums.normal + np.diag(self._prior), sums.target)
         return (sums.left(found) + float(found @ (self._prior * found))) / max(self._noise**2, self._variance)
 
     def _fit_to(self, sums: _Sums, whole: bool) -> None:
-        """Fit zero, radii, compliance and friction; `whole`: no stroke is going on."""
+        """Fit zero, radii, compliance and friction; `whole`: True between strokes, False within one."""
         prior, mean = self._prior.copy(), np.zeros(4)
         samples = max(float(sums.normal[0, 0]), 1.0)
         for again in (False, True):
@@ -344,7 +354,7 @@ class ProvenFriction:
         self._covariance = tuple(float(covariance[i, j]) for i in range(3) for j in range(i, 3))
         if self._settled:
             return
-        # Readings by an earlier fit are worth as little as that fit was.
+        # Readings by an earlier, less certain fit are replaced by the mean friction of this fit.
         deviation = self._scale * math.sqrt(max(0.0, float(covariance[3, 3])))
         if deviation < CERTAIN * self._expected:
             self._settled = whole
@@ -354,7 +364,11 @@ class ProvenFriction:
             self._spread = [deviation / self._expected] * 2
 
     def _learned(self, kappa: float, deviation: float, mean: Array, prior: Array) -> bool:
-        """Take the stiffness of the observer as the prior of gamma, unless wrong radii may have misled it."""
+        """Set the prior of gamma from the stiffness of the observer and return True if that stiffness is usable.
+
+        It is not usable without an estimate, if the radii may be wrong by more than `RIGHT_RADII`, or if it is outside
+        [uncertainty]. `mean` and `prior` are changed in place.
+        """
         observer = self._observer
         if observer is None or observer.state is not StretchState.TOLD:
             return False
@@ -398,7 +412,7 @@ class _Sums(NamedTuple):
 
 
 def _without_friction(sums: _Sums) -> _Sums:
-    """Keep zero, radii and compliance, but no friction: the fourth unknown is eliminated (Schur complement)."""
+    """Return the sums without information on the friction: the fourth unknown is eliminated (Schur complement)."""
     n = float(sums.normal[3, 3])
     if not n > 0.0:
         return sums

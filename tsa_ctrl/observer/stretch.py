@@ -1,7 +1,7 @@
 """Estimate the joint torque on-line from two encoders and the motor torque, with a 95 % band.
 
 No torque sensor and no known load are required. The tendons are simulated contact by contact (`tendons`). Inputs are
-the motor torque minus the inertia's part, tau_M - J_M alpha_M, and the joint angle. The simulation predicts the
+the motor torque minus its acceleration torque, tau_M - J_M alpha_M, and the joint angle. The simulation predicts the
 elongation s = r_M q_M - r_J q_J. A difference from the measured s is an error of the friction or the stiffness, or a
 drift of the zero of s. An extended Kalman filter separates them: ln x, the stiffness and the zero drift slowly, and a
 fourth state is temporary friction.
@@ -11,8 +11,9 @@ of up to half the friction, and the slip fronts determine the estimate.
 
 x means x T_p here, because only the product is identifiable. Friction and pretension may therefore be unknown.
 The stiffness must be known within its [uncertainty]: it is the inverse of the slope of s over tau_M while all tendons
-slide, for any friction. The curvature profile must be known: [uncertainty] bending_centre is a part of the band. During
-a reversal the profile itself is a part as well, and is larger if the file has only the centre of the bends.
+slide, for any friction. The curvature profile must be known: the band includes [uncertainty] bending_centre.
+During a reversal the band also includes an error of the profile itself, which is larger if the file has only the
+centre of the bends.
 
 The joint torque is the torque of the tendons at the joint pulley, r_J (T4 - T2), before any friction in the joint.
 """
@@ -32,15 +33,17 @@ from tsa_ctrl.observer import tendons
 
 MISFIT = 3.0  # standard deviations of the innovation, beyond which motor torque or tendons differ from the model
 SMOOTH = 0.005  # s, low-pass of the innovation
-# Cycles in a row that count. In each the observer changes its friction by a twentieth at most, so after 10 it has
-# followed friction that is a standard deviation of the prior off. At 1 kHz healthy rigs show four in a row at most.
+# Number of successive deviating cycles after which the torque is no longer confirmed. In each cycle the observer
+# changes its friction by a twentieth at most. After 10 cycles it has therefore followed a friction error of one
+# standard deviation of the prior. At 1 kHz, healthy rigs show at most four such cycles in a row.
 LASTING = 10
 
 
 class Confirmation:
     """Compare the innovations of the elongation observer with their uncertainty, to confirm the reported motor torque.
 
-    `confirmed`: True while the elongation was as predicted since the last reset, except for single samples.
+    `confirmed`: True until the elongation deviates from its prediction in `LASTING` successive cycles; True again
+    after a reset.
     """
 
     def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
@@ -53,7 +56,7 @@ class Confirmation:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again."""
+        """Discard the history and confirm the torque again."""
         self.confirmed = True
         self._innovation = 0.0  # m
         self._beyond = 0  # cycles in a row
@@ -63,13 +66,13 @@ class Confirmation:
 
         Args:
             innovation, stiff, slid: of `tendons.observe`.
-            memory: of `tendons`, with the uncertainty of its states.
+            memory: the state of `tendons`, which includes the uncertainty of its states.
         """
         self._innovation += self._share * (innovation - self._innovation)
         if not self.confirmed:
             return
         squared = self._innovation**2
-        if squared <= self._least and self._softest <= stiff <= self._stiffest:  # as expected whatever is known
+        if squared <= self._least and self._softest <= stiff <= self._stiffest:  # within the noise
             self._beyond = 0
             return
         if not slid:
@@ -82,36 +85,37 @@ class Confirmation:
         self.confirmed = self._beyond < LASTING
 
 
-CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no better and twice as dear
-NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the shortest spring: far below what x shows
-FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
-FRICTION_WALK = 0.07  # 1 per root of s: 40 % within 10 s is 1.5 standard deviations
-PASSING, PASSING_TIME = 0.015, 0.05  # 1 and s: friction that comes and goes, of x; more hides the stiffness
-ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
-FACTOR = 4.0  # of x either way
-STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
-# 1, times the stretch that friction can hide: the model's tendons begin level, and when they slide, those that lay the
-# other way and have half as much friction again need twice that still; after a turn half is enough for a quarter more
+CONTACTS = 12  # per tendon; 6 are 1 mN*m worse on the shipped actuator, 24 are no better and take twice as long
+NEAR = 1e-3  # of the length: closer bends are one contact, and no spring is shorter; x does not resolve this length
+FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at startup, and its upper limit afterwards
+FRICTION_WALK = 0.07  # 1/sqrt(s), random walk of ln x: a change of 40 % within 10 s is 1.5 standard deviations
+PASSING, PASSING_TIME = 0.015, 0.05  # share of x and s: temporary friction; a larger share hides the stiffness
+ZERO_WALK = 0.3e-6  # m/sqrt(s), random walk of the zero by creep and temperature: 20 um in 75 minutes
+FACTOR = 4.0  # x stays within the file's value divided and multiplied by this factor
+STIFF_WALK = 1e-4  # 1/sqrt(s), random walk of ln k: a tendon that softens by 1 % in an hour
+# Times the elongation that friction can hide. The model's tendons begin with equal tensions along their length. When
+# they slide, real tendons that were loaded the other way and have 1.5 times the friction still need twice that
+# elongation. After a reversal, half that elongation is enough for friction that is a quarter higher.
 SURELY = 2.0
-NEARLY = 0.99  # 1, of a bound, that counts as reached
-STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
-TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of the torque that drives report; the simulated one's
+NEARLY = 0.99  # share of a bound that counts as reached, because the filter stops close to it
+STIFF_FACTOR = 1.5  # bound of the stiffness over the file's value, and of the inverse; more is another tendon
+TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of the reported torque; that of the simulated drive
 # s, uncertainty of the delay between torque and angles while the elongation changes: half of a current loop's delay.
 # A trembling hand makes only reversals, and without this term the filter learns a wrong stiffness from them.
 TIME_DOUBT = 0.3e-3
-COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
+COUNTS = 6.0  # times the variance of a count: during slow motion its error is the same in successive cycles
 # Factor of the variance of a measured elongation, because errors of the tendon model are correlated in time. With 100,
 # the joint receives 50 mJ before a loss of pretension is detected. With 20, a wrong stiffness causes an error of 3.4 %
 # of a held torque.
 ALIKE = 28.0
 SLACK = 0.02  # 1, of the pretension, below which a tendon counts as slack
-LONGEST_GAP = 0.05  # s without measurements after which the fronts are not known any longer
-RESTART = 1.0  # s without measurements after which an encoder may have been switched on anew: boot-ups take longer
+LONGEST_GAP = 0.05  # s without measurements after which the positions of the slip fronts are unknown
+RESTART = 1.0  # s without measurements after which an encoder may have restarted: a restart takes longer
 BAND = 1.96  # standard deviations of 95 %
-# 1, of the variance that the filter has of the tendons: it is told of more friction that walks and passes than tendons
-# show, to follow a change of 40 % within 10 s; with all of it the band is three times as wide as it must be. By this
-# and `TOLD` the band holds 95 to 97 % of the samples of simulated rigs on average (tools/run bench/stretch); of one rig
-# more or less, as the residual is not noise
+# Share of the filter's variance of the tendons that the band includes. The filter assumes more drift and temporary
+# friction than tendons show, so that it follows a change of 40 % within 10 s. With all of that variance the band would
+# be three times as wide as necessary. With this share and `TOLD` the band contains 95 to 97 % of the samples of
+# simulated rigs on average (tools/run bench/stretch). Single rigs differ, because the residual is not noise.
 OF_TENDONS = 0.035
 # 1, error over the friction torque in the middle of a reversal, if the file has only the centre of the bends. Two bends
 # with a straight piece between them change the slip fronts by this much (5.3 % RMS over the reversal).
@@ -122,23 +126,24 @@ TOLD = 0.01  # 1, the same if the file has the curvature profile that tsa calibr
 # With the noise of single samples, each reversal of a locked joint leaves a friction error of 2 %, and twice the torque
 # error.
 TURN_DOUBT = 1.0
-# 1, of the same, beside the noise, and s: by more than this no course misleads, on simulated rigs with a calibrated
-# file; what was more within that time is friction or stiffness that is off, and turns teach all that they say. A file
-# whose friction is 24 % off needs them: without, its first strokes end at a stiffness that is half as much again
+# Share of the elongation that friction can hide, and s. On simulated rigs with a calibrated file, a wrong profile
+# causes no larger error than this in addition to the noise. A larger innovation within that time shows an error of
+# friction or stiffness, and reversals then correct the states with more weight. A file with a friction error of 24 %
+# needs this: without it, the stiffness is 1.5 times too high after the first strokes.
 MISLED, MISLED_FOR = 0.05, 1.0
 
 
 class StretchState(Enum):
-    """Values are the log's codes."""
+    """The state of the estimate; the values are the codes in the log."""
 
     NONE = 0  # no two encoders, or a profile for which the elongation determines nothing
-    UNSLID = 1  # the tendons have not slid all along yet: the band holds all that the friction may hide
+    UNSLID = 1  # the tendons have not slid along their whole length yet: the band includes the possible friction
     TOLD = 2
-    SLACK = 3  # a tendon is, or the motor's torque is beyond the domain: nothing is reported
+    SLACK = 3  # a tendon is slack, or the motor torque is outside the model's domain: no torque is reported
 
 
 class StretchObserver:
-    """Estimate the joint torque; takes a few microseconds a cycle.
+    """Estimate the joint torque; a cycle takes a few microseconds.
 
     Attributes: `torque`, `low`, `high`: N*m at the joint, nan while it cannot be estimated. `stiffness`: 1, stiffness
     of the tendons (and of a series spring) over the model file's. `innovation`: m, measured minus predicted elongation
@@ -148,9 +153,16 @@ class StretchObserver:
     def __init__(
         self, model: TendonSheath, period: float, counts: tuple[float, float], motor_inertia: float = 0.0
     ) -> None:
-        """`period` in s; `counts`: rad of one count at the motor's and the joint's pulley; J_M in kg*m^2.
+        """Prepare the tendons and the filter.
 
-        Raises UsageError if the elongation determines nothing for the profile of the sheath, or nothing elongates.
+        Args:
+            model: friction angle and pretension must be above 0.
+            period: s.
+            counts: rad of one count at the motor's and the joint's pulley.
+            motor_inertia: J_M in kg*m^2.
+
+        Raises:
+            UsageError: friction angle or pretension is not above 0, or `stretch_line` rejects the model.
         """
         if not (model.friction_angle > 0.0 and model.pretension > 0.0):
             raise UsageError(
@@ -167,7 +179,7 @@ class StretchObserver:
         self._pairs = self._first.copy()
         self._memory = np.zeros(tendons.MEMORY)
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
-        self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
+        self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, half the hysteresis width
         per_torque = r_j / r_m
         self._noise = (per_torque * TORQUE_NOISE) ** 2
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
@@ -187,10 +199,10 @@ class StretchObserver:
         self.reset()
 
     def reset(self) -> None:
-        """Reset everything, also the zero of s; the next measurement begins again."""
+        """Reset all states and the zero of s; the next measurement sets the zero again."""
         self._gap = 0.0
         self.confirmation.reset()
-        self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
+        self._origin = math.nan  # m, elongation at the first measurement; the zero is relative to it
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
         memory[tendons.ANGLE] = self.modelled * self._modelled_pretension / self.pretension
@@ -201,15 +213,15 @@ class StretchObserver:
         self._lose()
 
     def _lose(self) -> None:
-        """Forget where the fronts are; the estimates of friction and zero stay."""
+        """Discard the positions of the slip fronts; keep the estimates of friction, stiffness and zero."""
         self.state = StretchState.UNSLID
         self.torque = self.low = self.high = math.nan
-        self._last = math.nan  # m, the joint's way
+        self._last = math.nan  # m, position of the joint's pulley
         self._omega = self._stretch = math.nan
         self._misfit = self._misled_by = 0.0  # m, the largest recent innovation; m^2, see `_misleads`
 
     def _begin(self, stretch: float) -> None:
-        """Tensions level along each tendon, by the stretch (m) that there is."""
+        """Set equal tensions along each tendon that match the measured elongation `stretch` (m)."""
         if self._origin != self._origin:
             self._origin = stretch
         memory = self._memory
@@ -229,23 +241,23 @@ class StretchObserver:
 
     @property
     def friction_angle(self) -> float:
-        """x (1) that goes with `pretension`: only the product of both is determined."""
+        """Return x (1) at `pretension`; the elongation determines only the product of both."""
         return float(self._memory[tendons.ANGLE])
 
     @property
     def friction_deviation(self) -> float:
-        """Standard deviation of ln x."""
+        """Return the standard deviation of ln x."""
         return math.sqrt(max(0.0, float(self._memory[tendons.COVARIANCE])))
 
     @property
     def stiffness_deviation(self) -> float:
-        """Standard deviation of its logarithm."""
+        """Return the standard deviation of the logarithm of the stiffness."""
         place = tendons.COVARIANCE + (tendons.STATES + 1) * tendons.K
         return math.sqrt(max(0.0, float(self._memory[place])))
 
     @property
     def at_bound(self) -> bool:
-        """Return True if stiffness or friction would have to be beyond their bounds: these are other tendons."""
+        """Return True if stiffness or friction has reached a bound: these are probably not the tendons of the file."""
         memory, told = self._memory, self._settings
         stiff, x, most = memory[tendons.STIFF], memory[tendons.ANGLE], told[tendons.MOST_STIFF]
         inside = 1.0 / most < NEARLY * stiff and stiff < NEARLY * most
@@ -253,11 +265,11 @@ class StretchObserver:
 
     @property
     def zero(self) -> float:
-        """Elongation that the encoders show where there is none, m."""
+        """Return the zero of the elongation: the value of s (m) without elongation."""
         return self._origin + float(self._memory[tendons.ZERO])
 
     def set_pretension(self, value: float) -> None:
-        """Go on at another T_p0 (N), and the friction angle that has the same product with it."""
+        """Continue with another T_p0 (N) and scale the friction angle so that their product stays the same."""
         if not value > SLACK * self._model.pretension or value == self.pretension:
             return
         memory = self._memory
@@ -295,7 +307,7 @@ class StretchObserver:
         tendons.spread(self._pairs, float(self._memory[tendons.ANGLE]), 1.0)
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle: the motor had their time, too, to reach the speed that it has at the next."""
+        """Take account of `periods` without a cycle; the next acceleration is averaged over that time as well."""
         self._wait(periods * self._period)
 
     def _wait(self, seconds: float) -> None:
@@ -306,7 +318,7 @@ class StretchObserver:
             self._lose()
 
     def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
-        """One cycle's measurements, N*m, rad/s and rad; those that are not `fresh` or not finite are passed over."""
+        """Take the measurements of one cycle (N*m, rad/s, rad); skip those that are not `fresh` or not finite."""
         way = self._r_j * q_j
         stretch = self._r_m * q_m - way
         if not fresh or not math.isfinite(stretch + tau_m + omega_m):
@@ -329,12 +341,12 @@ class StretchObserver:
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
         self.innovation, self.stiffness = innovation, stiffness
-        if code != tendons.OK or not (near > 0.0 and far > 0.0):  # the corrected state may have no tension
+        if code != tendons.OK or not (near > 0.0 and far > 0.0):  # the corrected tensions may be negative
             self._lose()
             self.state = StretchState.SLACK
             return
         self.confirmation.update(innovation, stiffness, slid, self._memory)
-        # 0 while all of a tendon slides one way, 1 in the middle of a turn: 1 - z^2 of the friction's state z
+        # 1 - z^2, with the friction state z: 0 while the whole tendon slides one way, 1 in the middle of a reversal
         z = math.log(far / near) / self._memory.item(tendons.ANGLE)
         turning = 1.0 - z * z
         if turning < 0.0:
@@ -354,7 +366,10 @@ class StretchObserver:
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
     def _misleads(self, innovation: float) -> float:
-        """m^2 of the next stretch: by how much a course of the bends that is off may foretell it wrongly in a turn."""
+        """Return the variance (m^2) that a wrong curvature profile adds to the next predicted elongation.
+
+        The value is for the middle of a reversal. It falls when the recent innovations exceed `MISLED`.
+        """
         misfit = self._keep_misfit * self._misfit
         self._misfit = misfit = max(abs(innovation), misfit)
         share = (misfit / self._misled) ** 2
@@ -362,9 +377,9 @@ class StretchObserver:
 
 
 def pairs_of(model: TendonSheath) -> Array:
-    """The tendons at their pretension, `tendons.PAIRS` times alike, without friction yet."""
+    """Return `tendons.PAIRS` equal pairs of tendons at their pretension, (PAIRS, 2, ROWS, N + 1); GRIP is not set."""
     points = np.array(profile_of(model).points, dtype=np.float64)
-    rising = points[:, 1] + 1e-12 * np.arange(len(points))  # where the sheath is straight, the place is the farther one
+    rising = points[:, 1] + 1e-12 * np.arange(len(points))  # increases strictly, for the interpolation
     shares = (np.arange(CONTACTS) + 0.5) / CONTACTS
     places: list[float] = []
     weights: list[float] = []
@@ -388,7 +403,10 @@ def pairs_of(model: TendonSheath) -> Array:
 
 
 def _hidden(model: TendonSheath, centre: float) -> float:
-    """m of stretch that friction can hide, either way, at a motor without torque; `centre` of the bends, 1."""
+    """Return the elongation (m) that friction can hide in either direction without motor torque.
+
+    `centre`: of the bends, 1.
+    """
     return centre * model.friction_angle * (model.pretension / model.tendon_stiffness)
 
 

@@ -1,15 +1,16 @@
 # mypy: disallow-untyped-decorators=False
-"""A pair of tendons in their sheaths, contact by contact: slip fronts as state, compiled and cached.
+"""Simulate a pair of tendons in their sheaths, contact by contact; the functions are compiled and cached.
 
-Each tendon is N + 1 springs between N contacts, spring 0 at the motor. A contact holds as long as the capstan allows,
+Each tendon is a chain of N + 1 springs and N contacts, with spring 0 at the motor. A contact holds within the capstan
+limits,
 
     T_i e^-x_i <= T_{i+1} <= T_i e^x_i,     |T_i - T_{i+1}| <= g_i (T_i + T_{i+1}),  g_i = tanh(x_i / 2)
 
-and slips by delta_i, counted to the motor, along the friction that holds it. A step moves the joint ends by -+dv and
-both motor ends by the same -+du, which is the one that gives T3 - T1 = tau_M/r_M: the motor is known by its torque, the
-joint by its angle. (Both by their angles, tensions near a turn would follow single counts of the motor's encoder.)
-Which contacts slip is found by Newton's method on the set of them, each step one tridiagonal system. The state is the
-tensions alone: partial reversals and their return points are in it.
+and slips by delta_i (positive to the motor) when it reaches a limit. A step moves the joint ends by -+dv and both motor
+ends by -+du. du follows from T3 - T1 = tau_M/r_M: the inputs are the torque of the motor and the angle of the joint.
+(With both angles as inputs, tensions near a reversal would follow single counts of the motor encoder.) Newton's method
+finds the set of slipping contacts; each iteration solves one tridiagonal system. The state consists of the tensions
+only. They contain partial reversals and their return points.
 """
 
 from __future__ import annotations
@@ -26,21 +27,21 @@ announce()
 
 STIFFNESS = 0  # N/m of spring i
 TENSION = 1  # N of spring i
-SHARE = 2  # 1, of the bending, of contact i
-GRIP = 3  # 1, of contact i
-MODE = 4  # of contact i: 0 holds, 1 slips to the motor, -1 to the joint
-UPPER, SLIP, BY_MOTOR, NEW = 5, 6, 7, 8  # of the elimination: delta = SLIP + BY_MOTOR du; NEW: tensions tried
-HELD = 9  # and the next: N of spring i, between the first pair and the others when the joint's end came to rest
+SHARE = 2  # 1, share of the total bending at contact i
+GRIP = 3  # 1, g_i of contact i
+MODE = 4  # of contact i: 0 holds, 1 slips to the motor, -1 slips to the joint
+UPPER, SLIP, BY_MOTOR, NEW = 5, 6, 7, 8  # of the elimination: delta = SLIP + BY_MOTOR du; NEW: trial tensions
+HELD = 9  # two rows: N of spring i, the other pairs minus the first when the joint end came to rest
 ROWS = 11
-ROUNDS = 60  # of Newton's method; one or two are usual, one for each contact that a step passes is the most
-PIECES = 8  # into which a step is cut whose modes were not found
-_FORCE = 1e-7  # N beyond the grip that still holds
-_BACK = 1e-13  # m of slip against the friction that is rounding
+ROUNDS = 60  # iterations of Newton's method: one or two are usual, at most one per contact that a step passes
+PIECES = 8  # number of parts of a step for which no set of modes was found
+_FORCE = 1e-7  # N above the capstan limit at which a contact still holds, because of rounding
+_BACK = 1e-13  # m of slip against the friction that counts as rounding
 
 
 @njit(cache=True, error_model="numpy")
 def grip(pair: Array, x: float) -> None:
-    """Set the friction angle x of both tendons, (2, ROWS, N + 1)."""
+    """Set the capstan limits of both tendons, `pair` (2, ROWS, N + 1), for the friction angle x."""
     for i in range(pair.shape[2] - 1):
         g = math.tanh(0.5 * x * pair[0, SHARE, i])
         pair[0, GRIP, i] = g
@@ -49,7 +50,10 @@ def grip(pair: Array, x: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _solve(c: Array, joint: float) -> None:
-    """Slip of all contacts for the present modes, by Thomas's elimination; `joint`: m that its end moves."""
+    """Compute the slip of all contacts for the present modes by the Thomas algorithm.
+
+    `joint`: m, motion of the joint end.
+    """
     n = c.shape[1] - 1
     upper = slip = by_motor = 0.0
     for i in range(n):
@@ -78,7 +82,10 @@ def _solve(c: Array, joint: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _sort(c: Array, motor: float, joint: float) -> bool:
-    """Tensions tried and modes corrected, ends moved by `motor` and `joint` m; True when no mode had to change."""
+    """Compute the trial tensions and correct the modes; return True if no mode had to change.
+
+    `motor`, `joint`: m, motion of the two ends.
+    """
     n = c.shape[1] - 1
     left = motor
     for i in range(n + 1):
@@ -101,7 +108,10 @@ def _sort(c: Array, motor: float, joint: float) -> bool:
 
 @njit(cache=True, error_model="numpy")
 def _try(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
-    """Newton's method on the modes; the tensions found are taken over when they settled."""
+    """Solve for the modes of both tendons by Newton's method and apply the new tensions if the modes converge.
+
+    Returns the motion of the motor's pulley (m) and True, or 0 and False without convergence.
+    """
     a, b = pair[0], pair[1]
     for _ in range(ROUNDS):
         _solve(a, -joint)
@@ -119,9 +129,9 @@ def _try(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
 
 @njit(cache=True, error_model="numpy")
 def move(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
-    """Advance tendons a and b: T3 - T1 = `difference` (N), the joint's pulley turned by `joint` (m).
+    """Advance tendons a and b to T3 - T1 = `difference` (N), with the joint's pulley moved by `joint` (m).
 
-    Returns the way (m) that the motor's pulley made, and whether the set of slipping contacts was found.
+    Returns the motion of the motor's pulley (m), and True if the set of slipping contacts was found.
     """
     motor, settled = _try(pair, difference, joint)
     if settled:
@@ -140,7 +150,11 @@ def move(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
 
 @njit(cache=True, error_model="numpy")
 def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, Array]:
-    """A whole log, (n,) each: stretch (m) since its begin, T4 - T2 (N; nan where not found), 1 once all has slid."""
+    """Simulate a whole log from T3 - T1 (N) and the motion of the joint's pulley in each step (m), (n,) each.
+
+    Returns (n,) each: the elongation since the start (m), T4 - T2 (N; nan where the modes were not found), and 1 from
+    the first sample at which all contacts of both tendons slip, 0 before.
+    """
     n = difference.size
     stretch, end, slid = np.zeros(n), np.zeros(n), np.zeros(n)
     last = pair.shape[2] - 1
@@ -159,59 +173,64 @@ def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, 
     return stretch, end, slid
 
 
-# State of `observe` between two calls, a row of floats.
-ANGLE = 0  # friction angle x of the tendons as they are now, 1
-ZERO = 1  # m of elongation that the encoders show where there is none
-FAST = 2  # 1, friction beyond x that is not expected to stay
-STIFF = 3  # 1, stiffness over the model's
-SLID = 4  # 1 once both tendons have slid all along, however they lay at the start: their earlier values are forgotten
+# State of `observe` between two calls, an array of floats.
+ANGLE = 0  # 1, present friction angle x of the tendons
+ZERO = 1  # m, measured elongation of tendons without elongation, relative to the first measurement
+FAST = 2  # 1, temporary friction in addition to x
+STIFF = 3  # 1, stiffness over the model's value
+SLID = 4  # 1 once both tendons have slid far enough along their whole length to be independent of their initial state
 INNOVATION = 5  # m
-REST = 6  # 1, from when the joint's end rests until all slides again: how surely the tensions were known then
-KNOWN = 7  # 1, share of what was held that counts as known
-HELD_V = 8  # N^2, variance of T4 - T2 when the joint's end came to rest
-JOINT_WAY = 9  # m that the joint has made
-WAY = 10  # and the next two: m that the motor has made, by each pair
-GAIN_S, GAIN_T = 13, 15  # two each: m and N by which stretch and T4 - T2 grow with ln x and ln STIFF
-HELD_S, HELD_T = 17, 19  # the same when the joint's end of both tendons came to rest
-SLIDING = 21  # m that motor and joint have made while both tendons slid all along, one way
-SENSE = 22  # -1 or 1, that way; 0 before any
-TURNED = 23  # 1 when it was the other way before
-COVARIANCE = 24  # from here on, (4, 4)
+REST = 6  # 1, weight of the tensions at the time at which the joint end came to rest; 0 again once all contacts slide
+KNOWN = 7  # 1, share of the held tensions that counts as known
+HELD_V = 8  # N^2, variance of T4 - T2 when the joint end came to rest
+JOINT_WAY = 9  # m, motion of the joint's pulley so far
+WAY = 10  # three entries: m, motion of the motor's pulley so far, by each pair
+GAIN_S, GAIN_T = 13, 15  # two each: sensitivities of elongation (m) and T4 - T2 (N) to ln x and ln STIFF
+HELD_S, HELD_T = 17, 19  # the same sensitivities when the joint end of both tendons came to rest
+SLIDING = 21  # m, motion of motor and joint while both tendons slid along their whole length in one direction
+SENSE = 22  # -1 or 1, that direction; 0 before the first such motion
+TURNED = 23  # 1 if the previous such motion had the opposite direction
+COVARIANCE = 24  # first of the 16 entries of the covariance, (4, 4)
 STATES = 4
 X, K, F, Z = 0, 1, 2, 3  # ln x, ln STIFF, FAST, ZERO (m)
 MEMORY = COVARIANCE + STATES * STATES
 # Constants of the filter.
 LOW, HIGH = 0, 1  # of x
-MOST_ZERO = 2  # m, either way
-MOST_STIFF = 3  # factor either way
-PRIOR = 4  # and the next three: variances of the states at the start, and the most that they grow to again
-WALK = 8  # and the next three: variance a step gains
-KEEP_F = 12  # share of FAST that a step leaves
-NOISE = 13  # m^2 of a stretch measured
+MOST_ZERO = 2  # m, largest size of the zero
+MOST_STIFF = 3  # upper bound of STIFF; the lower bound is its inverse
+PRIOR = 4  # four entries: initial variances of the states, and their upper limits afterwards
+WALK = 8  # four entries: variance that a state gains in a step
+KEEP_F = 12  # share of FAST that remains after a step
+NOISE = 13  # m^2, variance of a measured elongation
 LEAST = 14  # N, tension below which a tendon is slack
-SETTLED = 15  # m of SLIDING, after which all slides whatever was before; a quarter of it where that was the other way
+SETTLED = 15  # m of SLIDING after which the initial state has no effect; a quarter of it suffices after a reversal
 SETTINGS = 16
-PAIRS = 3  # as they are, with other friction, with other stiffness
-MORE = (-0.05, 0.05)  # 1, of x and of the stiffness; less x, so that it slips before the first does, and never too late
-_OUTLIER = 5.0  # standard deviations beyond which an innovation counts no more
-_STEP = 0.05  # 1, of ln x and ln STIFF, most in a cycle, as the tensions must follow: what asks for more counts less
+PAIRS = 3  # nominal, with other friction, with other stiffness
+MORE = (-0.05, 0.05)  # 1, change of x and of the stiffness; with less x, that pair slips before the nominal one does
+_OUTLIER = 5.0  # standard deviations to which an innovation is limited
+_STEP = 0.05  # 1, most change of ln x and ln STIFF in a cycle, because the tensions must follow
 OK, UNSETTLED, SLACK = 0, 1, 2
 
 
 @njit(cache=True, error_model="numpy")
 def covariance(memory: Array) -> Array:
-    """The part of the memory that is the covariance, as it lies there."""
+    """Return the covariance (4, 4) as a view of the memory."""
     found: Array = memory[COVARIANCE : COVARIANCE + STATES * STATES].reshape((STATES, STATES))
     return found
 
 
 @njit(cache=True, error_model="numpy")
 def _rest(pairs: Array, w: Array, keep: float, sure: float, way: float, settled: float) -> None:
-    """Separate the part that no longer depends on x and stiffness: tensions at a joint's end at rest, measured while
-    all slid.
+    """Update SLID, and record the sensitivities and tensions at which the joint end comes to rest.
 
-    As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts. `way`: m
-    that motor and joint made in this step; `settled`: see SETTLED.
+    Tensions that were determined while all contacts slid no longer depend on x and stiffness once the joint end rests.
+    REST is the weight of this record and depends on how well x was known. KNOWN follows REST slowly.
+
+    Args:
+        keep: share of KNOWN that remains after a step.
+        sure: variance of ln x at which the weight is one half.
+        way: m, motion of motor and joint in this step.
+        settled: see SETTLED.
     """
     n = pairs.shape[3] - 1
     slides = True
@@ -240,7 +259,7 @@ def _rest(pairs: Array, w: Array, keep: float, sure: float, way: float, settled:
 
 @njit(cache=True, error_model="numpy")
 def _variance(w: Array) -> float:
-    """N^2, of T4 - T2, as far as friction and stiffness decide it."""
+    """Return the variance of T4 - T2 (N^2) that follows from the variances of friction and stiffness."""
     p, by_x, by_k = covariance(w), w[GAIN_T], w[GAIN_T + 1]
     found = by_x * by_x * (p[X, X] + 2.0 * p[X, F] + p[F, F]) + 2.0 * by_x * by_k * (p[X, K] + p[F, K])
     return float(found + by_k * by_k * p[K, K])
@@ -248,9 +267,12 @@ def _variance(w: Array) -> float:
 
 @njit(cache=True, error_model="numpy")
 def _take_over(pairs: Array, w: Array, which: int, change: float) -> None:
-    """Another x or stiffness, by `change` of its logarithm, and the tensions that would be there had it been so before.
+    """Change the tensions to those that would exist if x (`which` 0) or the stiffness (1) had always been different.
 
-    As far as they are not known from when the joint's end came to rest.
+    The part of the tensions that is known since the joint end came to rest stays.
+
+    Args:
+        change: of the logarithm of x or of the stiffness.
     """
     share = change / MORE[which]
     for tendon in range(2):
@@ -265,7 +287,7 @@ def _take_over(pairs: Array, w: Array, which: int, change: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def spread(pairs: Array, x: float, stiffer: float) -> None:
-    """Give the pairs their friction angles, and `stiffer` times the stiffness that they have."""
+    """Set the friction angles of all pairs for x, and multiply their stiffness by `stiffer`."""
     for number in range(PAIRS):
         grip(pairs[number], (1.0 + MORE[0]) * x if number == 1 else x)
         for tendon in range(2):
@@ -327,10 +349,14 @@ def observe(
 
 @njit(cache=True, error_model="numpy")
 def _learn(w: Array, settings: Array, keep: float, error: float, doubt: float) -> tuple[float, float]:
-    """A step of the states by themselves, then what a stretch changes; returns the changes of ln x and ln STIFF.
+    """Apply the prediction and the correction step of the filter; return the changes of ln x and ln STIFF.
 
-    FAST forgets, the others walk slowly, never further than the prior. `error`: m by which the stretch was foretold
-    wrongly.
+    In the prediction step FAST decays, and the variances grow slowly, at most to those of the prior.
+
+    Args:
+        keep: share of FAST that remains after a step.
+        error: m, measured minus predicted elongation.
+        doubt: m^2, variance of the prediction in addition to NOISE.
     """
     p, h, by_k = covariance(w), w[GAIN_S], w[GAIN_S + 1]
     for i in range(STATES):

@@ -1,8 +1,8 @@
-"""Tuning by the tendons' stretch, which two encoders and the motor's torque show, with and without a torque sensor.
+"""Tune by the tendon elongation, which two encoders and the motor torque determine, with and without a torque sensor.
 
-Without a joint torque sensor stiffness and friction come from the stretch, where the sheath bends from the file: the
-two are not parted then. The verifying runs are also judged by the elongation. With a sensor the stretch knows where the
-tendons slide all along, which the joint's motion alone does not show.
+Without a joint torque sensor, stiffness and friction are estimated from the elongation. The curvature profile then
+comes from the file, because it cannot be separated from the friction. The verification runs also use the elongation.
+With a sensor, the elongation shows where the tendons slide along their whole length; the joint's motion alone does not.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from tsa_ctrl.signals import JOINT_ANGLE
 from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
 _OF_THE_SENSOR = ("tau_j", "theta", "theta_difference")
-ROUNDS = 4  # of two parameters of which only the product shows: 1e-6 after three
+ROUNDS = 4  # iterations: the error of the friction torque is 1e-6 after three
 
 
 def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
-    """Return the reason against a joint torque by elongation, with the remedy; empty if there is none."""
+    """Return the reason why the elongation cannot determine the joint torque, with the remedy; empty if it can."""
     if not has_encoder:
         return "no [axis.encoder], so that the tendons' stretch is not known either; give one"
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
@@ -39,7 +39,7 @@ def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
 
 
 def moved_by_hand(torque: float) -> str:
-    """Return the advice for a joint that moves too little by its own torque; `torque`: N*m, the most of it."""
+    """Return the advice for a joint that moves too little by its own torque; `torque`: N*m, its upper limit."""
     return (
         "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
         f"fro all the while, against up to {torque:.2g} N*m"
@@ -47,11 +47,14 @@ def moved_by_hand(torque: float) -> str:
 
 
 def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
-    """Return stiffness, friction angle and pretension; the form of the transmission stays.
+    """Return the estimate of stiffness, friction angle and pretension; the form of the transmission stays.
 
-    The joint torque by the stretch cannot show how friction changes with the wrap angle, because it contains the
+    The joint torque by the elongation cannot show how friction changes with the wrap angle, because it contains the
     model's friction. If other joints bend the sheaths, the elongation itself shows by how much. The estimate is then
-    made at the mean wrap angle and converted. Raises UsageError.
+    made at the mean wrap angle and converted to bending_angle.
+
+    Raises:
+        UsageError: the logs do not determine a parameter.
     """
     routed = fit_routing(of_elongation(logs, model), model, certified_gain=False, by_elongation=True)
     if routed is not None:
@@ -83,7 +86,7 @@ def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimat
 
 
 def _bent_to(model: TendonSheath, angle: float) -> TendonSheath:
-    """Return the model at another wrap angle (rad): its friction angle and its pretension by (3.56)."""
+    """Return the model with another bending_angle (rad) and the pretension at that angle by (3.56)."""
     pretension = model.pretension + model.pretension_slope * (angle - model.bending_angle)
     return dataclasses.replace(model, bending_angle=angle, pretension=pretension)
 
@@ -105,7 +108,7 @@ def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate
         low <= value <= high
         for value, (low, high) in zip((model.friction_angle, model.pretension), bounds(stiff), strict=True)
     )
-    if inside:  # a limb that creeps between its strokes has not slid all along where it moves: 0.56 instead of 0.61 N*m
+    if inside:  # if a limb creeps between strokes, parts of the tendons stick, and the fit gives 0.56 for 0.61 N*m
         x, tension = (
             dataclasses.replace(was, value=value, low=min(was.low, value), high=max(was.high, value))
             for was, value in (
@@ -129,14 +132,18 @@ def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate
 
 
 def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
-    """`found` by a joint torque sensor, with the stretch's half loop where it contradicts the regression's.
+    """Return the estimate by a joint torque sensor, with the friction torque by the elongation if the two disagree.
 
-    A limb that creeps between its strokes moves while its tendons slide only in part: regressed there, friction comes
-    out too small. The tendons led through the log know better. `found` stays if the elongation does not determine it,
-    if several configurations separated x and T_p0, or if effects take torque, which the elongation does not show.
+    If a limb creeps between its strokes, the joint moves while the tendons slide only in part, and a regression of such
+    samples gives too little friction. A simulation of the tendons along the log does not have this error. `found` is
+    returned unchanged in these cases:
 
-    The two models may describe the bends differently, and x then has another value for the same torques. So their half
-    loops at the joint are compared, each by its own form of the transmission.
+    * The elongation does not determine the friction.
+    * Several configurations separated x and T_p0.
+    * The model has other effects than the curvature profile, because the elongation does not show their torque.
+
+    The two models may describe the bends differently, and x then has another value for the same torques. Therefore the
+    friction torques at the joint are compared, each by its own form of the transmission.
     """
     if (found.calibration.split and not found.calibration.by_slope) or set(model.effects) - {COUPLING}:
         return found
@@ -177,13 +184,16 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
 
 
 def _of_bends_at_the_joint(model: TendonSheath) -> float:
-    """Return the half loop of (3.55), 2 T_p r_J sinh x, over that of the model's own form (1)."""
+    """Return the friction torque by (3.55), 2 T_p r_J sinh x, over that by the model's own form (1)."""
     plain = model.with_effects({name: value for name, value in model.effects.items() if name != COUPLING})
     return sliding(plain).half_loop / sliding(model).half_loop
 
 
 def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
-    """x and T_p0 in the proportion of `model`, so that its half loop at the joint is `value` N*m."""
+    """Return the model with x and T_p0 scaled by one factor, so that its friction torque at the joint is `value`, N*m.
+
+    The result is approximate after a fixed number of iterations.
+    """
     for _ in range(ROUNDS):
         change = math.sqrt(value / sliding(model).half_loop)
         model = model.recalibrated(change * model.friction_angle, change * model.pretension)
@@ -191,7 +201,7 @@ def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
 
 
 def without_torque(log: Dataset) -> Dataset:
-    """Return a log as it is without the sensor, at one wrap angle."""
+    """Return the log without the columns of the joint torque sensor and without the angles of other joints."""
     columns = {
         name: values
         for name, values in log.columns.items()

@@ -1,7 +1,8 @@
 """Find which of two parameter sets follows the desired joint torque better, by pairs of blocks, with an interval.
 
-Blocks go A B B A A B B A ..., so that a slow drift (warming, relaxation) meets both alike. Each neighbouring pair gives
-one difference of the blocks' RMS errors; their mean has Student's t interval with pairs - 1 degrees of freedom.
+The order of the blocks is A B B A A B B A ..., so that a slow drift (warming, relaxation) affects both sets equally.
+Each neighbouring pair gives one difference of the blocks' RMS errors. The interval of their mean is by Student's t with
+pairs - 1 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -23,17 +24,23 @@ from tsa_ctrl.outputs import json_types
 
 # Blocks of a running daemon for a comparison: parameters through its socket, errors from its status.
 
-POLL = 0.02  # s between looks at the status, which the loop publishes at 50 Hz
-SETTLE = 1.0  # s after a change that do not count: parameters move smoothly, and friction has to turn once
-FEWEST = 20  # different samples of a block
-SLOWEST = 12.0  # s for a parameter to arrive; the slowest takes 8 from bound to bound
+POLL = 0.02  # s between two status requests; the loop publishes the status at 50 Hz
+SETTLE = 1.0  # s after a change that do not count: parameters change smoothly, and friction must reverse once
+FEWEST = 20  # least number of different samples in a block
+SLOWEST = 12.0  # s, timeout for a parameter to reach its value; the slowest takes 8 s from bound to bound
 
 
 class LiveBlocks:
-    """Sets parameters of one axis of a running daemon, measures its error, and puts everything back."""
+    """A comparison on one axis of a running daemon: set parameters, measure the error, and restore the old values."""
 
     def __init__(self, client: Client, sets: Mapping[str, Mapping[str, float]], seconds: float) -> None:
-        """`sets`: "a" and "b", each parameter (as `tsa set` names it) -> value; `seconds` of a block."""
+        """Prepare the comparison.
+
+        Args:
+            client: connection to the daemon.
+            sets: by "a" and "b", the values by parameter, with the names of `tsa set`.
+            seconds: s, duration of a block.
+        """
         self._client = client
         self._sets = sets
         self._seconds = seconds
@@ -41,7 +48,7 @@ class LiveBlocks:
         self.axis = ""
 
     def check(self) -> None:
-        """Refuse values out of bounds, and sets that are the same, before anything moves; raises UsageError."""
+        """Raise UsageError for values outside their bounds or for equal sets, before anything is changed."""
         if self._sets["a"] == self._sets["b"]:
             raise UsageError("A and B are the same; give two different values to compare")
         axes = self._client.ask(protocol.Status())["axes"]
@@ -55,7 +62,12 @@ class LiveBlocks:
                     check_bounds(parameter, values[parameter], known["low"], known["high"], known["unit"])
 
     def apply(self, name: str) -> None:
-        """Set one of the two sets, and wait until it has arrived and settled; raises UsageError, BusError."""
+        """Apply one of the two sets, and wait until the values are reached and the motion has settled.
+
+        Raises:
+            UsageError: the daemon has not run a cycle, or the parameters belong to several axes.
+            BusError: the values are not reached within `SLOWEST`.
+        """
         for parameter, value in self._sets[name].items():
             answer = self._client.ask(protocol.Set(parameter, value))
             if answer["before"] is None:
@@ -72,7 +84,12 @@ class LiveBlocks:
         time.sleep(SETTLE)
 
     def measure(self) -> float:
-        """RMS of delivered minus desired joint torque over a block, N*m; raises BusError when the torque stops."""
+        """Return the RMS of delivered minus desired joint torque over a block, N*m.
+
+        Raises:
+            BusError: the axis is not enabled, or the block has too few different samples.
+            UsageError: the axis has no joint torque sensor.
+        """
         squares: dict[float, float] = {}
         end = time.monotonic() + self._seconds
         while time.monotonic() < end:
@@ -90,7 +107,7 @@ class LiveBlocks:
         return math.sqrt(math.fsum(squares.values()) / len(squares))
 
     def restore(self) -> None:
-        """Restore the values of before the first block."""
+        """Restore the values from before the first block."""
         for parameter, value in self._before.items():
             self._client.ask(protocol.Set(parameter, value))
 
@@ -112,7 +129,7 @@ FEWEST_PAIRS = 3
 
 @dataclass(frozen=True)
 class Comparison:
-    """RMS joint torque error (N*m) of A and of B, and the mean difference B - A with its 95 % interval."""
+    """The RMS joint torque errors (N*m) of A and of B, and the mean difference B - A with its 95 % interval."""
 
     a: float
     b: float
@@ -121,7 +138,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """In words, for people; "A" and "B" are the two sets."""
+        """Return the result as one sentence; "A" and "B" are the two sets."""
         low, high = self.difference.low, self.difference.high
         if low <= 0.0 <= high:
             most = max(abs(low), abs(high))
@@ -139,7 +156,7 @@ class Comparison:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the comparison in JSON types."""
         low, high = self.difference.low, self.difference.high
         better = None if low <= 0.0 <= high else ("a" if low > 0.0 else "b")
         return {
@@ -153,13 +170,16 @@ class Comparison:
 
 
 def order(blocks: int) -> tuple[str, ...]:
-    """ "a" or "b" of each block, in pairs that alternate which comes first; `blocks` is rounded up to whole pairs."""
+    """Return "a" or "b" for each block; the order within the pairs alternates.
+
+    `blocks`: number of blocks, rounded up to whole pairs.
+    """
     pairs = (blocks + 1) // 2
     return tuple(name for pair in range(pairs) for name in (("a", "b") if pair % 2 == 0 else ("b", "a")))
 
 
 def compare(errors: Sequence[tuple[str, float]]) -> Comparison:
-    """From (set, RMS error) of blocks in the order of `order`."""
+    """Return the comparison of blocks; `errors`: set and RMS error (N*m) of each block, in the order of `order`."""
     firsts, seconds = errors[0::2], errors[1::2]
     a = [e if name == "a" else f for (name, e), (_, f) in zip(firsts, seconds, strict=True)]
     b = [f if name == "a" else e for (name, e), (_, f) in zip(firsts, seconds, strict=True)]

@@ -1,16 +1,16 @@
-"""Delays of the drive: of its torque after the command, and of the velocity that it measures.
+"""Estimate two delays of the drive: of its torque after the command, and of the velocity that it reports.
 
-The command holds for a period, begins to act D periods after the measurements that it follows from, and the drive's
-torque loop follows with a lag. All of it, from a measurement to the middle of the torque that answers it, is
+The command is computed from a measurement, begins to act D periods after it, and is held for one period. The drive's
+torque loop follows with a lag. The total time from a measurement to the middle of the resulting torque is
 
     delay = D T + T/2 + lag
 
-which leads, plans and damping compensate. D need be no whole number: a command may act on its arrival. It is found from
-the reported torque against the command, sample by sample.
+Lead and damping of the control law compensate this delay. D is not always a whole number, because a drive may apply a
+command when it arrives. D and the lag are fitted to the samples of the reported torque and the command.
 
-An encoder's velocity is filtered, so a loop that follows it reverses its friction term late. Where the friction itself
-reverses at once (a sheath that bends at the joint) the logs show by how much: it is the lag at which the friction
-reverses with the least error of all samples. Source: `velocity_lag` in the catalogue.
+The velocity of an encoder is filtered. A loop that uses it therefore reverses its friction term late. If the friction
+reverses at once (a sheath that bends at the joint), the logs show this lag: it is the one with the least prediction
+error over all samples. Source: `velocity_lag` in the catalogue.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ FloatArray = NDArray[np.float64]
 
 MOST = 12  # periods; a later drive is unsuitable for a torque loop
 LAGS = (*(0.05 * n for n in range(1, 14)), 0.75, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)  # periods, tried
-TRANSPORT_STEP = 0.02  # periods between those that are tried
-AROUND = 2.5  # periods on each side of the one of largest correlation
+TRANSPORT_STEP = 0.02  # periods between two tried values of D
+AROUND = 2.5  # periods on each side of the delay with the largest correlation
 AS_GOOD = 9.0  # times the variance: the 99 % quantile of chi^2 with two degrees of freedom
 RESOLUTION = (
     0.05  # of a period: an interval is never narrower, because the instant of the drive's cycle is not known better
@@ -42,12 +42,12 @@ EXPLAINED = 0.8  # share of the reported torque's variance, at least: with less 
 EFFECT = "velocity_lag"
 LAG_STEP = 0.25e-3  # s between the lags that are tried
 MOST_LAG = 0.02  # s; a later encoder is unsuitable for a torque loop
-CLEARLY_BETTER = 0.8  # of the error without a lag; with one it must be below
+CLEARLY_BETTER = 0.8  # of the error without a lag: the error with a lag must be smaller
 
 
 @dataclass(frozen=True)
 class Delay:
-    """`transport` D in periods, `lag` of the torque loop in s, and the whole `delay` in s with its interval."""
+    """Delay of the torque: `transport` D in periods, `lag` of the torque loop in s, total `delay` in s."""
 
     transport: float
     lag: float
@@ -55,9 +55,9 @@ class Delay:
 
 
 def torque_of(command: FloatArray, transport: float, lag: float) -> FloatArray:
-    """Torque (n) at the samples for a command (n) in the same unit; `transport` and `lag` in periods."""
+    """Return the torque (n) at the samples for a command (n) in the same unit; `transport` and `lag` in periods."""
     whole = math.floor(transport)
-    part = transport - whole  # of a period in which the command before still acts
+    part = transport - whole  # of a period in which the previous command still acts
     kept, kept_late = math.exp(-1.0 / lag), math.exp(-(1.0 - part) / lag)
     taps = np.zeros(whole + 3)
     taps[whole + 1], taps[whole + 2] = 1.0 - kept_late, kept_late - kept
@@ -66,14 +66,15 @@ def torque_of(command: FloatArray, transport: float, lag: float) -> FloatArray:
 
 
 def command_delay(logs: Sequence[Dataset]) -> Delay | None:
-    """From logs with tau_m_cmd and tau_m, best of one whose command changes fast; None where one does not follow.
+    """Return the delay from logs with tau_m_cmd and tau_m, or None if the torque does not follow the command.
 
-    The interval holds every sum of D and lag that explains the torque as well as the best. A torque loop so fast that
-    it has settled when the torque is measured leaves the instant within the period open, and the interval contains it.
+    The command should change fast. The interval contains every sum of D and lag that explains the torque as well as the
+    best one. If the torque loop has settled before the torque is measured, the instant within the period is not
+    identifiable; the interval then contains all possible instants.
     """
     pairs = [(log["tau_m_cmd"], log["tau_m"]) for log in logs]
     period = logs[0].period
-    skip = 4 * MOST  # samples until the begin of a log is forgotten
+    skip = 4 * MOST  # samples after which the unknown state at the start of a log has no effect
 
     def left(transport: float, lag: float) -> float:
         return sum(float(np.sum(np.square((torque_of(u, transport, lag) - y)[skip:]))) for u, y in pairs)
@@ -99,21 +100,22 @@ def command_delay(logs: Sequence[Dataset]) -> Delay | None:
 
 
 def _likely(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> int:
-    """Whole periods of the largest correlation."""
+    """Return the whole number of periods with the largest correlation of command and torque."""
     steps = [(np.diff(u), np.diff(y)) for u, y in pairs]
     scores = [sum(float(u[: -1 - whole] @ y[whole + 1 :]) for u, y in steps) for whole in range(MOST + 1)]
     return int(np.argmax(scores))
 
 
 def with_lag(model: TendonSheath, lag: float) -> TendonSheath:
-    """The model, its velocity `lag` s late."""
+    """Return the model with a velocity that is `lag` s late."""
     return model.with_effects({**model.effects, EFFECT: {"time_constant": lag}})
 
 
 def velocity_lag(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | None:
-    """The lag (s) of least error, each log's mean apart; None when the model has one or none does clearly better.
+    """Return the velocity lag (s) with the least prediction error, without the mean error of each log.
 
-    The interval comes from leaving out blocks of time; it is never narrower than the steps of the search.
+    The result is None if the model has such a lag already, if no lag is clearly better than none, or if the best one is
+    the longest one tried. The interval is by a jackknife over blocks of time, and no narrower than the search steps.
     """
     if EFFECT in model.effects:
         return None
@@ -132,7 +134,7 @@ def velocity_lag(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
 
 
 def _squares(logs: Sequence[Dataset], model: TendonSheath) -> FloatArray:
-    """Sums of the squared error over blocks of time (m)."""
+    """Return the sums of the squared prediction error over blocks of time, (m,)."""
     sums = []
     for log in logs:
         error = predict(model, log.signals()) - log["tau_j"]

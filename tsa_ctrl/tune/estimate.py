@@ -1,4 +1,4 @@
-"""From logs to a new model: friction angle and pretension, and which form of the transmission predicts best."""
+"""Estimate a new model from logs: friction angle, pretension, and the form of the transmission that predicts best."""
 
 from __future__ import annotations
 
@@ -31,36 +31,36 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
 
 
-# Where a sheath bends, from the angles: by how much the motor winds up the tendons before the joint follows.
+# Estimate where a sheath bends from the angles, by the elongation of the tendons before the joint follows the motor.
 #
 # While both tendons slide, (3.37)-(3.41) give the motor's angle beyond the joint's as a line,
 #
 # e = tau_M / K_s - sigma g / K_s,     g = T_p r_M (A(x) - A(-x)) / (A(x) A(-x)),     A(rho) = mean of exp(rho b)
 #
-# K_s the stiffness while sliding. g is (1 - s_c) h to first order in x, h the half loop at the motor and s_c the
-# centre of the bending: all of h with the bends at the motor, none of it with them at the joint. Both terms have the
-# same scale, so neither the stiffness of the tendons nor the gain of the joint torque enters. The answer is one course
-# of that centre: evenly bent from the motor up to a point, or from a point to the joint. Two bends of the same centre
-# (an S) transmit the same to second order in x, and turn so nearly alike that 1 % of the friction is not gained by
-# knowing them.
+# with the stiffness K_s while sliding. g is (1 - s_c) h to first order in x, with the friction torque h at the motor
+# and the centre s_c of the bending: g is h with all bends at the motor, and 0 with all bends at the joint. Both terms
+# have the same scale, so neither the stiffness of the tendons nor the gain of the joint torque enters. The result is
+# one profile with that centre: an even bend from the motor up to a point, or from a point to the joint. Two bends with
+# the same centre (an S) have the same transmission to second order in x. Their reversals differ by less than 1 % of
+# the friction.
 
 FloatArray = NDArray[np.float64]
 
-DIGITS = 3  # of a point's share of the length
+DIGITS = 3  # of the position of a point, as a share of the length; more than the interval justifies
 FLOOR = 0.01  # of s_c: an interval is never narrower, because pulleys and encoders are not known better
 NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres that have a name
 
 
 @dataclass(frozen=True)
 class Bends:
-    """`centre` s_c of the bending, 0 at the motor and 1 at the joint; `profile` as a model file has it."""
+    """The bends of a sheath: `centre` s_c, 0 at the motor and 1 at the joint, and `profile` as in a model file."""
 
     centre: Quantity
     profile: str | Points
 
 
 def course(centre: float) -> Points:
-    """An even bend from one end of the sheath whose centre this is."""
+    """Return the profile of an even bend that begins at one end of the sheath and has this centre (1)."""
     if centre <= 0.5:
         end = round(2.0 * centre, DIGITS)
         return NAMED["motor_end"] if end == 0.0 else ((0.0, 0.0), (end, 1.0), (1.0, 1.0))
@@ -69,22 +69,25 @@ def course(centre: float) -> Points:
 
 
 def wound(profile: Profile, x: float) -> float:
-    """g / (2 T_p r_M)."""
+    """Return g / (2 T_p r_M) at the friction angle x."""
     alpha, beta = profile.elongations(SCALARS, x)
     return 0.5 * (alpha - beta) / (alpha * beta)
 
 
 def lost(profile: Profile, x: float) -> float:
-    """f(x) = h / (2 T_p r_M), h the half loop at the motor: tanh x, x or sinh x."""
+    """Return f(x) = h / (2 T_p r_M), with the friction torque h at the motor.
+
+    f is tanh x with all bends at the joint, x for an even bend, and sinh x with all bends at the motor.
+    """
     alpha, beta = profile.elongations(SCALARS, x)
     return 2.0 * math.sinh(x) / (alpha * math.exp(-x) + beta * math.exp(x))
 
 
 def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
-    """From logs with q_m and q_j in addition to the torques; `model` gives x and the radii. None without those angles.
+    """Return the bends from logs with q_m and q_j in addition to the torques, or None if a log has no such angles.
 
-    A series spring is of the length, not of the sheath: with one in the model the result is empty. Raises UsageError
-    when the joint slides too little.
+    The result is also None for a model with a series spring, because its elongation does not depend on the bends.
+    `model` provides x and the radii. Raises UsageError if the joint slides too little.
     """
     if model.series_stiffness is not None or not all({"q_m", "q_j"} <= set(log.columns) for log in logs):
         return None
@@ -105,11 +108,10 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
 
 
 def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[FloatArray, FloatArray]:
-    """What both lines are made of while sliding, (n, 4): 1, tau_M, sigma, q_J; and what they give, (n, 2): e, tau_J.
+    """Return the regressors 1, tau_M, sigma, q_J (n, 4) and the targets e, tau_J (n, 2) of the sliding samples.
 
-    sigma is in proportion to the model's friction torque at the present wrap angle.
-
-    The joint's angle absorbs the errors of the ratio of the radii and of the motor's inertia.
+    sigma is scaled by the model's friction torque at the present wrap angle over that at the nominal one. The joint
+    angle absorbs the errors of the ratio of the radii and of the motor inertia.
     """
     mask = prepared.mask
     completed = log.completed_for(model)
@@ -140,13 +142,13 @@ def _blocks(columns: FloatArray, given: FloatArray) -> list[tuple[FloatArray, Fl
 
 
 def _ratio(squares: FloatArray, products: FloatArray) -> float:
-    """g / h."""
+    """Return g / h from the normal equations of both lines."""
     angle, torque = np.linalg.solve(squares, products).T
     return float((angle[2] / angle[1]) / (torque[2] / torque[1]))
 
 
 def _centre(ratio: float, x: float) -> float:
-    """s_c for g / h."""
+    """Return s_c (1) for a ratio g / h at the friction angle x."""
 
     def beyond(centre: float) -> float:
         profile = Profile.of(course(centre))
@@ -157,10 +159,10 @@ def _centre(ratio: float, x: float) -> float:
     return 1.0 if beyond(1.0) >= 0.0 else float(brentq(beyond, 0.0, 1.0, xtol=1e-3))
 
 
-CLEARLY_BETTER = 0.9  # of the present error; another form must be below
-KEPT = 0.95  # of the samples count when forms are compared
-LEAST_GAIN = 0.5  # 1, share of what can be gained on held-out data that an extension must gain
-PERIOD = 1e-3  # s, of the controller that must be able to use an extension; any will do
+CLEARLY_BETTER = 0.9  # of the given form's error: the error of another form must be smaller
+KEPT = 0.95  # share of the samples that count when forms are compared, so that outliers do not decide
+LEAST_GAIN = 0.5  # 1, share of the possible improvement on held-out data that an extension must achieve
+PERIOD = 1e-3  # s, period of the controller that must be able to use an extension; its value has no influence
 COUPLING = "elongation_coupling"
 
 
@@ -179,12 +181,14 @@ NAMED_FORMS = {"uniform": Form.UNIFORM, "motor_end": Form.MOTOR_END, "joint_end"
 
 @dataclass(frozen=True)
 class Estimate:
-    """The new model and how it came about.
+    """A new model and its derivation.
 
-    `calibration` is that of the form that was kept, `errors` each form's RMS error while sliding (N*m; all have the
-    same two free parameters), `effects` what was added with certainty and `parameters` their numbers, by
-    "effect.parameter". `plain`: of the same logs, without the effects that the diagnosis added; None where it added
-    nothing.
+    Attributes:
+        calibration: of the chosen form of the transmission.
+        errors: RMS error while sliding by form, N*m; all forms have the same two free parameters.
+        effects: names of the effects that were added.
+        parameters: estimated values, those of effects by "effect.parameter".
+        plain: the estimate from the same logs without the effects that the diagnosis added; None if it added none.
     """
 
     model: TendonSheath
@@ -204,12 +208,18 @@ def estimate(
     forms: bool,
     routed: TendonSheath | None = None,
 ) -> Estimate:
-    """Calibrate `model`; `routed` is the same with the routing that the logs show, where other joints moved.
+    """Return the estimate of `model` from logs.
 
-    With `forms` also by where the sheath bends, and how late the velocity is.
+    If the logs have the angles of motor and joint, these show where the sheath bends. Otherwise an evenly bent sheath
+    and one that is bent at the motor are tried.
 
-    The angles of motor and joint show where it bends, if the logs have both; else an evenly and a motor-side bent
-    sheath are tried. Raises UsageError when the logs do not show enough.
+    Args:
+        certified_gain: True if the gain of the torque channels is certified.
+        forms: True to estimate where the sheath bends and how late the velocity is as well.
+        routed: the model with the routing that the logs show; None if no other joint bends the sheaths.
+
+    Raises:
+        UsageError: the logs do not determine the parameters.
     """
     excluded = set(CATALOGUE[COUPLING].excludes) & set(model.effects)
     found_bends = bends(logs, routed or model) if forms and not excluded else None
@@ -243,10 +253,11 @@ def estimate(
 
 
 def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_gain: bool) -> Estimate:
-    """The model bent as the angles show; as it was given where that agrees.
+    """Return the estimate with the bends that the angles show, or with the given profile if it agrees with them.
 
-    All bends at the joint transmit as (3.55) does; but a model without a course of the bending leaves open how a
-    reversal travels through the sheath, and the law then takes it for evenly bent. So this one is also written.
+    With all bends at the joint, the transmission is (3.55). A model without a curvature profile does not determine how
+    a reversal travels through the sheath, and the law then assumes an even bend. The profile is therefore written in
+    this case, too.
     """
     form, bent = Form.GIVEN, model
     if COUPLING not in model.effects or not found.centre.low <= bending_centre(model) <= found.centre.high:
@@ -275,7 +286,7 @@ def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_
 
 
 def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
-    """The same with how late the velocity is, where the logs show it."""
+    """Return the estimate with the velocity lag that the logs show; unchanged if they show none."""
     lag = velocity_lag(logs, chosen.model)
     if lag is None:
         return chosen
@@ -291,9 +302,9 @@ def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
 
 
 def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
-    """RMS error of the prediction but its median (N*m) where the joint surely slides, without the worst samples.
+    """Return the RMS prediction error (N*m) of the sliding samples, without its median and without the worst samples.
 
-    At reversals all forms err alike, and so they do after a machine stood still.
+    Reversals and standstill do not count, because all forms have similar errors there.
     """
     prepared = prepare(logs, model, {})
     errors = np.concatenate([(predict(model, log.signals) - log.tau_j)[log.mask] for log in prepared])
@@ -302,10 +313,10 @@ def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
 
 
 def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) -> Estimate:
-    """`without`, or in its place the model that the diagnosis extends by effects of which it is certain.
+    """Return the estimate with the effects that a diagnosis identifies, or `without` if these effects are not certain.
 
-    Certain: each cause is named without alternatives, most of what can be gained on held-out data is gained, and a
-    controller can use the model.
+    They are certain if each cause is identified without alternatives, the improvement on held-out data is at least
+    `LEAST_GAIN`, and a controller can use the model.
     """
     from tsa_ctrl.identify.diagnosis import diagnose
 
@@ -344,7 +355,10 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
 
 
 def _as_extended(without: Calibration, found: Diagnosis, model: TendonSheath) -> Calibration:
-    """The base model's parameters by the diagnosis, without its effects; x and T_p stay as open as they were."""
+    """Return the calibration with the parameters of the diagnosis.
+
+    The intervals of x and T_p become no narrower, unless the diagnosis determines these parameters itself.
+    """
     errors = {name: error.found for name, error in found.parameter_errors.items()}
 
     def still_open(before: Quantity, value: float) -> Quantity:

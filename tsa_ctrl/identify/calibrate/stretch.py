@@ -1,17 +1,18 @@
-"""Stiffness, shape and zero of the tendons from logs with q_m, q_j and tau_m, with and without a joint torque sensor.
+"""Estimate stiffness, shape and zero of the tendons from logs with q_m, q_j and tau_m; tau_j is optional.
 
-The observer's tendons (`tsa_ctrl.observer.tendons`) are led through the log by motor torque and joint angle, and
-foretell the stretch; Gauss-Newton's method finds
+The tendon model of the observer (`tsa_ctrl.observer.tendons`) predicts the elongation s from motor torque and joint
+angle of the log. The Gauss-Newton method finds the parameters with the least error of the elongation, and of the joint
+torque if it was measured:
 
-    ln of the stiffness   (E A and a series spring by one factor: the way of s with tau_M while all slides, 1/(2 k_t))
-    s_c                   (the model's bends squeezed to one end; then their course, `course`)
-    ln x                  (at the model's pretension: the way of s from one direction to the other, x T_p (1 - s_c)/k_t)
+    ln of the stiffness   (E A and a series spring by one factor; the slope of s over tau_M while all slides, 1/(2 k_t))
+    s_c                   (centre of the bends; then the whole curvature profile, `course`)
+    ln x                  (at the model's pretension; the change of s between both directions, x T_p (1 - s_c)/k_t)
     J_M, and the zero of s of each log
 
-by which the stretch measured, and the joint torque where it was, differ least. Without a joint torque sensor the two
-directions show x T_p (1 - s_c) alone, and what parts s_c from x is the course of a reversal, which the true course of
-the bends decides, too: s_c is kept then, with the file's uncertainty. Intervals are those of blocks of time
-(`regression`), and what a chain of a few contacts and a constant T_p leave out (`MODEL`) beside them.
+Without a joint torque sensor the two directions show only x T_p (1 - s_c). Only the shape of s during a reversal would
+separate s_c from x, but it also depends on the true curvature profile. s_c is therefore kept, with the file's
+uncertainty. Intervals follow from blocks of time (`regression`). They also contain the error of a chain of a few
+contacts with a constant T_p (`MODEL`).
 """
 
 from __future__ import annotations
@@ -38,25 +39,28 @@ from tsa_ctrl.outputs import json_types
 
 FloatArray = NDArray[np.float64]
 
-STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: above what single contacts do
-MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
+STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: larger than the effect of single contacts
+MOST = (0.3, 0.1, 0.3, 2e-4)  # largest change of the same parameters in one iteration, so that the search converges
 # 95 % error of the same parameters by the chain of contacts. Added to the scatter of the blocks, it makes the intervals
 # contain the true values on rigs with errors of up to 20 % in friction, pretension and stiffness (bench/stretch).
 MODEL = (0.006, 0.006, 0.03, 5e-6)
-COURSE_FOUND = 0.002  # 1, of s_c, instead, where the log has shown the course of the bends: 0.0013 at most
+COURSE_FOUND = 0.002  # 1, the same of s_c if the log has shown the curvature profile: the error is 0.0013 at most
 WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log does not determine it
 LEAST_SLID = 1.0  # s after the tendons have slid all along
-CENTRES = (0.01, 0.97)  # of the bends: at an end itself one of the two softnesses is 0, and its logarithm none
+CENTRES = (0.01, 0.97)  # range of s_c: at either end one of the two compliances is 0 and has no logarithm
 
 
 @dataclass(frozen=True)
 class StretchFit:
-    """The results of the tendon elongation; `centre` is None without a joint torque sensor. `model` has it all."""
+    """The estimates from the tendon elongation; `model` contains them all.
+
+    `centre` is None without a joint torque sensor.
+    """
 
     axial_stiffness: Quantity  # N; a series spring moves with it
     centre: Quantity | None  # s_c of the sheath's bends, 1
     friction_angle: Quantity  # 1, at the model's pretension
-    half_loop_torque: Quantity  # N*m at the joint: what both make
+    half_loop_torque: Quantity  # N*m at the joint: the product of friction angle and pretension
     motor_inertia: Quantity  # kg*m^2
     zeros: dict[str, Quantity]  # m of r_M q_M - r_J q_J, by log
     rms: float  # m, of the predicted elongation
@@ -74,7 +78,7 @@ class StretchFit:
         return found if self.centre is None else {**found, "bending_centre": self.centre}
 
     def to_dict(self) -> dict[str, object]:
-        """The object "stretch" of `tsa calibrate --json`."""
+        """Return the object "stretch" of `tsa calibrate --json`."""
         found: dict[str, object] = json_types(
             {
                 **self.quantities,
@@ -87,11 +91,16 @@ class StretchFit:
         return found
 
 
-_Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # rows, rests, blocks
+_Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # regressors, residuals, block labels
 
 
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
-    """Fit them to all logs at once. Raises UsageError, with the remedy, if these logs do not determine a parameter."""
+    """Fit the parameters to all logs together.
+
+    Raises:
+        UsageError: the model has no friction or no pretension, columns contradict each other, or the logs do not
+            determine a parameter. The message states the remedy.
+    """
     if not (model.friction_angle > 0.0 and model.pretension > 0.0):
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
     seen = [taken(log, model) for log in logs]
@@ -111,7 +120,11 @@ def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
 def _search(
     logs: list[TendonLog], model: TendonSheath, p: FloatArray, sensor: bool, names: str, of_centre: float = MODEL[1]
 ) -> tuple[dict[int, float], float]:
-    """Gauss-Newton from `p`, which it moves; half the interval of each that is free, and the stretch's RMS (m)."""
+    """Search by the Gauss-Newton method from the parameters `p`, which are changed in place.
+
+    Returns half the interval of each free parameter by its place in `p`, and the RMS error of the elongation (m).
+    Raises TooStillError if the logs do not determine the parameters.
+    """
     count = len(logs)
     free = [0, 1, 2, 3, *range(4, 4 + 2 * count)] if sensor else [0, 2, 3, *range(4, 4 + count)]
     step = np.array([*STEPS, *np.full(count, 1e-6), *np.full(count, 1e-3)])
@@ -162,7 +175,7 @@ def _names(logs: Sequence[Dataset]) -> str:
 
 
 def _variant(model: TendonSheath, p: FloatArray) -> TendonSheath:
-    """The model with the stiffness, the shape and the friction angle of `p`."""
+    """Return the model with the stiffness, the centre of the bends and the friction angle of `p`."""
     return varied(model, float(p[0]), float(p[1]), float(p[2]))
 
 
@@ -179,9 +192,12 @@ def _linear(
     sensor: bool,
     labels: list[NDArray[np.int64]],
 ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], float]:
-    """Rows, rests and blocks of a round, each channel over its own deviation; and of the elongation, m."""
+    """Return regressors, residuals and block labels of one iteration, and the RMS error of the elongation (m).
+
+    Regressors and residuals of each channel are divided by the RMS error of that channel.
+    """
     count = len(logs)
-    parts: tuple[list[_Part], list[_Part]] = ([], [])  # of the stretch, of the joint torque
+    parts: tuple[list[_Part], list[_Part]] = ([], [])  # of the elongation, of the joint torque
     for n, log in enumerate(logs):
         stretch, torque, known = _foretold(log, model, p)
         if float(np.count_nonzero(known)) * log.period < LEAST_SLID:

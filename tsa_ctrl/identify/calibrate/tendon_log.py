@@ -1,4 +1,4 @@
-"""A log as input of the observer's tendons, and their prediction of it."""
+"""Prepare a log for the tendon model of the observer, and predict elongation and joint torque of the log."""
 
 from __future__ import annotations
 
@@ -29,19 +29,22 @@ AROUND = 20  # rows either side of a jump, by which it lasts
 
 @dataclass(frozen=True)
 class TendonLog:
-    """(n,) each."""
+    """Columns of one log that the tendon model requires, (n,) each."""
 
     name: str
     tau_m: FloatArray
     acceleration: FloatArray  # rad/s^2, of the motor
-    way: FloatArray  # m that the joint's pulley turns from row to row
+    way: FloatArray  # m, motion of the joint's pulley since the row before
     stretch: FloatArray  # m
     tau_j: FloatArray | None
     period: float
 
 
 def taken(log: Dataset, model: TendonSheath) -> TendonLog:
-    """The columns that are needed; raises UsageError where they contradict each other, or one is missing."""
+    """Return the columns that the tendon model requires.
+
+    Raises UsageError if columns contradict each other or one is missing.
+    """
     label = log.label or log.name
     q_m, q_j = log["q_m"], log["q_j"]
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
@@ -85,7 +88,7 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
 
 
 def jump(stretch: FloatArray, least: float) -> tuple[int, float] | None:
-    """Row and size (m) of a step of the zero that lasts; `least`: m, of such a step. None without one."""
+    """Return row and size (m) of a lasting step of the zero, or None without one; `least`: m, smallest such step."""
     steps = np.diff(stretch)
     if steps.size < 2 * AROUND:
         return None
@@ -98,7 +101,13 @@ def jump(stretch: FloatArray, least: float) -> tuple[int, float] | None:
 
 
 def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> TendonSheath:
-    """The model exp(`stiffer`) times as stiff, its bends at `centre`, its friction angle exp(`more`) times as large."""
+    """Return the model with another stiffness, centre of the bends and friction angle.
+
+    Args:
+        stiffer: logarithm of the factor of the stiffness.
+        centre: of the bends, 1.
+        more: logarithm of the factor of the friction angle.
+    """
     factor = math.exp(stiffer)
     profile = profile_of(model)
     series = model.series_stiffness
@@ -118,7 +127,10 @@ def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> T
 def foretold(
     log: TendonLog, model: TendonSheath, motor_inertia: float
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Stretch (m) and joint torque (N*m), zeros left out, and the rows from which the tendons are known."""
+    """Return the predicted elongation (m) and joint torque (N*m) without their zeros, (n,) each, and a mask (n,).
+
+    The mask is True once both tendons have slid along their whole length, where the torque is finite.
+    """
     pair = pairs_of(model)[0].copy()
     tendons.grip(pair, model.friction_angle)
     difference = (log.tau_m - motor_inertia * log.acceleration) / model.motor_pulley_radius
