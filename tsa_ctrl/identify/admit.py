@@ -1,4 +1,4 @@
-"""May this log be used with this model: columns, units and signs in one call."""
+"""Check that a log can be used with a model: columns, units and signs in one call."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from tsa_ctrl.model.parameters import Model, TendonSheath
 
 
 def admit(dataset: Dataset, model: Model, *columns: str) -> None:
-    """Raise UsageError, naming file and column, unless `dataset` can be right for `model`.
+    """Raise UsageError, with the names of file and column, if `dataset` cannot be used with `model`.
 
-    Needs the velocity that every simulation needs, and `columns`; refuses torques or angles whose two ends disagree by
-    a factor that is a unit's, and a channel whose sign makes the transmission create energy.
+    The log must have the columns that every simulation needs, and `columns`. These logs are rejected: torques or angles
+    of the two ends disagree by the factor of a unit, or the sign of a channel makes the transmission create energy.
     """
     dataset.require(model, *columns)
     if isinstance(model, TendonSheath):
         recorded = {name: values for name, values in dataset.columns.items() if name not in dataset.derived}
         check_joint(dataset.label or dataset.name, recorded)
-        both = {"omega_j", "omega_m"} <= dataset.derived  # they repeat their angles with more noise
+        both = {"omega_j", "omega_m"} <= dataset.derived  # derived velocities only repeat their angles, with more noise
         ends = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
         check_ratios(dataset.label, ends, model.motor_pulley_radius, model.joint_pulley_radius)
         check_ends(dataset.label, ends, dataset.period, model.joint_pulley_radius / model.motor_pulley_radius)

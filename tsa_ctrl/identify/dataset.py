@@ -1,6 +1,7 @@
-"""A log made fit for simulation and diagnosis: checked, on a uniform grid, with its velocity; SI units.
+"""Prepare a log for simulation and diagnosis: checked, on a uniform grid, with its velocity, in SI units.
 
-Each defect of a log is reported in one line with file, column and row; each addition is listed in `notes`.
+Each defect of a log is reported in one line with file, column and row. Each repair and each derived column is listed in
+`notes`.
 """
 
 from __future__ import annotations
@@ -35,33 +36,36 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
-UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
-FEWEST_LOGS = 3  # from which on whole logs are held out: of two, one would be learned from alone
+MOST_JITTER = 0.20  # of the period; a row with more jitter counts as late and is an error with `strict`
+UNIFORM = 1e-3  # of the period: smaller jitter is rounding, and the samples are not changed
+FEWEST_LOGS = 3  # least number of logs to hold out whole logs: with two, the fit would use only one
 MOTOR_AND_JOINT = (("q_m", "q_j"), ("omega_m", "omega_j"))
 UNUSED_TORQUE = (
     "column tau_j is not used: a rigid_drive predicts tau_m; for a joint torque sensor behind a gear give [actuator] "
     'kind = "geared_drive"'
 )
-FEWEST = 10  # rows, below which a table is not a log but its heading
+FEWEST = 10  # least number of rows of a log; a table with fewer has hardly more than its heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
-BURST = 3  # rows in a row without a number, from which on they are a hole; fewer are an error with their row
-MOST_SPIKES = 0.01  # of the rows; a column with more has its errors elsewhere
+BURST = 3  # least number of successive rows without a number that count as a hole; fewer are reported as an error
+MOST_SPIKES = 0.01  # of the rows; a column with more deviations has another error
 SPIKE = 1.0  # times the range of 99 % of the samples: this far from both neighbours, five deviations of plain noise
-TOGETHER = 0.25  # of that distance: how far the neighbours of a spike may be apart
+TOGETHER = 0.25  # of that distance: largest difference of the two neighbours of a spike
 TURN = 2.0 * np.pi  # rad, the range of a wrapped angle
-WRAPS = 0.1  # of a turn: by how much a jump of a wrapped angle may differ from one turn
-LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
+WRAPS = 0.1  # of a turn: largest difference of a jump of a wrapped angle from one turn
+LEAST_PRESENT = 0.5  # of the rows: an optional signal with values in fewer rows is not used
 
 
 @dataclass(frozen=True, repr=False)
 class Dataset(Displayed):
     """One log on a uniform grid.
 
-    `columns` are float64 arrays of shape (n,), SI units, without nan; `derived` names those that the file did not have;
-    `motion` smooths them; `read` lists in words the repairs made while the file was read; `left_out` are columns of the
-    file that nothing here needs. `jitter` is the largest deviation from the uniform grid in the file, as a fraction of
-    the period.
+    Attributes:
+        columns: float64 arrays of shape (n,), SI units, without nan.
+        derived: names of the columns that the file did not have.
+        motion: the smoother that derives them.
+        read: sentences on the repairs made while the file was read.
+        left_out: columns of the file that are not used.
+        jitter: largest deviation from the uniform grid in the file, as a fraction of the period.
     """
 
     name: str
@@ -79,9 +83,16 @@ class Dataset(Displayed):
     def from_arrays(
         columns: Mapping[str, ArrayLike], name: str = "arrays", recorded: bool = False, cutoff: float | None = None
     ) -> Dataset:
-        """A dataset from arrays of one length; checked as a file is. Raises UsageError.
+        """Return a dataset from arrays of one length, after the same checks as for a file.
 
-        `recorded`: from the daemon's own log, in which single cycles may be missing. `cutoff` as of `load_log`.
+        Args:
+            columns: arrays by the name of the column.
+            name: of the dataset, for messages.
+            recorded: True for the daemon's own log, in which single cycles may be missing.
+            cutoff: as in `load_log`.
+
+        Raises:
+            UsageError: as `load_log`.
         """
         arrays = {key: np.ascontiguousarray(value, dtype=np.float64) for key, value in columns.items()}
         for key, array in arrays.items():
@@ -121,21 +132,21 @@ class Dataset(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return the repairs of the data so far, in words: accelerations are derived when a model needs them."""
+        """Return sentences on the repairs and on the derived columns so far; accelerations are derived when needed."""
         return notes_of([self])
 
     @property
     def period(self) -> float:
-        """Sampling period, s."""
+        """Return the sampling period, s."""
         return 1.0 / self.rate
 
     @property
     def seconds(self) -> float:
-        """Time from the first to the last sample, s."""
+        """Return the time from the first to the last sample, s."""
         return float(self.columns["t"][-1] - self.columns["t"][0])
 
     def require(self, model: Model, *more: str) -> None:
-        """Raise UsageError unless the columns that every simulation with `model` needs, and `more`, are there."""
+        """Raise UsageError if a column is missing that every simulation with `model` needs, or one of `more`."""
         motions = {Kind.RIGID_DRIVE: ("omega_m", "q_m"), Kind.GEARED_DRIVE: ("omega_j", "q_j", "q_m", "omega_m")}
         wanted = motions.get(model.kind, ("omega_j", "q_j"))
         if not any(name in self.columns for name in wanted):
@@ -190,7 +201,7 @@ class Dataset(Displayed):
         optional = ("q_j", "q_m", "omega_m", "theta", "theta_difference", "temperature")
         present = {name: self.columns.get(name) for name in optional}
         omega_j = self.columns.get("omega_j")
-        if omega_j is None:  # a plain drive: its one shaft is motor and joint
+        if omega_j is None:  # in a plain drive, motor and joint are the same shaft
             omega_j = self.columns["omega_m"]
         motions = self.motion.accelerations()
         motor = motions.get("acceleration_m")
@@ -210,7 +221,7 @@ class Dataset(Displayed):
         )
 
     def signals(self) -> Signals:
-        """The columns as the model takes them; for a log of a plain drive omega_j is the motor's velocity."""
+        """Return the columns as signals for a model; for a log of a plain drive omega_j is the motor velocity."""
         return self._signals
 
 
@@ -275,7 +286,7 @@ def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDAr
 
 
 def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:
-    """One dataset for each piece of the table."""
+    """Return one dataset for each piece of the table."""
     pieces = repair_timestamps(table if strict or table.recorded else _without_bursts(table), strict)
     names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
     return [_dataset(piece, own, sha256, strict, cutoff) for piece, own in zip(pieces, names, strict=True)]
@@ -430,9 +441,10 @@ def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Ar
 
 
 def stretches(t: Array) -> list[tuple[int, int]]:
-    """First and end index of the stretches of a daemon's log between gaps that no straight line may fill.
+    """Return the first and the end index of the parts of a daemon's log between gaps that must not be interpolated.
 
-    Such a gap is longer than LONGEST_SKIP, or no whole number of periods: the clock of the loop restarted.
+    Such a gap is longer than LONGEST_SKIP, or it is not a whole number of periods because the clock of the loop was
+    restarted.
     """
     steps = np.diff(t)
     periods = steps / float(np.median(steps))
@@ -463,7 +475,7 @@ def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> No
 def _uniform(
     table: Table, columns: dict[str, Array], start: int, notes: list[str], strict: bool
 ) -> tuple[dict[str, Array], float, float]:
-    """The columns on a uniform grid, its period and the jitter found (fraction of the period)."""
+    """Return the columns on a uniform grid, its period (s) and the jitter of the file (fraction of the period)."""
     t = columns["t"]
     check_increasing(table, t, start)
     whole = table.recorded or strict

@@ -1,4 +1,4 @@
-"""Where the numbers in a written model file came from: its `[provenance]` table."""
+"""Create the `[provenance]` table of a model file, which states the source of its numbers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _nodes_of(nominal: Path) -> Mapping[str, NodeIdentity]:
 
 
 def _digits(end: float) -> float:
-    """An end of an interval, with more digits than any of them is worth and not seventeen."""
+    """Return the end of an interval, rounded to five digits."""
     return float(f"{end:.5g}")
 
 

@@ -1,7 +1,7 @@
-"""The functions that `from tsa_ctrl import ...` offers: models and logs as objects, mappings, data frames or files.
+"""The public Python functions of `tsa_ctrl`; models and logs may be objects, mappings, data frames or files.
 
 A log is a Dataset, a mapping from column to array, a pandas or polars frame, or the path of a file. Columns and units
-as in the log table.
+are those of the log table.
 """
 
 from __future__ import annotations

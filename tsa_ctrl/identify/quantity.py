@@ -1,4 +1,4 @@
-"""A value with its 95 % interval and unit: what every result of an identification consists of."""
+"""A value with its 95 % interval and unit, the form of every result of an identification."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Quantity:
 
     @property
     def share(self) -> float:
-        """Half the interval over the value."""
+        """Return half the width of the interval over the value, 1."""
         return 0.5 * (self.high - self.low) / self.value
 
     @property
@@ -56,11 +56,11 @@ class Quantity:
 
 
 def spelled(unit: str) -> str:
-    """A unit string as people read it."""
+    """Return a unit string with typographic signs, such as N·m for N*m."""
     return unit.replace("*", "·").replace("^2", "²")
 
 
 def rounded(value: float, share: float) -> float:
-    """With as many digits as an interval of this relative half width is worth: a tenth of it."""
+    """Return the value rounded to about a tenth of its interval; `share`: relative half width of the interval."""
     digits = max(2, 1 + math.ceil(-math.log10(max(share, 1e-6))))
     return float(f"{value:.{digits}g}")

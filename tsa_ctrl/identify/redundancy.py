@@ -20,16 +20,16 @@ from tsa_ctrl.model.signals import low_pass, zero_phase_derivative
 
 Array = NDArray[np.float64]
 
-BAND = 10.0  # Hz, in which two columns are compared: factors of units show in any motion
-SAMPLES = 60_000  # at which a pair is compared at most; a longer log is reduced by means
-LEAST_CORRELATION = 0.9  # below, two columns are not one motion and their scale means nothing
-LONGEST_SHIFT = 0.5  # s, within which the second column is looked for in the first
-NOTED = 1.02  # factor from which on a difference is reported
-WRONG = 1.5  # factor from which on two columns of one shaft, or a velocity and its acceleration, cannot both be right
+BAND = 10.0  # Hz, band in which two columns are compared: a factor of units is visible in any motion
+SAMPLES = 60_000  # most samples of a comparison; a longer log is reduced by averaging
+LEAST_CORRELATION = 0.9  # below this, two columns are not the same motion, and their scale is meaningless
+LONGEST_SHIFT = 0.5  # s, largest shift in time that is tried
+NOTED = 1.02  # factor above which a difference is reported
+WRONG = 1.5  # factor above which two columns of one shaft, or a velocity and its acceleration, cannot both be right
 FAR = 3.0  # factor for two columns that the drive or the tendons separate
 NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: a filter's delay is reported, a shift longer than any filter's is rejected
-FEWEST_TURNS = 4  # crossings of the mean from which on time shift and scale are separately identifiable
-CERTAIN = 0.99  # correlation from which on a shift in time is reported
+FEWEST_TURNS = 4  # least number of crossings of the mean for which time shift and scale are separately identifiable
+CERTAIN = 0.99  # correlation above which a shift in time is reported
 
 UNITS = {  # factors by which a column is too large: the likely unit, for angles or velocities, and for torques
     "motion": (
@@ -49,7 +49,7 @@ NEAR = 1.25  # factor either way within which a unit is recognised
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a second column follows the first: its scale lies between `low` and `high`, it is `shift` s late."""
+    """Agreement of a second column with the first: its scale is between `low` and `high`, and it is `shift` s late."""
 
     correlation: float
     low: float
@@ -59,16 +59,16 @@ class Agreement:
 
     @property
     def scale(self) -> float:
-        """The most likely scale; negative if the columns run against each other."""
+        """Return the most likely scale; it is negative if the columns have opposite signs."""
         return math.copysign(math.sqrt(self.low * self.high), self.correlation)
 
     def beyond(self, factor: float) -> bool:
-        """Return True if the whole range of the scale is further from 1 than `factor`, either way."""
+        """Return True if the whole range of the scale is above `factor` or below its inverse."""
         return self.low > factor or self.high < 1.0 / factor
 
 
 def compare(first: Array, second: Array, period: float) -> Agreement | None:
-    """Return how `second` follows `first`; None where one of them does not change, or they are not one motion."""
+    """Return the agreement of `second` with `first`; None if one is constant or they are not the same motion."""
     step = max(1, -(-len(first) // SAMPLES))
     n = len(first) // step * step
     x, y = (values[:n].reshape(-1, step).mean(axis=1) for values in (first, second))
@@ -96,7 +96,7 @@ def _shift(x: Array, y: Array, most: int) -> int:
 
 
 def check_columns(label: str, columns: Mapping[str, Array], period: float) -> list[str]:
-    """Compare every pair of columns that needs no model; returns remarks.
+    """Compare every pair of columns for which no model is required, and return remarks.
 
     Raises:
         UsageError: Two columns disagree by a factor, a sign or a time that cannot be right.
@@ -122,10 +122,13 @@ def check_columns(label: str, columns: Mapping[str, Array], period: float) -> li
 
 
 def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: float) -> list[str]:
-    """Compare the motion of motor and joint; `ratio` is r_J / r_M. Returns remarks, raises UsageError.
+    """Compare the motion of motor and joint and return remarks; `ratio` is r_J / r_M.
 
-    Tendons stretch between the two ends, so only a factor that no stiffness explains is an error. A reversed end is
-    found by its energy.
+    The tendons between the two ends elongate, so only a factor that no stiffness explains is an error. Another check
+    detects a reversed end by its energy.
+
+    Raises:
+        UsageError: The two ends disagree by a factor that no stiffness explains.
     """
     remarks = []
     for name, derive in (("q", zero_phase_derivative), ("omega", low_pass)):
@@ -152,10 +155,10 @@ def judge(
         label: The log.
         first: The column, or what follows from it.
         second: The column that must agree with it.
-        found: How they agree.
-        wrong: The factor from which on they cannot both be right.
-        signed: A reversed sign is an error here; otherwise another check finds it.
-        noted: The factor from which on a difference is a remark.
+        found: The agreement of both, or None.
+        wrong: The factor above which they cannot both be right.
+        signed: True if a reversed sign is an error here; otherwise another check detects it.
+        noted: The factor above which a difference is a remark.
     """
     if found is None or (signed and found.turns < FEWEST_TURNS):
         return []

@@ -1,4 +1,4 @@
-"""Predict a log by a model, and measure the error."""
+"""Predict the torque of a log by a model, and compute the error."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tsa_ctrl.model.predict import beyond_slack, predict
 
 Array = NDArray[np.float64]
 
-COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # of which one must vary for a meaningful error
+COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # columns; one of them must vary for a meaningful error
 
 
 @dataclass(frozen=True)
@@ -43,21 +43,21 @@ class Simulation:
 
     @property
     def rms(self) -> float | None:
-        """Root mean square of the residual, N*m."""
+        """Return the root mean square of the residual, N*m; None without a measurement."""
         return None if self.residual is None else float(np.sqrt(np.mean(self.residual**2)))
 
     @property
     def bias(self) -> float | None:
-        """Mean of the residual, N*m."""
+        """Return the mean of the residual, N*m; None without a measurement."""
         return None if self.residual is None else float(np.mean(self.residual))
 
     @property
     def max_abs(self) -> float | None:
-        """Largest absolute residual, N*m."""
+        """Return the largest absolute residual, N*m; None without a measurement."""
         return None if self.residual is None else float(np.max(np.abs(self.residual)))
 
     def as_dict(self) -> dict[str, Any]:
-        """One entry of the JSON object."""
+        """Return the entry of this model in the JSON object."""
         return {
             "model": self.name,
             "rms": self.rms,
@@ -72,7 +72,11 @@ class Simulation:
 
 
 def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
-    """Predict with one model. Raises UsageError where the log lacks a column that it needs, or cannot be right."""
+    """Return the prediction of one model.
+
+    Raises:
+        UsageError: the log lacks a required column or cannot be used with the model, or the prediction is not finite.
+    """
     dataset = dataset.completed_for(model)
     admit(dataset, model)
     signals = dataset.signals()
@@ -91,7 +95,11 @@ def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
 
 
 def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[Simulation]:
-    """Several models side by side. Raises UsageError, also where they do not predict the same quantity."""
+    """Return the predictions of several models, given as (name, model).
+
+    Raises:
+        UsageError: as `simulate`, or the models do not predict the same quantity.
+    """
     simulations = [simulate(dataset, model, name) for name, model in models]
     for simulation in simulations[1:]:
         if simulation.quantity != simulations[0].quantity:
@@ -103,7 +111,10 @@ def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[
 
 
 def unmoved(dataset: Dataset) -> str | None:
-    """Return the remark on a log in which nothing changes: its error, small or not, belongs to one point."""
+    """Return the remark on a log in which no column of `COURSES` changes, or None if one does.
+
+    The error of such a log is valid for a single operating point.
+    """
     constant = [name for name in COURSES if name in dataset and np.ptp(dataset[name]) == 0.0]
     if any(name in dataset and name not in constant for name in COURSES):
         return None
@@ -112,16 +123,16 @@ def unmoved(dataset: Dataset) -> str | None:
 
 
 def labels(paths: Sequence[str]) -> list[str]:
-    """Short names for model files: the file's name, or the path as given where two files have one name."""
+    """Return short names for model files: the file's name, or the given path if two files have the same name."""
     names = [Path(path).name for path in paths]
     count = Counter(names)
     return [name if count[name] == 1 else path for name, path in zip(names, paths, strict=True)]
 
 
 def write_csv(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
-    """Columns t, tau_j, tau_j_sim, residual (numbered for several models).
+    """Write the columns t, tau_j, tau_j_sim and residual (numbered for several models); tau_m for a plain drive.
 
-    Quantities without a measurement are left out.
+    Without a measurement of the torque, the file has neither the measured torque nor residuals.
     """
     quantity = simulations[0].quantity
     columns = {"t": dataset["t"]}
@@ -133,4 +144,4 @@ def write_csv(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -
     for number, simulation in zip(numbers, simulations, strict=True):
         if simulation.residual is not None:
             columns[f"residual{number}"] = simulation.residual
-    write_columns(path, columns, keeping=False)  # who calls has kept it
+    write_columns(path, columns, keeping=False)  # the caller has made a backup

@@ -1,4 +1,7 @@
-"""Draw measured and simulated torque: over time, as a hysteresis loop against the other end, and the residual."""
+"""Draw measured and simulated torque over time and as a hysteresis loop over the torque of the other end.
+
+The picture also shows the residual.
+"""
 
 from __future__ import annotations
 
@@ -91,7 +94,7 @@ def _draw_loop(loop: Any, dataset: Dataset, simulations: Sequence[Simulation], o
 
 
 def _thinned(t: Array, y: Array) -> tuple[Array, Array]:
-    """The same line with fewer points: smallest and largest value of each stretch, so that no peak is lost."""
+    """Return the line with fewer points: the smallest and the largest value of each interval, so that peaks remain."""
     stretch = len(y) // (MOST_POINTS // 2)
     if stretch < 2:
         return t, y

@@ -27,26 +27,26 @@ Mask = NDArray[np.bool_]
 
 AFTER_REVERSAL = 0.020  # s on either side of a reversal: a delay below this value is visible only there
 UNKNOWN = 2.5  # times a velocity's noise: the direction of a slower motion is not known
-ABOVE = 12.0  # times the frequency below which MOTION of the velocity's power lies: friction turns with its harmonics
-MOTION = 0.99  # of the power: a reversal has the rest in its harmonics
-HIGHEST = 0.5  # of the band up to half the rate: the noise above the motion needs as much of it
-CONTINUED = 1.2  # power of 1/f up to which noise rises below the motion's frequencies; electronics have 1
-LOWEST = 0.2  # Hz, below which noise counts as flat: a log of seconds shows less than a wave of it
+ABOVE = 12.0  # times the frequency below which MOTION of the power is: the friction contains harmonics of the motion
+MOTION = 0.99  # share of the velocity's power; the harmonics of reversals contain the rest
+HIGHEST = 0.5  # of the band up to half the rate: upper limit of the motion's band, so that the noise keeps half of it
+CONTINUED = 1.2  # largest power of 1/f by which noise rises below the motion's frequencies; electronics have 1
+LOWEST = 0.2  # Hz, below which noise counts as flat, because a log of some seconds contains less than one period
 BANDS = 6  # per octave, of the smoothed spectrum
-LONGEST = 300_000  # samples that the noise is taken from: five minutes at 1 kHz
+LONGEST = 300_000  # most samples for the noise estimate: five minutes at 1 kHz
 MORE_THAN_NOISE = 1.5  # times the sensor noise, RMS; a smaller error while sliding counts as noise
 
 
 @dataclass(frozen=True)
 class ThreeErrors:
-    """RMS errors in N*m; None where a log has no such samples."""
+    """RMS errors in N*m; None if a log has no such samples."""
 
     sliding: float | None = None
     reversals: float | None = None  # within AFTER_REVERSAL of one, or where the direction is uncertain
     sensor_noise: float | None = None
 
     def to_dict(self) -> dict[str, float | str | None]:
-        """The `errors` of the JSON outputs."""
+        """Return the `errors` object of the JSON outputs."""
         return {
             "sliding": self.sliding,
             "reversals": self.reversals,
@@ -56,7 +56,7 @@ class ThreeErrors:
 
 
 def three_errors(logs: Sequence[Dataset], residuals: Sequence[Array], target: str) -> ThreeErrors:
-    """The three errors of residuals (n,) in N*m, all logs together; `target`: the column that is predicted."""
+    """Return the three errors of residuals (n,) in N*m, over all logs; `target`: the predicted column."""
     known = [known_direction(log) for log in logs]
     noise = [sensor_noise(log, log[target], slides) for log, slides in zip(logs, known, strict=True)]
     return ThreeErrors(
@@ -67,14 +67,14 @@ def three_errors(logs: Sequence[Dataset], residuals: Sequence[Array], target: st
 
 
 def pooled(values: Sequence[float | None], counts: Sequence[int]) -> float | None:
-    """RMS of RMS values over so many samples each, without those that are unknown."""
+    """Return the RMS over several groups from their RMS values and numbers of samples; groups with None are skipped."""
     told = [(value, count) for value, count in zip(values, counts, strict=True) if value is not None]
     total = sum(count for _, count in told)
     return math.sqrt(sum(value**2 * count for value, count in told) / total) if total else None
 
 
 def known_direction(log: Dataset) -> Mask:
-    """Samples (n,) at which the joint surely moves one way, further than AFTER_REVERSAL from where it turns."""
+    """Return a mask (n,): True where the direction of motion is certain and no reversal is within AFTER_REVERSAL."""
     omega = log.signals().omega_j
     velocity = "omega_j" if "omega_j" in log else "omega_m"
     if velocity in log.derived:
@@ -83,7 +83,7 @@ def known_direction(log: Dataset) -> Mask:
         noise = white_deviation(omega)
     sure = np.abs(omega) > UNKNOWN * noise
     turns = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
-    changed = np.zeros(len(omega) + 1, dtype=np.int64)  # up where a turn's surroundings begin, down after
+    changed = np.zeros(len(omega) + 1, dtype=np.int64)  # +1 where a reversal's surroundings begin, -1 after
     width = max(1, round(AFTER_REVERSAL / log.period))
     np.add.at(changed, np.maximum(turns + 1 - width, 0), 1)
     np.add.at(changed, np.minimum(turns + 1 + width, len(omega)), -1)
@@ -91,13 +91,16 @@ def known_direction(log: Dataset) -> Mask:
 
 
 def white_deviation(y: Array) -> float:
-    """Standard deviation of white noise on a smooth signal, from its third differences, which motion hardly has."""
+    """Return the standard deviation of white noise on a smooth signal, from third differences."""
     third = np.abs(np.diff(y, 3))
     return float(np.median(third)) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
 
 
 def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
-    """RMS of the noise of the measured torque `target` (n,), N*m, from the spectrum away from the motion."""
+    """Return the RMS noise of the measured torque `target` (n,), N*m, from the spectrum outside the motion.
+
+    The result is None if too few samples have a known direction (`known`, (n,)).
+    """
     count = min(len(log), LONGEST)
     start = (len(log) - count) // 2
     part = slice(start, start + count)
@@ -107,8 +110,8 @@ def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
     signals = log.signals()
     rest = _freed(signals, part, target[part], used)
     frequency = np.asarray(np.fft.rfftfreq(count, log.period), dtype=np.float64)
-    window = np.hanning(count)  # slow errors stay at their frequencies
-    # summed over all lines, of both signs, the mean square
+    window = np.hanning(count)  # keeps slow errors at low frequencies
+    # scaled so that the sum over all lines, of both signs, is the mean square
     density = np.square(np.abs(np.fft.rfft(rest * window))) / (used.mean() * count * float(window @ window))
     edge = min(ABOVE * _motion_band(signals.omega_j[part], log.period), HIGHEST * frequency[-1])
     bands = _bands(frequency, density)
@@ -145,7 +148,7 @@ def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
 
 
 def _motion_band(omega: Array, period: float) -> float:
-    """Hz, below which MOTION of the velocity's power lies."""
+    """Return the frequency (Hz) below which MOTION of the velocity's power is."""
     power = np.abs(np.fft.rfft(omega - omega.mean())) ** 2
     total = np.cumsum(power)
     if total[-1] <= 0.0:
@@ -154,7 +157,7 @@ def _motion_band(omega: Array, period: float) -> float:
 
 
 def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
-    """Mean frequency, mean density and number of lines in bands that widen with frequency, without the mean's line."""
+    """Return mean frequency, mean density and number of lines of logarithmic bands, without the line at 0 Hz."""
     number = np.floor(BANDS * np.log2(frequency[1:] / frequency[1])).astype(np.int64)
     lines = np.bincount(number)
     centre = np.bincount(number, frequency[1:])

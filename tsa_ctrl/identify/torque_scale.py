@@ -1,11 +1,12 @@
-"""Torques whose size no transmission of this model can have: the factor, and the units that it fits.
+"""Detect torques that are too large for this model, and list the units that would explain the factor.
 
-While sliding, (3.55) bounds the torque at the joint by that at the motor and by friction:
+While the tendons slide, (3.55) gives an upper bound of the joint torque:
 
     |tau_J| <= R cosh(x) |tau_M| + F,    R = r_J / r_M,    F = 2 T_p r_J sinh x
 
-with friction angle and pretension at the upper end of [uncertainty]. The part that follows the joint's acceleration is
-inertia and left out. A model cannot distinguish units that are nearer than its uncertainty, so all that fit are listed.
+with friction angle and pretension at the upper end of [uncertainty]. The part of the torque that is proportional to the
+joint's acceleration is due to inertia and does not count. A model cannot distinguish units whose factors differ by less
+than its uncertainty, so all matching units are listed.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from tsa_ctrl.model.steady_sliding import sliding
 
 Array = NDArray[np.float64]
 
-FRICTION_FACTOR = 2.0  # of what [uncertainty] leaves open; an effect that doubles a torque is of this drive
+FRICTION_FACTOR = 2.0  # times the range of [uncertainty]: an effect of this drive may double a torque
 # A rough guess of a drive's friction is wrong by less than this factor; the smallest unit's factor is 8.85
 ROUGH = 5.0
-GUESS = 30.0  # of a file with friction alone: an order of magnitude and a half
+GUESS = 30.0  # the same for a file with friction only: one and a half orders of magnitude
 
 
 def most_friction(model: TendonSheath) -> float:
@@ -40,9 +41,9 @@ def most_friction(model: TendonSheath) -> float:
 
 
 def friction_beyond(model: TendonSheath, found: Quantity) -> str:
-    """Return why the friction torque that logs show cannot be this drive's; empty where it can.
+    """Return the reason why the friction torque of the logs cannot be that of this drive; empty without one.
 
-    It is the model's within [uncertainty] and FRICTION_FACTOR, or its 95 % interval reaches into that range.
+    It can be if its 95 % interval overlaps the range of the model by [uncertainty] and FRICTION_FACTOR.
     """
     given = abs(sliding(model).half_loop)
     x = model.friction_angle
@@ -63,7 +64,7 @@ def friction_beyond(model: TendonSheath, found: Quantity) -> str:
 
 
 def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
-    """Return why tau_j is too large for tau_m by the model; empty where it is not. Needs both columns."""
+    """Return the reason why tau_j is too large for tau_m by the model; empty if it is not. Requires both columns."""
     omega = dataset["omega_j"]
     moving = np.abs(omega) > 0.1 * float(np.percentile(np.abs(omega), 95.0))
     if not moving.any():
@@ -83,7 +84,7 @@ def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
     allowed = FRICTION_FACTOR * max(math.cosh(x) * driven + friction, simulated)
     if not found > allowed:
         return ""
-    units = in_other_units(found / allowed, math.inf)  # a torque that carries little load may be as small as it likes
+    units = in_other_units(found / allowed, math.inf)  # no lower bound: the torque of a small load may have any size
     most = allowed / FRICTION_FACTOR
     return (
         f"column tau_j is {found:.3g} N·m where tau_m gives {simulated:.3g} N·m by the model and at most "
@@ -93,9 +94,10 @@ def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
 
 
 def drive_scale(given: RigidDrive, found: RigidDrive) -> str:
-    """Return why a plain drive's log has another unit: the numbers `found` are those `given` times the unit's factor.
+    """Return the reason why a plain drive's log is in another unit; empty without one.
 
-    The inertia is known from data sheets and decides together with the friction; friction alone may be a first guess.
+    This is the case if the parameters `found` are about those `given`, multiplied by the factor of the unit. The
+    inertia is known from data sheets and decides together with the friction; the friction alone may be a first guess.
     """
     inertia = _ratio(found.inertia, given.inertia)
     friction = _ratio(found.coulomb_friction, given.coulomb_friction)

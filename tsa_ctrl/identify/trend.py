@@ -1,9 +1,9 @@
-"""A rig's health over its runs: half loop, stiffness, lever and zero of each log with intervals, and what changed.
+"""Detect changes of a rig over its runs: friction torque, stiffness, lever and zero of each log, with intervals.
 
-A change is detected by the largest two-sample t statistic over all places at which the runs, in their order, may be cut
-in two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise
-drawn here; so the rate of false alarms is the one that is stated, `ALARM` for each quantity of a folder. A change
-within the runs' intervals does not count.
+The runs are in the order of time. A change is detected by the largest two-sample t statistic over all positions at
+which the runs can be divided in two. Its distribution without a change does not depend on the scatter between runs, and
+is simulated here with white noise. The rate of false alarms is therefore known: `ALARM` for each quantity of a folder.
+A change within the runs' intervals does not count.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.outputs import json_types
 
 ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
-FEWEST = 6  # runs from which a change is looked for, two on either side of it at least
-WARMTH = 2.0  # K that the runs' temperatures must span for the friction to be taken against them
-DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
-SIDE = 2  # runs on either side of a change
+FEWEST = 6  # least number of runs for the detection, with at least two on either side of a change
+WARMTH = 2.0  # K, least range of the runs' temperatures for a regression of the friction on temperature
+DRAWS = 20_000  # random trials of white noise; the quantile is then known to a thirtieth
+SIDE = 2  # least number of runs on either side of a change, for a mean
 SWING = 0.05  # 1, of the bending angle, that a log must span to determine the lever
 SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
 WORDS = {  # of a change up and down
@@ -53,7 +53,7 @@ WORDS = {  # of a change up and down
 
 @dataclass(frozen=True)
 class Run:
-    """One log: when, how warm (°C, nan where it was not measured), the results, and the reasons for missing ones."""
+    """One log: its start, temperature (°C, nan if not measured), results, and the reasons for missing results."""
 
     log: str
     started: str  # ISO 8601, of the log, else of the file
@@ -64,7 +64,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Change:
-    """A quantity (`unit`) that was `before` and is `after` from the run `since` on."""
+    """A change of a quantity (`unit`) from `before` to `after`, since the run `since`."""
 
     quantity: str
     since: str
@@ -81,14 +81,17 @@ class Change:
 
 @dataclass(frozen=True)
 class Trend:
-    """All runs in their order, and the changes; `by_temperature`: of the half loop, N*m/K, None where not known."""
+    """All runs in the order of time, and the changes.
+
+    `by_temperature`: slope of the friction torque over temperature, N*m/K; None if not known.
+    """
 
     runs: tuple[Run, ...]
     changes: tuple[Change, ...]
     by_temperature: float | None
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object of `tsa log trend`."""
+        """Return the public JSON object of `tsa log trend`."""
         found: dict[str, Any] = json_types(
             {
                 "schema": 1,
@@ -102,9 +105,10 @@ class Trend:
 
 
 def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
-    """Measure every log of a folder and look for changes. Raises UsageError if no log has a result.
+    """Return the results of all logs of a folder, and the detected changes.
 
-    A log that cannot be read, or that shows too little, stays in the list with the reason.
+    A log that cannot be read, or that does not determine a quantity, stays in the list with the reason. Raises
+    UsageError if the folder has no logs or if no log has a result.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder; give the one that holds the logs of one axis, a run each")
@@ -146,9 +150,9 @@ def _by_sensor(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantit
 
 
 def _by_bending(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
-    """The lever k_t of (3.56), N/m, at the file's friction coefficient: (3.55) with T_p0 + k_t (p + d/2) dTheta.
+    """Return the lever k_t of (3.56), N/m, at the file's friction coefficient: (3.55) with T_p0 + k_t (p + d/2) dTheta.
 
-    Its interval comes from the log; an error of mu is one of all runs alike.
+    The interval follows from the log. It does not contain an error of mu, which affects all runs in the same way.
     """
     if not {"tau_j", "theta", "omega_j"} <= log.columns.keys() or not model.lever > 0.0:
         return
@@ -204,9 +208,10 @@ def judged(runs: Sequence[Run]) -> Trend:
 def _at_one_temperature(
     values: NDArray[np.float64], warmth: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float | None]:
-    """Values at the mean temperature, and their slope; as they are where the runs were alike, or it was not measured.
+    """Return the values converted to the mean temperature, and their slope over temperature.
 
-    The slope is between neighbours: a lasting change between two runs is in one of the differences alone.
+    The values are unchanged and the slope is None if the temperatures are nearly equal or were not measured. The slope
+    is fitted to differences between successive runs, because a lasting change affects only one of them.
     """
     if not np.isfinite(warmth).all() or np.ptp(warmth) < WARMTH:
         return values, None
@@ -216,14 +221,14 @@ def _at_one_temperature(
 
 
 def step(values: NDArray[np.float64]) -> tuple[int, float]:
-    """Where a series (n,) is best cut in two, and the t statistic of the two means there."""
+    """Return the index at which a series (n,) is best divided in two, and the t statistic of the two means there."""
     places, statistics = _statistics(values[None, :])
     best = int(np.argmax(statistics[0]))
     return places[best], float(statistics[0, best])
 
 
 def _statistics(series: NDArray[np.float64]) -> tuple[list[int], NDArray[np.float64]]:
-    """Places of the cut, and the statistic of every series (m, n) there, (m, places)."""
+    """Return the possible division indices and the statistic of every series (m, n) there, (m, number of indices)."""
     n = series.shape[1]
     places = list(range(SIDE, n - SIDE + 1))
     found = []
@@ -243,7 +248,7 @@ def by_chance(count: int) -> float:
 
 
 def draw(path: Path, found: Trend) -> None:
-    """Write it as PNG (or as the suffix requires). Raises UsageError."""
+    """Draw the trend and write it as PNG (or as the suffix requires); raises UsageError if it cannot be written."""
     import matplotlib
 
     matplotlib.use("Agg")

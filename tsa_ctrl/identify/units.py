@@ -1,7 +1,7 @@
-"""A log whose units cannot be right: milliseconds, newton-millimetres, degrees, kelvin.
+"""Reject logs in wrong units, such as milliseconds, newton-millimetres, degrees or kelvin.
 
-Each check fires only where no drive of this kind could have produced the numbers; the limits are generous by a factor
-of ten and more. A comparison of two columns (an angle and its velocity) is sharper than any limit.
+Each check rejects a log only if no drive of this kind could have produced its numbers. The limits exceed real values by
+a factor of ten or more. A comparison of two columns (an angle and its velocity) is more sensitive than any limit.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi  # per radian: factor by which an angle in degrees is too large
-INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
-TORQUES = (  # how many of a unit are one N*m
+INVERSE = 0.05  # relative distance from 1 / ratio below which the two ends' columns count as swapped
+TORQUES = (  # number of units in one N*m
     (1000.0, "N*mm, mN*m or per mille of the rated torque"),
     (141.6, "ozf*in"),
     (100.0, "N*cm"),
@@ -50,7 +50,10 @@ MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong 
 
 
 def check_rate(label: str, period: float, seconds: float, strict: bool = False) -> None:
-    """Raise UsageError when the sampling period in s of `seconds` cannot be right; `strict`: nor a slow one."""
+    """Raise UsageError if the sampling period (s) of a log of `seconds` (s) cannot be right.
+
+    `strict`: True to reject slow sampling as well.
+    """
     rate = 1.0 / period
     slow = rate < SLOW and (strict or seconds > LONGEST_SLOW)
     if SLOWEST <= rate <= FASTEST and not slow:
@@ -71,7 +74,7 @@ def check_sizes(
     first_row: int = 0,
     largest: Mapping[str, tuple[float, str, str]] = LARGEST,
 ) -> None:
-    """Raise UsageError when a value is beyond what its unit allows; the largest one's row is named."""
+    """Raise UsageError if a value exceeds the limit of its column; the message states the row of the largest value."""
     for name, (limit, unit, hint) in largest.items():
         if name not in columns:
             continue
@@ -106,9 +109,9 @@ def in_other_units(low: float, high: float) -> str:
 def check_ratios(
     label: str, columns: Mapping[str, Array], motor_pulley_radius: float, joint_pulley_radius: float
 ) -> None:
-    """Raise UsageError when two ends of the transmission disagree by more than their pulleys can explain.
+    """Raise UsageError if the two ends of the transmission disagree by more than their pulleys can explain.
 
-    Radii in m. Says nothing where the two ends do not move or change together.
+    Radii in m. Ends that do not move or change together are not checked.
     """
     ratio = joint_pulley_radius / motor_pulley_radius
     if "tau_j" in columns:
@@ -146,7 +149,7 @@ def _near(ratio: float, factor: float) -> bool:
 
 
 def _levelled(values: Array, sigma: Array | None = None) -> Array:
-    """`values` less their mean, for each direction apart."""
+    """Return `values` minus their mean, separately for each direction."""
     if sigma is None:
         return values - np.mean(values)
     level = np.zeros_like(values)
@@ -158,7 +161,7 @@ def _levelled(values: Array, sigma: Array | None = None) -> Array:
 
 
 def _slope(x: Array, y: Array) -> float | None:
-    """y over x by least squares; None where the two are not one motion."""
+    """Return the slope of y over x by least squares; None if the two are not the same motion."""
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
     if xx == 0.0 or yy == 0.0 or xy * xy < 0.8 * xx * yy:
         return None

@@ -21,17 +21,17 @@ CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
 )
 
-PARAMETER_ERROR = "parameter_error"  # no effect: the name of the rival that recalibration alone is
+PARAMETER_ERROR = "parameter_error"  # not an effect: the competing hypothesis of wrong parameters only
 
 
 def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:
-    """The effects that only the tendon elongation shows: those among `names`, and the others."""
+    """Return the effects that only the tendon elongation shows: those among `names`, and those not among them."""
     every = [spec.name for spec in CATALOGUE.values() if spec.stage is Stage.STRETCH]
     return [name for name in every if name in names], [name for name in every if name not in names]
 
 
 def twins_of(name: str) -> frozenset[str]:
-    """The effects that look like this one in some logs; a pair is written on one of the two."""
+    """Return the effects that some logs cannot distinguish from this one; one effect of each pair lists the other."""
     own = {other for twins in CATALOGUE[name].twins for other in twins.names} if name in CATALOGUE else set()
     others = {spec.name for spec in CATALOGUE.values() for twins in spec.twins if name in twins.names}
     return frozenset(own | others)
@@ -87,9 +87,9 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
 
 
 def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
-    """Steps of a checked `[effects.custom]`, for another machine: an operation, its number, and two more.
+    """Return the steps of a checked `[effects.custom]` for another stack machine: an operation, its number, two more.
 
-    For a function with a memory, the number is the index of the memory, and its constants follow.
+    For a function with a memory, the number is the index of the memory, and the constants of the function follow.
     """
     program = CATALOGUE["custom"].build(parameters).program
     constants = [

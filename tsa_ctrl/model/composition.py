@@ -1,6 +1,6 @@
-"""A model's effects in the order of composition: objects by stage, built from the names of the catalogue.
+"""Build the effects of a model from the names of the catalogue, by stage and in the order of composition.
 
-Both pipelines go through here: `tsa_ctrl.model.predict` with arrays, `tsa_ctrl.model.feedforward` with floats.
+Both pipelines use this module: `tsa_ctrl.model.predict` with arrays, and `tsa_ctrl.model.feedforward` with floats.
 """
 
 from __future__ import annotations
@@ -33,38 +33,38 @@ T = TypeVar("T")
 
 
 class MotorTorqueEffect(Protocol):
-    """Turns the reported motor torque into the one on the pulley, N*m."""
+    """An effect that converts the reported motor torque to the torque on the pulley, N*m."""
 
     def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
     def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
 
 
 class BendingEffect(Protocol):
-    """Changes the bending angle, rad."""
+    """An effect that changes the bending angle, rad."""
 
     def bending(self, theta: F, state: State[F]) -> F: ...
 
 
 class PretensionEffect(Protocol):
-    """Changes the pretension, N."""
+    """An effect that changes the pretension, N."""
 
     def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F: ...
 
 
 class FrictionEffect(Protocol):
-    """Gives a factor on the friction coefficient."""
+    """An effect that multiplies the friction coefficient by a factor."""
 
     def factor(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
 class JointEffect(Protocol):
-    """Gives the torque that it takes on the joint's side, N*m."""
+    """An effect that reduces the joint torque by its own torque, N*m."""
 
     def torque(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
 class SensorEffect(Protocol):
-    """Turns the joint's torque into the measured one, N*m over t in s."""
+    """An effect that converts the joint torque (N*m) at the times t (s) to the measured one."""
 
     def apply(self, torque: Array, t: Array) -> Array: ...
 
@@ -77,7 +77,7 @@ class StretchEffect(Protocol):
 
 @dataclass(frozen=True)
 class Stack:
-    """The effects of one model, by stage; None or empty without one."""
+    """The effects of one model, by stage; None or empty for a stage without an effect."""
 
     velocity_lag: VelocityLag | None
     motor_torque: tuple[MotorTorqueEffect, ...]
@@ -99,7 +99,7 @@ class Stack:
 
     @classmethod
     def of(cls, effects: Effects, source: str = "") -> Stack:
-        """Build from validated `[effects.NAME]` tables; UsageError if two of them exclude each other."""
+        """Return the effects of validated `[effects.NAME]` tables; raises UsageError if two exclude each other."""
         for name in effects:
             clash = [other for other in CATALOGUE[name].excludes if other in effects]
             if clash:
@@ -132,7 +132,7 @@ class Stack:
         return self.custom if self.custom is not None and self.custom.stage == stage else None
 
     def transmission(self, model: TendonSheath) -> Transmission:
-        """Return the elements between the motor's pulley and the joint's."""
+        """Return the transmission between the pulleys of motor and joint."""
         radii = (model.motor_pulley_radius, model.joint_pulley_radius)
         if self.elongation is not None:
             profile = Profile.of(self.elongation.curvature_profile)
@@ -157,12 +157,12 @@ class _Present:
 
 
 def pretension_at(functions: Functions[F], model: TendonSheath, theta: F) -> F:
-    """T_p0(Theta), N, from the file's value at `bending_angle`, (3.49)-(3.52), (3.56); slack is 0."""
+    """Return T_p0(Theta), N, from the file's value at `bending_angle`, (3.49)-(3.52), (3.56); 0 for slack tendons."""
     return functions.at_least(model.pretension + model.pretension_slope * (theta - model.bending_angle), 0.0)
 
 
 def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F]) -> tuple[F, F]:
-    """Theta (rad, >= 0) and T_p (N, >= 0) after their effects."""
+    """Return Theta (rad, >= 0) and T_p (N, >= 0) with the effects on them."""
     theta = state.theta
     for bending in stack.bending:
         theta = bending.bending(theta, state)
@@ -172,17 +172,17 @@ def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: 
     return functions.at_least(theta, 0.0), tension
 
 
-LEAST_BENT = 1e-6  # rad, wrap angle below which no friction is left that could differ
+LEAST_BENT = 1e-6  # rad, smallest wrap angle in the division below; at smaller ones friction is negligible
 
 
 def imbalance(functions: Functions[F], state: State[F], theta: F) -> F | float:
-    """(x_a - x_b) / (x_a + x_b) at the mean wrap angle `theta` (rad) of tendons that are routed differently, 1."""
+    """Return (x_a - x_b) / (x_a + x_b), 1, at the mean wrap angle `theta` (rad) of tendons with different routings."""
     difference = state.theta_difference
     return 0.0 if difference is None else difference / functions.at_least(theta, LEAST_BENT)
 
 
 def friction_angle(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F], theta: F) -> F:
-    """x = mu Theta with the effects on mu; >= 0, since friction never drives."""
+    """Return x = mu Theta with the effects on mu; it is >= 0, because friction never drives the joint."""
     x = model.friction_coefficient * theta
     for effect in stack.friction:
         x = x * effect.factor(functions, state)

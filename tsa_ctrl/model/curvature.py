@@ -1,9 +1,10 @@
-"""Where a sheath bends, and the elongation integrals alpha and beta, (3.36) and (3.39), that follow from it.
+"""Curvature profile of a sheath, and the elongation integrals alpha and beta, (3.36) and (3.39), that follow from it.
 
     Theta(s) = integral of the curvature from the motor end, s = 0, to s;     b(u) = Theta(u l_us) / Theta
     alpha / l_us = A(+x),     beta / l_us = A(-x),     A(rho) = integral over u from 0 to 1 of exp(rho b(u))
 
-x = sigma mu Theta, signed. b is a line through points, level where the sheath is straight and upright at a sharp bend.
+x = sigma mu Theta, signed. b is a line through points: horizontal where the sheath is straight, vertical at a sharp
+bend.
 Source: section 3.2, (3.31)-(3.39); figure 3-19.
 """
 
@@ -33,23 +34,23 @@ POINTS = "[[fraction of length, fraction of bending], ...] that never fall, from
 
 @dataclass(frozen=True)
 class Profile:
-    """The course of the bending along a sheath, by points that never fall, from (0, .) to (1, 1)."""
+    """The curvature profile of a sheath as points that never decrease, from (0, .) to (1, 1)."""
 
     points: Points
 
     @classmethod
     def of(cls, chosen: str | Points) -> Profile:
-        """By one of the names, or by checked points."""
+        """Return the profile of a name ("uniform", "motor_end", "joint_end") or of checked points."""
         return cls(NAMED[chosen] if isinstance(chosen, str) else chosen)
 
     @cached_property
     def _pieces(self) -> tuple[tuple[float, float, float], ...]:
-        """(width, b at its start, rise of b) of each piece of the length; upright ones have no width."""
+        """Return (width, b at its start, rise of b) of each piece of the length, without vertical pieces."""
         pairs = itertools.pairwise(self.points)
         return tuple((end[0] - start[0], start[1], end[1] - start[1]) for start, end in pairs if end[0] > start[0])
 
     def mean_exponential(self, functions: Functions[F], rho: F) -> F:
-        """A(rho): alpha/l_us at rho = x, beta/l_us at rho = -x."""
+        """Return A(rho): alpha/l_us at rho = x, beta/l_us at rho = -x."""
         total = 0.0 * rho  # shaped like rho
         for width, start, rise in self._pieces:
             part = width if start == 0.0 else width * functions.exp(rho * start)
@@ -62,12 +63,12 @@ class Profile:
 
     @cached_property
     def centre(self) -> float:
-        """s_c, 1: centre of the bending as a fraction of the length from the motor end; 1/2 when uniform."""
+        """Return s_c, 1: centre of the bending as a fraction of the length from the motor end; 1/2 if uniform."""
         return 1.0 - sum(width * (start + 0.5 * rise) for width, start, rise in self._pieces)
 
 
 def centred(profile: Profile, centre: float) -> Profile:
-    """The same bends squeezed towards the motor or the joint, so that their centre lies at `centre`, in (0, 1)."""
+    """Return the profile compressed towards the motor or the joint, so that its centre is `centre`, in (0, 1)."""
     now = profile.centre
     if abs(centre - now) < 1e-9:
         return profile
@@ -79,7 +80,7 @@ def centred(profile: Profile, centre: float) -> Profile:
 
 
 def course_of(given: Points, where: str) -> Profile:
-    """[sheath] bending_course; raises UsageError for an invalid profile, and for one that bends at one end alone."""
+    """Return the profile of [sheath] bending_course; raises UsageError if it is invalid or bends at one end only."""
     points = as_points(given)
     if points is None:
         raise UsageError(f"{where}: [sheath] bending_course is {[list(pair) for pair in given]}; give {POINTS}")
@@ -93,7 +94,7 @@ def course_of(given: Points, where: str) -> Profile:
 
 
 def as_points(value: object) -> Points | None:
-    """A list of pairs as points; None if it is not a curvature profile."""
+    """Return a list of pairs as points, or None if it is not a curvature profile."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
         return None
     points = []

@@ -1,11 +1,11 @@
-"""A formula as text, read into a short program for a stack machine: parsed and bounded, never run as Python.
+"""Parse a formula into a short program for a stack machine; it is bounded and never executed as Python.
 
     expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument, and functions
                  with a memory: lag(x, T), ring(x, f, d), dahl(x, w) of any x without one, and of constants (`filters`)
                  inside(x, low, high): 1 in that range and 0 far outside, for a formula that was learned there
 
-Python's own grammar reads the text into a tree; only the nodes above are taken from it, everything else is refused. The
-program is data: whoever runs it (model, controller, plant) has a machine of a dozen operations and nothing else.
+The parser of Python converts the text to a tree. Only the nodes above are accepted; everything else is rejected. The
+program is data. Model, controller and plant evaluate it with a stack machine that has only the operations of `Op`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from tsa_ctrl.model.functions import BLOCK, LARGEST, Array
 
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
-DEEPEST = 24  # values on the stack; the plant's machine has just so many places
+DEEPEST = 24  # values on the stack; the plant's machine has this capacity
 MOST_MEMORIES = 4  # each is a dimension of the grid on which the inverse is checked
 
 
 class Op(IntEnum):
-    """Operation of one step; the ones up to NEGATE take no argument from the table."""
+    """Operation of one step of a program."""
 
     CONSTANT = 0  # push the step's number
     NAME = 1  # push the value of the step's name
@@ -57,7 +57,7 @@ INSIDE = "inside"  # inside(x, low, high) = (1 - tanh(STEEP (|x - middle|/half -
 FADED, STEEP = 1.25, 12.0  # half widths at which it is 1/2, and its steepness: 0.998 at the ends, 0.002 at 1.5
 FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
 REMEMBERING = {kind: Op[kind.upper()] for kind in KINDS}
-Remember: TypeAlias = Callable[[int, Array], Array]  # the value of a memory by its index and its x
+Remember: TypeAlias = Callable[[int, Array], Array]  # returns the value of a memory from its index and its x
 _BINARY: dict[type[ast.operator], Op] = {
     ast.Add: Op.ADD,
     ast.Sub: Op.SUBTRACT,
@@ -108,9 +108,9 @@ class Program:
         return stack[0]
 
     def array(self, values: Sequence[Array], remember: Remember | None = None) -> Array:
-        """The formula over a log, `values` in the order of `names`, each (n) or 0-dimensional.
+        """Return the formula over a log; `values` in the order of `names`, each (n) or 0-dimensional.
 
-        `remember`: needed where it has memories.
+        `remember`: required if the program has memories.
         """
         stack: list[Array] = []
         with np.errstate(all="ignore"):
@@ -130,7 +130,7 @@ class Program:
         return stack[0]
 
     def over(self, values: Sequence[Array], t: Array) -> Array:
-        """`array` along a log whose memories begin with it; t in s, (n,)."""
+        """Return `array` along a log, with memories that start at its first sample; t in s, (n,)."""
         if not self.memories:
             out = np.empty(t.shape)
             for start in range(0, len(t), BLOCK):
@@ -141,7 +141,14 @@ class Program:
 
 
 def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where: str) -> Program:
-    """Read a formula in `names` and `constants` (parameters, put in as numbers); raises UsageError in one line."""
+    """Return the program of a formula; raises UsageError with a message of one line.
+
+    Args:
+        text: the formula.
+        names: permitted variables.
+        constants: parameters by name, inserted as numbers.
+        where: start of the message of an error.
+    """
     if len(text) > LONGEST:
         raise UsageError(f"{where}: {len(text)} characters; allowed are {LONGEST}: a shorter formula")
     try:
@@ -232,7 +239,7 @@ def _range(given: Sequence[ast.expr], constants: Mapping[str, float], where: str
 
 
 def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float], where: str) -> Memory:
-    """A function with a memory, of its constants; raises UsageError."""
+    """Return a function with a memory from its constants; raises UsageError."""
     ranges = KINDS[kind]
     if len(given) != 1 + len(ranges):
         raise UsageError(f"{where}: {len(given)} arguments; it is {usage(kind)}")
@@ -248,7 +255,7 @@ def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float]
 
 
 def _constant(node: ast.expr, constants: Mapping[str, float]) -> float | None:
-    """A number or a named constant, with a sign; None for anything else."""
+    """Return the value of a number or a named constant, with its sign; None for anything else."""
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             return float(value)

@@ -1,6 +1,6 @@
-"""The live inverse of the model: the motor torque that delivers a desired joint torque, one instant at a time.
+"""Invert the model in the control loop: compute the motor torque that delivers a desired joint torque.
 
-Source: the feedforward law of (3.55), tau_M = r_M/cosh(x) (tau_J*/r_J + 2 T_p sigma sinh(x)), with the effects undone
+Source: the feedforward law of (3.55), tau_M = r_M/cosh(x) (tau_J*/r_J + 2 T_p sigma sinh(x)). The effects are inverted
 in the reverse of their order of composition. SI units, plain floats; no clock and no I/O.
 """
 
@@ -19,8 +19,8 @@ from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
-MOST_PERIODS = 1000.0  # between two updates; after more the watchdogs have taken the torque away
-LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which only overflow is left
+MOST_PERIODS = 1000.0  # between two updates; after more the watchdogs have removed the torque
+LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which numbers only overflow
 
 _LINEAR = frozenset({"elongation_coupling", "sheath_asymmetry"})  # effects that only change the line of tau_J in tau_M
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
@@ -30,7 +30,7 @@ class Feedforward:
     """Compute tau_M for a desired tau_J by the model and its effects.
 
     `signals`: names of the optional signals (q_j, q_m, temperature) that this axis measures, for `notes`; default all.
-    A measurement that is nan keeps its last value; an effect whose measurement has never come is left out
+    A measurement that is nan keeps its last value. An effect is omitted until its measurement has arrived
     (`left_out`). `notes` lists the effects that are not, or not exactly, compensated, with the reason.
     """
 
@@ -47,19 +47,18 @@ class Feedforward:
 
     @property
     def model(self) -> TendonSheath:
-        """The model in use, with the values of `set`."""
+        """Return the model in use, with the values of `set`."""
         return self._model
 
     def reset(self) -> None:
-        """Forget everything measured: the friction state, the memories of a formula, the start of the time, the held
-        values."""
+        """Reset the friction state, the memories of a formula, the start of the time and the held measurements."""
         self._state = unmoved(self._model.bending_angle)
         self._started = False
         self._last_omega = math.nan
         self._presliding: PreslidingState | None = None
         self._by_motor = False
-        self._pulling: tuple[float, float] | None = None  # N*m, of tau_M, `limits` at the last update
-        self._line: _Line | None = None  # of a model that is one, at the last update
+        self._pulling: tuple[float, float] | None = None  # N*m, `limits` of tau_M at the last update
+        self._line: _Line | None = None  # at the last update, for a model that is a line
         self.clipped = False  # the last update ended at a bound of the domain
         self._imbalance = 0.0  # 1, of the tendons' friction angles
         self._memories.reset()
@@ -68,7 +67,7 @@ class Feedforward:
         self.pretension = self._model.pretension
 
     def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
-        """Take over another x (1) or T_p0 (N) while running; the memory stays. UsageError if x cannot be changed.
+        """Use another x (1) or T_p0 (N) from now on; the memories stay. Raises UsageError if x cannot be changed.
 
         `imbalance`: (x_a - x_b) / (x_a + x_b) of tendons that are routed differently, 1.
         """
@@ -79,7 +78,7 @@ class Feedforward:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Effects of the model whose measurement has not come since the start."""
+        """Return the effects of the model whose measurement has not arrived since the start."""
         return tuple(name for name in self._model.effects if name not in self._active)
 
     def domain(self) -> tuple[float, float]:
@@ -103,7 +102,7 @@ class Feedforward:
         return min(low, high, 0.0), max(low, high, 0.0)
 
     def half_loop(self) -> float:
-        """h, N*m at the motor's pulley: half of what tau_M turns by with the direction, at no torque on the joint."""
+        """Return h, N*m at the motor pulley: half the difference of tau_M between the directions at tau_J = 0."""
         x, pretension, transmission = self.friction_angle, self.pretension, self._transmission
         forward = transmission.motor_torque(0.0, 1.0, x, pretension, self._imbalance)
         return 0.5 * (forward - transmission.motor_torque(0.0, -1.0, x, pretension, self._imbalance))
@@ -120,10 +119,11 @@ class Feedforward:
         t: float = math.nan,
         acceleration_j: float = math.nan,
     ) -> float:
-        """tau_M, N*m, that delivers `tau_j_des` (N*m) in direction `sigma` (in [-1, 1], 0 at standstill).
+        """Return tau_M, N*m, that delivers `tau_j_des` (N*m) in direction `sigma` (in [-1, 1], 0 at standstill).
 
-        Finite for every finite tau_j_des. Without `acceleration_j` (rad/s^2) it is derived from omega_j by a causal
-        filter of `ACCELERATION_TIME`. The pulley's torque is kept inside the domain of the model (`domain`).
+        The result is finite for every finite tau_j_des. Without `acceleration_j` (rad/s^2), the acceleration is derived
+        from omega_j by a causal filter of `ACCELERATION_TIME`. The torque at the pulley is limited to the domain of the
+        model (`domain`).
         """
         line = self._line
         if line is not None and sigma == line.sigma and theta != theta:
@@ -132,7 +132,7 @@ class Feedforward:
                 self.clipped = False
                 return tau_m
         if not math.isfinite(tau_j_des):
-            return tau_j_des  # for the limiter to refuse
+            return tau_j_des  # the limiter rejects it
         if self._line_only and theta != theta:
             return self._by_line(tau_j_des, sigma)
         state, memories = self._state, self._memories
@@ -172,7 +172,7 @@ class Feedforward:
         return _without_friction(self._model, tau_j_des)
 
     def _by_line(self, tau_j_des: float, sigma: float) -> float:
-        """`update` of a model whose effects only change the line of tau_J in tau_M: no measurement enters."""
+        """Compute `update` for a model whose effects only change the line of tau_J over tau_M, without measurements."""
         sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else self._state.sigma
         state, model = self._state, self._model
         state.sigma = sigma
@@ -189,7 +189,7 @@ class Feedforward:
         return tau_m if math.isfinite(tau_m) else _without_friction(self._model, tau_j_des)
 
     def _brought(self, tau_m: float, x: float, pretension: float) -> float:
-        """N*m that the tendons bring to the joint of `tau_m` on the motor's pulley."""
+        """Return the torque (N*m) that the tendons deliver to the joint for `tau_m` (N*m) on the motor pulley."""
         stack, state = self._stack, self._state
         torque = self._transmission.torque(SCALARS, tau_m, state.sigma, x, pretension, self._imbalance)
         torque = torque if stack.load is None else stack.load.apply(SCALARS, torque, state.sigma)
@@ -229,7 +229,7 @@ class Feedforward:
         elapsed = self._period
         if isfinite(t):
             periods = (t - state.t) / self._period
-            if self._started and 1.5 < periods < MOST_PERIODS:  # some had no cycle
+            if self._started and 1.5 < periods < MOST_PERIODS:  # some periods had no cycle
                 elapsed *= round(periods)
             state.t = t
             if not self._started:
@@ -247,14 +247,14 @@ class Feedforward:
         return elapsed
 
     def _direction(self, state: State[float], sigma: float) -> float:
-        """sigma, or the friction state z where the model has one."""
+        """Return sigma, limited to [-1, 1], or the friction state z if the model has presliding hysteresis."""
         sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else state.sigma
         if self._presliding is None:
             return sigma
         return self._presliding.update(state.q_m if self._by_motor else state.q_j, sigma)
 
     def _use_effects(self) -> None:
-        """Compose the effects whose measurements have come."""
+        """Compose the effects whose measurements have arrived."""
         here = {name for name in _OPTIONAL if getattr(self._state, name) == getattr(self._state, name)} | {"omega_j"}
         self._active = {name: p for name, p in self._model.effects.items() if not _lacking(self._model, name, here)}
         self._stack = Stack.of(self._active, self._model.source)
@@ -268,7 +268,7 @@ class Feedforward:
 
 
 class _Line:
-    """tau_M = (tau_J* + loss) / slope in the direction `sigma`, between `low` and `high`, N*m."""
+    """The line tau_M = (tau_J* + loss) / slope in the direction `sigma`, between `low` and `high`, N*m."""
 
     __slots__ = ("domain", "high", "loss", "low", "sigma", "slope")
 
@@ -282,13 +282,13 @@ class _Line:
 
 
 def _lacking(model: TendonSheath, effect: str, here: Collection[str]) -> tuple[str, ...]:
-    """The signals of which `effect` needs one and none is there."""
+    """Return the signals, one of which `effect` requires, if none of them is in `here`; otherwise an empty tuple."""
     needed = CATALOGUE[effect].needed_live(model.effects[effect])
     return next((names for names in needed if not any(name in here for name in names)), ())
 
 
 def _without_friction(model: TendonSheath, tau_j_des: float) -> float:
-    """tau_J* r_M/r_J, or 0 where even that overflows."""
+    """Return tau_J* r_M/r_J (N*m), or 0 if this overflows."""
     ideal = tau_j_des * (model.motor_pulley_radius / model.joint_pulley_radius)
     return ideal if math.isfinite(ideal) else 0.0
 

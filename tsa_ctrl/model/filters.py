@@ -1,12 +1,12 @@
-"""Functions with a memory in a formula, over a log and cycle by cycle.
+"""Functions with a memory for formulas, over a log or cycle by cycle.
 
     lag(x, T)       T dy/dt + y = x
     ring(x, f, d)   y'' + 2 d w y' + w^2 y = w^2 x,  w = 2 pi f
     dahl(x, w)      dz/dx = (1 - sign(dx) z)/w,  -1 <= z <= 1
 
-Source: the two lags of any textbook of control, exact where x is linear between samples; P. R. Dahl, A solid friction
-model, The Aerospace Corporation, 1968, with exponent 1, exact over each step of x. A lag begins at rest at the first x,
-hysteresis at 0.
+Source: the two lags of any textbook of control, exact if x is linear between samples; P. R. Dahl, A solid friction
+model, The Aerospace Corporation, 1968, with exponent 1, exact over each step of x. `lag` and `ring` start at rest at
+the first x, and `dahl` starts at 0.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl
 
 @dataclass(frozen=True)
 class Range:
-    """One constant of such a function and its range, both ends included."""
+    """One constant of a function with a memory, and its range, both ends included."""
 
     name: str
     low: float
@@ -31,11 +31,11 @@ class Range:
     unit: str
 
     def describe(self) -> str:
-        """Allowed values in words."""
+        """Return the allowed values as text."""
         return f"{self.low:g} to {self.high:g}{f' {self.unit}' if self.unit else ''}"
 
 
-# Wider than anything that a drive has; from a damping of 1 on nothing rings, and a lag describes it
+# The ranges are wider than those of any drive. With a damping of 1 or more nothing oscillates, and a lag describes it.
 KINDS: dict[str, tuple[Range, ...]] = {
     "lag": (Range("T", 1e-6, 1e6, "s"),),
     "ring": (Range("f", 1e-3, 1e5, "Hz"), Range("d", 1e-6, 1.0, "")),
@@ -44,34 +44,37 @@ KINDS: dict[str, tuple[Range, ...]] = {
 
 
 def usage(kind: str) -> str:
-    """As a person writes it."""
+    """Return the call of a function as written in a formula, for example "lag(x, T)"."""
     return f"{kind}(x, {', '.join(constant.name for constant in KINDS[kind])})"
 
 
 @dataclass(frozen=True)
 class Memory:
-    """One function with a memory, its constants in the order of `KINDS`."""
+    """One function with a memory; its constants are in the order of `KINDS`."""
 
     kind: str
     constants: tuple[float, ...]
 
     def over(self, x: Array, t: Array) -> Array:
-        """Its value along a log, (n,), for x and t (s) of (n,); the steps may be uneven."""
+        """Return its value along a log, (n,), for x and t (s), (n,) each; the time steps may differ."""
         if self.kind == "dahl":
             return dahl(MonotonicSegments.of(x), self.constants[0], 0.0)
-        from tsa_ctrl.model.effects import kernels  # numba: its import takes long: only with a memory
+        from tsa_ctrl.model.effects import kernels  # imports numba, which is slow, so import it only if needed
 
         x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])
         return np.asarray(getattr(kernels, self.kind)(x, t, *self.constants))
 
     def live(self) -> Live:
-        """The same in a loop."""
+        """Return the same function for evaluation cycle by cycle."""
         if self.kind == "lag":
             return Lag(*self.constants)
         return Ring(*self.constants) if self.kind == "ring" else Dahl(*self.constants)
 
     def level(self, x: Array, part: float) -> Array:
-        """A value that it may have while x is within the range of these: `part` of the way out, -1 to 1."""
+        """Return a possible value, in the shape of x, while x is within its present range.
+
+        `part`: position within the possible values, from -1 (lowest) to 1 (highest).
+        """
         if self.kind == "dahl":
             return np.full(np.shape(x), part)
         low, high = float(np.min(x)), float(np.max(x))
@@ -79,7 +82,10 @@ class Memory:
         return np.full(np.shape(x), 0.5 * (low + high) + part * reach)
 
     def passes(self, level: Array, change: Array, elapsed: float) -> Array:
-        """Where it is when x has gone by a small `change` in `elapsed` s, out of `level`; inf: after ever so long."""
+        """Return its value after x has changed by a small `change` in `elapsed` s, starting from `level`.
+
+        `elapsed`: s; inf for the final value.
+        """
         if self.kind == "dahl":
             side = np.sign(change)
             return np.asarray(side + (level - side) * np.exp(-np.abs(change) / self.constants[0]))
@@ -93,9 +99,9 @@ class Memory:
 
 
 class Live:
-    """One memory cycle by cycle: `begin` a step, ask for values as often as necessary, `keep` one of them.
+    """One memory, evaluated cycle by cycle: `begin` a step, call `value` as often as necessary, then `keep` one x.
 
-    `asked`: the x of the last value asked for; `taken`: the one that was accepted.
+    Attributes: `asked`: the x of the last call of `value`. `taken`: the x that was accepted.
     """
 
     __slots__ = ("_state", "asked", "taken")
@@ -105,31 +111,31 @@ class Live:
         self._state: list[float] = []
 
     def begin(self, elapsed: float) -> None:
-        """A step of `elapsed` s from the state kept."""
+        """Begin a step of `elapsed` s from the kept state."""
 
     def value(self, x: float) -> float:
-        """Where the step would end with this x; the state does not move."""
+        """Return the value at the end of the step for this x, without changing the state."""
         raise NotImplementedError
 
     def keep(self, x: float) -> None:
-        """The step ended with this x."""
+        """End the step with this x and store the state."""
         raise NotImplementedError
 
     def resting(self, x: float) -> list[float]:
-        """The state at rest at x."""
+        """Return the state at rest at x."""
         raise NotImplementedError
 
     def get(self) -> list[float]:
-        """The state; empty before the first `keep`."""
+        """Return a copy of the state; it is empty before the first `keep`."""
         return self._state.copy()
 
     def set(self, state: Sequence[float]) -> None:
-        """Put a state back."""
+        """Restore a state."""
         self._state = list(state)
 
 
 class _Linear(Live):
-    """A value free + direct x within a step; before the first one it is at rest at the first x."""
+    """A memory with the value free + direct x within a step; before the first `keep` the value is x."""
 
     __slots__ = ("_direct", "_elapsed", "_free")
 
@@ -148,12 +154,12 @@ class _Linear(Live):
 
 
 class Lag(_Linear):
-    """`lag` in a loop: state y and the last x."""
+    """`lag` cycle by cycle; the state is y and the last x."""
 
     __slots__ = ("_constant", "_decay", "_mean")
 
     def __init__(self, constant: float) -> None:
-        """`constant`: T in s."""
+        """Prepare the lag; `constant`: T in s."""
         super().__init__()
         self._constant = constant
         self._decay = self._mean = 0.0
@@ -181,12 +187,12 @@ class Lag(_Linear):
 
 
 class Ring(_Linear):
-    """`ring` in a loop: state y, its rate, and the last x."""
+    """`ring` cycle by cycle; the state is y, its derivative, and the last x."""
 
     __slots__ = ("_damping", "_motion", "_omega", "_turn")
 
     def __init__(self, frequency: float, damping: float) -> None:
-        """Hz and 1."""
+        """Prepare the oscillator; `frequency` in Hz, `damping` in 1."""
         super().__init__()
         self._omega, self._damping = 2.0 * math.pi * frequency, damping
         self._turn = self._omega * math.sqrt(max(1.0 - damping * damping, 0.0))
@@ -227,12 +233,12 @@ class Ring(_Linear):
 
 
 class Dahl(Live):
-    """`dahl` in a loop: state z and the last x. Time is nothing to it."""
+    """`dahl` cycle by cycle; the state is z and the last x, and time has no influence."""
 
     __slots__ = ("_width",)
 
     def __init__(self, width: float) -> None:
-        """`width` in units of x."""
+        """Prepare the hysteresis; `width` in units of x."""
         super().__init__()
         self._width = width
 
@@ -258,10 +264,10 @@ class Dahl(Live):
 
 
 class Memories:
-    """Those of one formula in a loop.
+    """The memories of one formula, cycle by cycle.
 
-    `begin` of a cycle moves the states to the values that the last cycle accepted; until `accept` any number of values
-    may be asked for. A cycle without a finite value accepts nothing: its time counts to the next.
+    `begin` first stores the values that the last cycle accepted. Until `accept`, any number of values may be computed.
+    A cycle with a value that is not finite accepts nothing, and its time is added to the next cycle.
     """
 
     __slots__ = ("_accepted", "_since", "parts")
@@ -271,13 +277,13 @@ class Memories:
         self._accepted, self._since = False, 0.0
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Reset all memories."""
         self._accepted, self._since = False, 0.0
         for part in self.parts:
             part.set(())
 
     def begin(self, elapsed: float) -> None:
-        """A cycle, `elapsed` s after the last one."""
+        """Begin a cycle `elapsed` s after the last one."""
         if not self.parts:
             return
         if self._accepted:

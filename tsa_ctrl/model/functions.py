@@ -1,7 +1,7 @@
-"""The few functions that the model's formulas need, once for arrays (logs) and once for plain floats (the live loop).
+"""The functions in the formulas of the model, once for arrays (logs) and once for plain floats (the control loop).
 
-Every formula of the model is written once, generic in `F`, and is given `ARRAYS` or `SCALARS`. numpy on single
-numbers costs ten times what `math` does, which a loop at 1 kHz would pay in every cycle.
+Every formula of the model is written once, generic in `F`, and receives `ARRAYS` or `SCALARS`. For single numbers numpy
+takes ten times as long as `math`, which is too slow for a loop at 1 kHz.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.float64]
 F = TypeVar("F", float, Array)
 LARGEST = 700.0  # exp(709.8) is the largest double; beyond it results saturate instead of overflowing
-BLOCK = 8192  # samples of a log at a time: temporaries stay in the cache, a third of the time for whole columns
+BLOCK = 8192  # samples processed at a time: temporary arrays stay in the cache, which takes a third of the time
 
 
 class Functions(Protocol[F]):
@@ -32,7 +32,7 @@ class Functions(Protocol[F]):
 
 
 class _Arrays:
-    """`Functions` over numpy arrays; 0-d results are fine."""
+    """`Functions` over numpy arrays; results may be 0-dimensional."""
 
     def exp(self, x: Array, /) -> Array:
         return np.asarray(np.exp(x))
@@ -86,7 +86,7 @@ class _Scalars:
             return math.inf
 
     def at_least(self, x: float, low: float, /) -> float:
-        return low if x < low else x  # nan stays nan: "not there" must not turn into a number
+        return low if x < low else x  # nan stays nan, because a missing value must not become a number
 
     def expm1_ratio(self, x: float, /) -> float:
         """(exp(x) - 1)/x, 1 at x = 0."""

@@ -1,8 +1,9 @@
 """Split a path into monotonic segments, and compute the state of friction and backlash along it.
 
-A state that depends on its own last step asks for a loop over the samples. But over one leg each of these has a closed
-form, and only from leg to leg does one depend on the last, by maps that can be composed in blocks: so it takes a few
-steps over whole arrays. A compiled loop takes as long for a log, and half a second to be loaded.
+A state that depends on its last value normally requires a loop over the samples. Within one segment ("leg"), however,
+each of these states has a closed form. Only the values at the ends of the legs depend on each other, by maps that can
+be composed in blocks. A few operations on whole arrays therefore suffice. A compiled loop takes as long for a log, and
+in addition half a second for loading.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ from tsa_ctrl.model.functions import Array
 
 @dataclass(frozen=True)
 class MonotonicSegments:
-    """A path (n,) in m legs: `first` (m,) is the sample from which each goes its `way` (m,), +1 or -1.
+    """A path (n,) in m legs, each with one direction of motion.
 
-    `leg` (n,) is the number of the leg in which a sample is reached.
+    `first` (m,) is the first sample of each leg, and `way` (m,) its direction, +1 or -1. `leg` (n,) is the number of
+    the leg in which a sample is reached.
     """
 
     path: Array
@@ -33,7 +35,7 @@ class MonotonicSegments:
 
     @staticmethod
     def of(path: Array) -> MonotonicSegments:
-        """The legs of a path: at rest it keeps its direction."""
+        """Return the legs of a path; at rest the path keeps its direction."""
         steps = np.diff(path)
         moves = np.flatnonzero(steps)
         up = steps[moves] > 0.0
@@ -45,13 +47,13 @@ class MonotonicSegments:
 
     @cached_property
     def gone(self) -> Array:
-        """Distance (n,) from where the sample's leg began."""
+        """Return the distance (n,) of each sample from the start of its leg."""
         distance = self.path - self.path[self.first].take(self.leg)
         return np.abs(distance, out=distance)
 
     @cached_property
     def lengths(self) -> Array:
-        """Distance (m - 1,) that each leg but the last goes."""
+        """Return the length (m - 1,) of each leg except the last one."""
         return np.abs(np.diff(self.path[self.first]))
 
     @property
@@ -61,7 +63,10 @@ class MonotonicSegments:
 
 
 def dahl(legs: MonotonicSegments, distance: float, start: float) -> Array:
-    """Friction state z, (n,), of dz/ds = (1 - sign(ds) z)/q_p along s, from z = `start`; exact on straight legs."""
+    """Return the friction state z, (n,), of dz/ds = (1 - sign(ds) z)/q_p along s, from z = `start`; exact on each leg.
+
+    `distance`: q_p, in the unit of the path.
+    """
     gained = -np.expm1(-legs.lengths / distance)
     begin = _after_each(start, np.stack([1.0 - gained, legs.way[:-1] * gained]), _affine_after, _affine)
     state = np.multiply(legs.gone, -1.0 / distance)
@@ -72,7 +77,10 @@ def dahl(legs: MonotonicSegments, distance: float, start: float) -> Array:
 
 
 def maxwell_slip(legs: MonotonicSegments, distance: float, elements: int, start: float) -> Array:
-    """Mean (n,) of N elements that slip at +-1 after distances q_p i/N from rest, i = 1..N, from `start`; exact."""
+    """Return the mean (n,) of N elements that slip at +-1 after distances q_p i/N from rest, i = 1..N; exact.
+
+    Each element starts at `start`.
+    """
     stiffness = elements / (distance * np.arange(1, elements + 1))
     shifts = np.outer(legs.way[:-1] * legs.lengths, stiffness).T
     ones = np.ones_like(shifts)
@@ -89,9 +97,9 @@ def maxwell_slip(legs: MonotonicSegments, distance: float, elements: int, start:
 
 
 def last_reversal(legs: MonotonicSegments, threshold: float) -> Array:
-    """Where the path last turned back by more than `threshold`, (n,); nan before it did so first.
+    """Return the position (n,) of the last reversal by more than `threshold`; nan before the first one.
 
-    A reversal is known only `threshold` later, and holds from after the extreme.
+    A reversal is confirmed only after the motion has returned by `threshold`, but it counts from its extreme on.
     """
     path = legs.path
     ends = [*legs.first[1:].tolist(), len(path) - 1]
@@ -118,7 +126,7 @@ def last_reversal(legs: MonotonicSegments, threshold: float) -> Array:
 def _after_each(
     start: float, maps: Array, after: Callable[[Array, Array], Array], apply: Callable[[Array, Array], Array]
 ) -> Array:
-    """Return `start` before the first of m maps, after it, after the second and so on: (..., m + 1).
+    """Return `start`, and the values after the first of m maps, after the second and so on: (..., m + 1).
 
     maps: the numbers of each, (k, ..., m). `after` composes one with the one before it.
     """
@@ -139,7 +147,7 @@ def _after_each(
 
 
 def _affine(maps: Array, z: Array) -> Array:
-    """a z + b."""
+    """Return a z + b."""
     return np.asarray(maps[0] * z + maps[1])
 
 

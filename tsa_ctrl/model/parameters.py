@@ -1,4 +1,4 @@
-"""The actuator model file: read strictly, written with its comments kept and its provenance stated.
+"""Read and write actuator model files; writing keeps the comments and states the provenance.
 
 Symbols and units as in the source, section 3.2: r_M, r_J, E A, l_us, d, k_s, mu, Theta, p, T_p0. Only the product
 x = mu Theta (`friction_angle`) and T_p0 (`pretension`) are identifiable; see `TendonSheath.recalibrated`.
@@ -53,7 +53,7 @@ class TendonSheath:
     series_stiffness: float | None = None
     series_at_joint: bool = False
     bending_centre: float | None = None  # of the length from the motor; None: evenly bent, or by elongation_coupling
-    bending_course: Points | None = None  # how the bends lie about it; None: evenly. It moves nothing but the stretch
+    bending_course: Points | None = None  # distribution of the bends; None: even. It changes only the elongation
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
     axial_stiffness_uncertainty: float = UncertaintySection().axial_stiffness
@@ -68,7 +68,7 @@ class TendonSheath:
     target: ClassVar[str] = "tau_j"  # the column that the model predicts
 
     def __post_init__(self) -> None:
-        """T_ref defaults to this pretension for good, so that recalibrating the pretension does not move it."""
+        """Set a missing reference_tension to the pretension, so that a recalibrated pretension does not change it."""
         dependence = self.effects.get("tension_dependent_friction")
         if dependence is None or "reference_tension" in dependence:
             return
@@ -82,39 +82,43 @@ class TendonSheath:
 
     @property
     def most_friction(self) -> float:
-        """Most of the friction torque that [uncertainty] allows over the file's, 1: both factors of x T_p at most."""
+        """Return the largest x T_p by [uncertainty] over the file's value, 1: both factors at their upper limits."""
         return (1.0 + self.friction_angle_uncertainty) * (1.0 + self.pretension_uncertainty)
 
     @property
     def friction_angle(self) -> float:
-        """x = mu Theta, 1."""
+        """Return x = mu Theta, 1."""
         return self.friction_coefficient * self.bending_angle
 
     @property
     def tendon_stiffness(self) -> float:
-        """k_t = 1 / (l_us/EA + 1/k_s), N/m: pretension per path-length change (3.56)."""
+        """Return k_t = 1 / (l_us/EA + 1/k_s), N/m: pretension per change of the path length (3.56)."""
         spring = 0.0 if self.series_stiffness is None else 1.0 / self.series_stiffness
         return 1.0 / (self.unstrained_length / self.axial_stiffness + spring)
 
     @property
     def lever(self) -> float:
-        """p + d/2, m: path length per bending angle (3.50), for a spiral sheath whose neutral axis is its inner arc."""
+        """Return p + d/2, m: path length per bending angle (3.50).
+
+        The value is for a spiral sheath, whose neutral axis is its inner arc.
+        """
         return self.contact_offset + self.diameter / 2.0
 
     @property
     def pretension_slope(self) -> float:
-        """dT_p0/dTheta = k_t (p + d/2), N/rad, by (3.51) and (3.56)."""
+        """Return dT_p0/dTheta = k_t (p + d/2), N/rad, by (3.51) and (3.56)."""
         return self.tendon_stiffness * self.lever
 
     @property
     def series_length(self) -> float:
-        """EA / k_s, m: the share of a series elastic element in alpha and beta; 0 without one."""
+        """Return EA / k_s, m: the contribution of a series spring to alpha and beta; 0 without one."""
         return 0.0 if self.series_stiffness is None else self.axial_stiffness / self.series_stiffness
 
     def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
         """Return the same actuator with another x and T_p0.
 
-        Theta stays and mu follows x. Beyond the largest possible mu, Theta follows x, because then Theta was wrong.
+        Theta stays, and mu is changed with x. Beyond the largest possible mu, Theta is changed instead, because then
+        Theta was wrong. Raises UsageError for another x if Theta is 0.
         """
         theta = self.bending_angle
         if friction_angle is None:
@@ -131,13 +135,13 @@ class TendonSheath:
         )
 
     def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
-        """Return the same actuator with these effects; validated against the catalogue."""
+        """Return the same actuator with these effects, after validation against the catalogue."""
         return dataclasses.replace(self, effects=check_effects(effects, self.source or "model"))
 
 
 @dataclass(frozen=True)
 class RigidDrive:
-    """A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c; None is absent from the file."""
+    """A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c; None for a value that the file omits."""
 
     inertia: float | None = None
     coulomb_friction: float | None = None
@@ -154,7 +158,7 @@ class RigidDrive:
 class GearedDrive:
     """A gear with a joint torque sensor, without tendons: tau_J = eta^s N tau_M - tau_c sigma - b omega_J.
 
-    s is the sign of the power tau_M omega_J. None is absent from the file: no loss.
+    s is the sign of the power tau_M omega_J. None means that the file omits the value; the loss is then 0.
     """
 
     ratio: float  # N, motor turns per joint turn; exact, and never fitted
@@ -172,12 +176,12 @@ Model = TendonSheath | RigidDrive | GearedDrive
 
 
 def load_model(path: str | Path) -> Model:
-    """Read an actuator model file; raises UsageError in one line for anything wrong with it."""
+    """Read an actuator model file; raises UsageError with a message of one line for any error in it."""
     return model_from(settings.read_toml(path), str(path))
 
 
 def load_tendon_sheath(path: str | Path) -> TendonSheath:
-    """Read a model file that must describe a tendon-sheath actuator."""
+    """Read a model file; raises UsageError if it does not describe a tendon-sheath actuator."""
     model = load_model(path)
     if not isinstance(model, TendonSheath):
         raise UsageError(
@@ -187,7 +191,7 @@ def load_tendon_sheath(path: str | Path) -> TendonSheath:
 
 
 def model_from(data: dict[str, Any], where: str) -> Model:
-    """Build a model from parsed TOML; `where` names the source in errors."""
+    """Return the model of parsed TOML; `where` states the source in errors."""
     section = data.get("actuator")
     kind = section.get("kind", Kind.TENDON_SHEATH.value) if isinstance(section, dict) else Kind.TENDON_SHEATH.value
     if kind not in (kinds := [each.value for each in Kind]):
@@ -266,10 +270,12 @@ def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> 
 
 
 def dump_model(model: Model, template: str | Path | None = None, provenance: Mapping[str, Any] | None = None) -> str:
-    """TOML text that loads again to the same model.
+    """Return the TOML text of a model, which can be loaded as the same model.
 
-    `template`: a model file whose comments and layout are kept. `provenance`: plain values or tables written to
-    `[provenance]` (where the numbers came from: log names and hashes, date, version, intervals).
+    Args:
+        template: a model file whose comments and layout are kept.
+        provenance: plain values or tables for `[provenance]`, the source of the numbers: log names and hashes, date,
+            version and intervals.
     """
     if isinstance(model, TendonSheath):
         model = _with_routing_of_effects(model)
@@ -310,7 +316,7 @@ def save_model(
     template: str | Path | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write `dump_model` to a file under another name, and rename it."""
+    """Write the text of `dump_model` to a temporary file, and rename it to `path`."""
     settings.write_text(path, dump_model(model, template, provenance))
 
 

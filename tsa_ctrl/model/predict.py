@@ -31,15 +31,15 @@ _ABSENT: Array = np.asarray(np.nan)
 
 
 def predict(model: Model, signals: Signals) -> Array:
-    """Joint torque in N*m, shape (n,); for a RigidDrive the motor torque instead.
+    """Return the joint torque in N*m, shape (n,), or the motor torque for a RigidDrive.
 
-    Raises UsageError naming an effect and the column that it needs and the log does not have.
+    Raises UsageError if an effect needs a column that the log does not have; the message names both.
     """
     return predict_each(model, [signals])[0]
 
 
 def predict_each(model: Model, logs: Sequence[Signals]) -> list[Array]:
-    """`predict` for each of several logs."""
+    """Return the result of `predict` for each of several logs."""
     stack = Stack.of(model.effects, model.source)
     if isinstance(model, RigidDrive):
         return [_predict_rigid(model, stack, signals) for signals in logs]
@@ -56,7 +56,7 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
     growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
     custom = stack.custom_at("joint")
-    remembers = stack.custom is not None and bool(stack.custom.program.memories)  # then over the whole log at once
+    remembers = stack.custom is not None and bool(stack.custom.program.memories)  # these need the whole log at once
     tendons = np.empty(len(signals)) if remembers and custom is not None else None
     acting = _on_the_tendons(stack, state, signals.tau_m) if remembers and custom is None else None
     for start in range(0, len(signals), BLOCK):
@@ -90,7 +90,10 @@ def _tendon_torque(
     tau_m: Array,
     growth: Array | None = None,
 ) -> Array:
-    """From the torque on the pulley to what friction in the joint leaves of it, N*m. `growth`: where it is known."""
+    """Return the torque of the tendons at the joint, N*m, minus the load-dependent friction.
+
+    `tau_m`: N*m on the motor pulley. `growth`: exp(sigma x) if it is known, else None.
+    """
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     if growth is not None and isinstance(transmission, FourTensions):
         torque = transmission.grown(ARRAYS, tau_m, growth, pretension)
@@ -113,8 +116,9 @@ def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
 def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
     """Return twice the change of tendon b's tension at motor and joint, which elongates the tendons, N, (n,) each.
 
-    T3 - T1 and T4 - T2 while both tendons pull; for a tendon that pulls alone twice its tension over the pretension.
-    Effects behind the tendons (joint, load-dependent friction, play, delay) are not in them. Raises as `predict`.
+    They are T3 - T1 and T4 - T2 while both tendons pull. For a tendon that pulls alone they are twice the difference of
+    its tension and the pretension. Effects behind the tendons (joint, load-dependent friction, backlash, delay) are not
+    included. Raises as `predict`.
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -122,9 +126,9 @@ def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
 
 
 def stretch(model: TendonSheath, signals: Signals) -> Array:
-    """s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), but for the encoders' zero. As `predict`.
+    """Return s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), without the zero of the encoders.
 
-    Paths of different lengths, of tendons that are routed differently, are contained (3.52).
+    Different path lengths of tendons with different routings are included (3.52). Raises as `predict`.
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -142,7 +146,7 @@ def stretch(model: TendonSheath, signals: Signals) -> Array:
 
 
 def _ends(model: TendonSheath, stack: Stack, signals: Signals, state: State[Array]) -> tuple[Array, Array]:
-    """`stretching`, of a stack and state that are there."""
+    """Return the result of `stretching` for an existing stack and state."""
     tau_m = _on_the_tendons(stack, state, signals.tau_m)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     x = friction_angle(ARRAYS, model, stack, state, theta)
@@ -157,7 +161,7 @@ def _ends(model: TendonSheath, stack: Stack, signals: Signals, state: State[Arra
 
 
 def beyond_slack(model: Model, signals: Signals) -> float:
-    """Fraction of samples with abs(tau_m) >= 2 T_p r_M, where one tendon is slack; 0 without tendons."""
+    """Return the fraction of samples with abs(tau_m) >= 2 T_p r_M, where one tendon is slack; 0 without tendons."""
     if not isinstance(model, TendonSheath):
         return 0.0
     stack = Stack.of(model.effects, model.source)
@@ -167,7 +171,10 @@ def beyond_slack(model: Model, signals: Signals) -> float:
 
 
 def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
-    """For each effect that this log cannot carry: the columns of which one would be needed; none for the stretch's."""
+    """Return for each effect that cannot be computed for this log the columns, one of which is required.
+
+    Effects that only change the elongation are not included.
+    """
     rigid = isinstance(model, RigidDrive)
     return {
         name: lack
@@ -180,10 +187,10 @@ def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]
 def missing_for(
     effect: str, signals: Signals, *, rigid: bool = False, parameters: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:
-    """The columns of which `effect` needs one and the log has none; empty when it can be computed.
+    """Return the columns, one of which `effect` requires, if the log has none of them; empty if it can be computed.
 
-    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition. The
-    columns of a formula depend on its `parameters`.
+    In a plain drive (`rigid`) the motion of the motor, which is always present, replaces that of the joint. The columns
+    of a formula depend on its `parameters`.
     """
     spec = CATALOGUE[effect]
     for alternatives in spec.columns if parameters is None or not spec.named else spec.needed_live(parameters):
@@ -238,7 +245,7 @@ def _bending(model: TendonSheath | GearedDrive, signals: Signals) -> Array:
 
 
 def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -> Array:
-    """sigma, or z along `path` in its place; kept with the signals, since fits ask for the same one many times."""
+    """Return sigma, or z along `path` with presliding; the result is cached, because fits request it many times."""
 
     def compute() -> Array:
         if stack.presliding is None:
@@ -252,7 +259,10 @@ def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -
 def _growth(
     model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals, state: State[Array]
 ) -> Array | None:
-    """exp(sigma x), (n,), which is what costs, where no effect changes x: most candidates share it. Else None."""
+    """Return exp(sigma x), (n,), if no effect changes x, else None.
+
+    Its computation is slow, and most candidates of a search share it.
+    """
     plain = isinstance(transmission, FourTensions) and transmission.symmetric
     if not plain or stack.bending or stack.friction or signals.theta_difference is not None:
         return None
@@ -273,10 +283,10 @@ def _kept(signals: Signals, key: Hashable, compute: Callable[[], Array]) -> Arra
 
 
 def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
-    """tau_M = J domega/dt + tau_c sign(omega) + b omega + c; an effect tau_J -= f enters as tau_M += f.
+    """Return tau_M = J domega/dt + tau_c sign(omega) + b omega + c, N*m, (n,); an effect tau_J -= f adds f to tau_M.
 
-    Effects on the reported torque (gain, ripple) are undone, since it is the reported one that is predicted. The
-    motor's motion replaces the joint's.
+    Effects on the reported torque (gain, ripple) are inverted, because the prediction is that of the reported torque.
+    The motion of the motor replaces that of the joint.
     """
     _require_columns(model, signals)
     state = _motor_state(model, stack, signals)
@@ -299,9 +309,9 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
 
 
 def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array:
-    """tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s the sign of the power tau_M omega_J; then the joint's effects.
+    """Return tau_J = eta^s N tau_M - tau_c sigma - b omega_J, with the effects of the joint, N*m, (n,).
 
-    With presliding, sigma is continuous, and so is s.
+    s is the sign of the power tau_M omega_J. With presliding, sigma is continuous, and so is s.
     """
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
@@ -326,7 +336,7 @@ def _predict_geared(model: GearedDrive, stack: Stack, signals: Signals) -> Array
 
 
 def _in_play(stack: Stack, signals: Signals, state: State[Array]) -> NDArray[np.bool_] | None:
-    """Return the samples (n,) in which the play is open; None without play."""
+    """Return a mask (n,) of the samples in which the backlash is open; None without backlash."""
     if stack.backlash is None:
         return None
     reversal = _kept(signals, "reversal", lambda: Backlash.last_reversal(state.q_j))
@@ -367,7 +377,7 @@ def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Arr
 
 
 def _part(state: State[Array], block: slice) -> State[Array]:
-    """The state over one block; a value that is constant over the log is 0-dimensional and stays."""
+    """Return the state over one block; a constant value is 0-dimensional and is not cut."""
 
     def of(column: Array) -> Array:
         return column[block] if column.ndim else column

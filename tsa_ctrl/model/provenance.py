@@ -94,7 +94,7 @@ def nodes_table(nodes: Mapping[str, NodeIdentity]) -> dict[str, dict[str, int]]:
 
 
 def interval_low(provenance: Mapping[str, Any], name: str) -> float | None:
-    """Lower end of an interval that a calibration wrote; None without a valid one."""
+    """Return the lower end of an interval that a calibration wrote; None without a valid one."""
     intervals = provenance.get("intervals")
     ends = intervals.get(name) if isinstance(intervals, Mapping) else None
     if not isinstance(ends, list) or len(ends) != 2 or not all(isinstance(end, int | float) for end in ends):
@@ -104,7 +104,7 @@ def interval_low(provenance: Mapping[str, Any], name: str) -> float | None:
 
 
 def toml_table(values: Mapping[str, Any]) -> Any:
-    """Plain values and mappings as a table of tomlkit."""
+    """Return plain values and mappings as a table of tomlkit."""
     table = tomlkit.table()
     for key, value in values.items():
         table[key] = toml_table(value) if isinstance(value, Mapping) else value

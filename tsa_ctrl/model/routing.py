@@ -1,11 +1,11 @@
-"""How joints bend the sheaths that cross them: `[routing]` of an actuator model file, as data and as functions of it.
+"""Wrap angles of sheaths that cross joints: `[routing]` of an actuator model file, as data and as functions of it.
 
     Theta_i(q) = Theta_0 + sum over joints of g_ij q_j, or of a table of that joint        (rad; i: tendon a or b)
     Delta l_i(q) = (p + d/2) (Theta_i(q) - Theta_0)                                        (m; (3.52))
 
-Theta_0 is `[sheath] bending_angle`: all joints at 0. Joints are named as the axes of the controller and of the plant.
-A table is linear between its points and constant beyond them. The plant, the control law and the tools that identify
-read the same table; where they differ, a file would mean two machines.
+Theta_0 is `[sheath] bending_angle`, with all joints at 0. The names of the joints are those of the axes of controller
+and plant. A table is linear between its points and constant beyond them. Plant, control law and identification use the
+same functions, so that a file always describes the same machine.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
 
-MOST_GAIN = 10.0  # rad/rad; a sheath that turns ten times as far as its joint does not exist, a gain in degrees does
+MOST_GAIN = 10.0  # rad/rad; no sheath bends by ten times the joint angle, so a larger gain is in degrees
 Points = tuple[tuple[float, float], ...]  # (rad of the joint, rad of wrap angle beyond [sheath] bending_angle)
 Span = tuple[float, float]  # rad, lowest and highest angle of a joint
 
@@ -74,7 +74,7 @@ class Route:
         return (*self.gains, *self.tables)
 
     def plus(self, gains: Mapping[str, float]) -> Route:
-        """Return this route with more rad/rad of these joints; a table is turned by them between its ends."""
+        """Return this route with `gains` (rad/rad) added by joint; the slope of a table changes between its ends."""
         sums = {**self.gains}
         tables = dict(self.tables)
         for name, gain in gains.items():
@@ -85,7 +85,7 @@ class Route:
         return Route(sums, tables)
 
     def added(self, angles: Mapping[str, float]) -> float:
-        """Return rad of wrap angle beyond that with all joints at 0; `angles`: rad by joint, of all joints."""
+        """Return the wrap angle (rad) minus that with all joints at 0; `angles`: rad by joint, of all joints."""
         bent = 0.0
         for name, gain in self.gains.items():
             bent += gain * angles[name]
@@ -103,7 +103,7 @@ class Route:
         return bent
 
     def added_by(self, joint: str, angle: float) -> float:
-        """Return rad of wrap angle that one joint adds at `angle` (rad); 0 if it does not bend this sheath."""
+        """Return the wrap angle (rad) that one joint adds at `angle` (rad); 0 if it does not bend this sheath."""
         points = self.tables.get(joint)
         return self.gains.get(joint, 0.0) * angle if points is None else _between(points, angle)
 
@@ -121,8 +121,8 @@ class Route:
     def extremes(self, travel: Mapping[str, Span]) -> Span:
         """Return the least and the most that joints within `travel` add, rad.
 
-        The terms of the joints are independent, so that their extremes add. A joint without travel is taken over its
-        table, and where it has a gain, at 0.
+        The terms of the joints are independent, so their extremes are added. A joint without travel counts over the
+        range of its table, or at 0 if it has a gain.
         """
         spans = {name: travel.get(name, (0.0, 0.0)) for name in self.gains}
         spans |= {name: travel.get(name, (points[0][0], points[-1][0])) for name, points in self.tables.items()}
@@ -144,7 +144,7 @@ class Routing:
 
     @classmethod
     def sum_of(cls, routing: Routing | None, gains: Mapping[str, float]) -> Routing | None:
-        """Return a routing with more rad/rad of these joints, on both tendons."""
+        """Return a routing with `gains` (rad/rad) added by joint, on both tendons."""
         if not gains:
             return routing
         first, second = (Route({}, {}),) * 2 if routing is None else (routing.a, routing.b)
@@ -157,7 +157,7 @@ class Routing:
 
     @property
     def alike(self) -> bool:
-        """Return whether both tendons are routed in the same way."""
+        """Return True if both tendons are routed in the same way."""
         return self.a == self.b
 
     def wrap_angles(self, angles: Mapping[str, Array]) -> tuple[Array, Array]:
@@ -165,7 +165,7 @@ class Routing:
         return self.a.added_over(angles), self.b.added_over(angles)
 
     def section(self) -> dict[str, Any]:
-        """Return the `[routing]` table that reads as this routing."""
+        """Return the `[routing]` table of this routing."""
         table = _table(self.a)
         return table if self.alike else {**table, "tendon_b": _table(self.b)}
 
@@ -180,7 +180,7 @@ class Routing:
                 )
 
     def check_travel(self, bending_angle: float, travel: Mapping[str, Span], where: str) -> None:
-        """Raise UsageError if a wrap angle is below 0 within the joints' travel: a sheath bends at least straight."""
+        """Raise UsageError if a wrap angle is below 0 within the joints' travel; a straight sheath has 0."""
         for name, route in (("a", self.a), ("b", self.b)):
             least = bending_angle + route.extremes(travel)[0]
             if least < 0.0:

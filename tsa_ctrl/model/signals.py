@@ -1,7 +1,7 @@
-"""The signals of one log as the model takes them: columns of one length, SI units.
+"""The signals of one log as input of the model: columns of one length, in SI units.
 
-Derivatives are zero-phase: a causal filter would shift them against the torque, and the shift would be found again
-as a delay or a velocity lag that the machine does not have.
+Derivatives have zero phase. A causal filter would shift them relative to the torque, and the identification would then
+find a delay or a velocity lag that the machine does not have.
 """
 
 from __future__ import annotations
@@ -87,13 +87,13 @@ class Signals:
 
     @cached_property
     def memo(self) -> dict[Hashable, Array]:
-        """Results that a prediction may need again, by their other arguments than the signals."""
+        """Return the cache for results of predictions; its keys are the arguments other than the signals."""
         return {}
 
     def legs(self, path: Array) -> MonotonicSegments:
-        """Return a column's monotonic segments, cached for the distances of a search.
+        """Return the monotonic segments of a path, cached because a search requests them for many distances.
 
-        The ones of two short logs stay.
+        The cache has room for two paths of a short log.
         """
         known = next((legs for legs in self._legs if legs.path is path), None)
         if known is None:
@@ -108,24 +108,24 @@ class Signals:
 
     @property
     def period(self) -> float:
-        """Mean sampling period, s; 1 for a single sample."""
+        """Return the mean sampling period, s; 1 for a single sample."""
         return float(self.t[-1] - self.t[0]) / (len(self) - 1) if len(self) > 1 else 1.0
 
     @cached_property
     def acceleration(self) -> Array:
-        """Joint acceleration, rad/s^2: the column, else derived from omega_j with zero phase."""
+        """Return the joint acceleration, rad/s^2: the column, or else derived from omega_j with zero phase."""
         return zero_phase_derivative(self.omega_j, self.period) if self.acceleration_j is None else self.acceleration_j
 
     @cached_property
     def motor_velocity(self) -> Array | None:
-        """Motor velocity, rad/s: omega_m, else derived from q_m with zero phase, else None."""
+        """Return the motor velocity, rad/s: omega_m, or else derived from q_m with zero phase, or else None."""
         if self.omega_m is not None:
             return self.omega_m
         return None if self.q_m is None else zero_phase_derivative(self.q_m, self.period)
 
     @cached_property
     def motor_acceleration(self) -> Array | None:
-        """Motor acceleration, rad/s^2: the column, else derived with zero phase; None without motor motion."""
+        """Return the motor acceleration, rad/s^2: the column, or else derived with zero phase; None without motion."""
         if self.acceleration_m is not None:
             return self.acceleration_m
         velocity = self.motor_velocity
@@ -139,9 +139,10 @@ def last_reversal(omega: Array) -> NDArray[np.intp]:
 
 
 def hold_direction(omega: Array) -> Array:
-    """sigma, shape (n,): sign(omega); at omega = 0 the last non-zero sign, before the first motion the first one.
+    """Return sigma, shape (n,): sign(omega), or the last non-zero sign at omega = 0.
 
-    A log without any motion has no direction: 0 throughout, the middle of the friction band.
+    Before the first motion sigma is the first non-zero sign. In a log without motion it is 0, the middle of the
+    friction band.
     """
     sigma = np.sign(omega)
     moving = sigma != 0.0
@@ -155,17 +156,18 @@ def hold_direction(omega: Array) -> Array:
 
 
 def low_pass(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Array:
-    """Zero-phase low-pass with gain 1/(1 + (f/cutoff)^4): a Butterworth of second order run both ways.
+    """Return the signal after a zero-phase low-pass with the gain 1/(1 + (f/cutoff)^4).
 
-    `cutoff` in Hz, capped at 0.2 of the rate. A log that is too short for the filter's run-in comes back unfiltered.
-    Done over the spectrum: scipy's filters cost more to import than a whole prediction takes.
+    This is the gain of a Butterworth filter of second order that runs in both directions. `cutoff` is in Hz and limited
+    to 0.2 of the rate. A log that is too short for the filter's run-in is returned unfiltered. The spectrum is used,
+    because the import of scipy's filters takes longer than a whole prediction.
     """
     n, cutoff = len(y), min(cutoff, 0.2 / period)
     if n < _SHORTEST_FILTERED:
         return y
     run_in = min(n - 1, math.ceil(_RUN_IN / (cutoff * period)))
     padded = np.concatenate([2.0 * y[0] - y[run_in:0:-1], y, 2.0 * y[-1] - y[-2 : -run_in - 2 : -1]])
-    line = np.linspace(padded[0], padded[-1], len(padded))  # without it the ends would not meet
+    line = np.linspace(padded[0], padded[-1], len(padded))  # subtracted so that both ends are equal
     size = fast_size(len(padded))
     padded -= line
     line = line[run_in : run_in + n].copy()
@@ -182,7 +184,7 @@ def fast_size(n: int) -> int:
 
 
 def zero_phase_derivative(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Array:
-    """dy/dt, shape (n,): central differences of the zero-phase low-passed signal; 0 for a single sample."""
+    """Return dy/dt, shape (n,): central differences of the zero-phase low-passed signal; 0 for a single sample."""
     if len(y) < 2:
         return np.zeros_like(y)
     return np.asarray(np.gradient(low_pass(y, period, cutoff), period), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The transmission while it slides one way, as a line in the motor torque, and the friction at the motor.
+"""The transmission while the tendons slide in one direction, as a line over the motor torque, and the friction torque.
 
     tau_J = a(sigma) tau_M - sigma b(sigma)                                                    (3.53), (3.55)
     a = r_J/r_M (alpha exp(-sigma x) + beta exp(sigma x)) / (alpha + beta)                     slope
@@ -6,10 +6,11 @@
     h = b/a = 2 T_p0 r_M f(x)                                                                  half loop at the motor
     K = 2 k_t r_M^2,  k_t = 1 / (l_us/EA + 1/k_s)                                              (3.31)-(3.41), (3.56)
 
-x = mu Theta; alpha and beta by (3.36), (3.39). A series spring adds EA/k_s to both, exp(+-sigma x) times that when it
-stands at the joint, where it carries T2 and T4; EA Delta l = T_p0 (l_us + EA/k_s). By the course of the bending f is
-tanh x (all at the joint, and (3.55)), x (uniform) or sinh x (all at the motor). K is the stiffness at the motor with a
-locked joint, without friction. Only the effects of the transmission enter. SI units.
+x = mu Theta; alpha and beta by (3.36), (3.39); EA Delta l = T_p0 (l_us + EA/k_s). A series spring at the motor adds
+EA/k_s to both. A series spring at the joint carries T2 and T4 and adds exp(+-sigma x) times EA/k_s. f depends on the
+curvature profile: tanh x (all bends at the joint, and (3.55)), x (uniform) or sinh x (all bends at the motor). K is the
+stiffness at the motor with a locked joint, without friction. Only the effects of the transmission are included. SI
+units.
 """
 
 from __future__ import annotations
@@ -25,24 +26,24 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 
 class Sliding(NamedTuple):
-    """tau_J = slope tau_M - sigma half_loop."""
+    """The line tau_J = slope tau_M - sigma half_loop."""
 
     slope: float  # a, 1
     half_loop: float  # b, N*m at the joint
 
     @property
     def motor_half_loop(self) -> float:
-        """h = b/a, N*m: the torque in addition to the load that keeps the tendons sliding."""
+        """Return h = b/a, N*m at the motor: the torque in addition to the load that keeps the tendons sliding."""
         return self.half_loop / self.slope
 
 
 def sliding(
     model: TendonSheath, sigma: float = 1.0, friction_angle: float | None = None, pretension: float | None = None
 ) -> Sliding:
-    """The line in direction `sigma` (1 or -1), at the model's own x (1) and T_p0 (N) unless given.
+    """Return the line in direction `sigma` (1 or -1), at the model's own x (1) and T_p0 (N) unless given.
 
-    With `sheath_asymmetry` slope and half loop differ by direction; with `tension_dependent_friction` it is the tangent
-    at tau_M = 0; `tendon_slack` bends it beyond 2 T_p r_M alone.
+    With `sheath_asymmetry`, slope and half loop depend on the direction. With `tension_dependent_friction`, the result
+    is the tangent at tau_M = 0. `tendon_slack` changes the line only beyond 2 T_p r_M.
     """
     x = model.friction_angle if friction_angle is None else friction_angle
     tension = model.pretension if pretension is None else pretension
@@ -50,7 +51,7 @@ def sliding(
 
 
 class SlidingBy(Protocol):
-    """`sliding` by parameters that change while the loop runs."""
+    """The type of `sliding` as a function of parameters that change while the loop runs."""
 
     def __call__(self, sigma: float, friction_angle: float, pretension: float, imbalance: float = 0.0) -> Sliding: ...
 
@@ -67,7 +68,7 @@ def sliding_by(model: TendonSheath) -> SlidingBy:
 
 
 def transmitted_by(model: TendonSheath) -> Callable[[float, float, float], tuple[float, float]]:
-    """Return a function: tau_J (N*m) with the motion and against it, by tau_M (N*m), x (1) and T_p0 (N)."""
+    """Return a function of tau_M (N*m), x (1) and T_p0 (N) that returns tau_J (N*m) for sigma = 1 and sigma = -1."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if not transmission.linear:
 
@@ -92,14 +93,17 @@ def transmitted_by(model: TendonSheath) -> Callable[[float, float, float], tuple
 
 
 def pretension_level(model: TendonSheath, friction_angle: float | None = None) -> float:
-    """T_p / T_p0 while sliding without motor torque, (3.54): 1 for (3.55), else 2 (l_us + EA/k_s) / (alpha + beta)."""
+    """Return T_p / T_p0 while sliding without motor torque, (3.54).
+
+    It is 1 for (3.55), and 2 (l_us + EA/k_s) / (alpha + beta) for the full model.
+    """
     x = model.friction_angle if friction_angle is None else friction_angle
     transmission = Stack.of(model.effects, model.source).transmission(model)
     return transmission.line(SCALARS, x, 1.0).level if isinstance(transmission, Elongating) else 1.0
 
 
 def motor_stiffness(model: TendonSheath) -> float:
-    """K, N*m/rad."""
+    """Return K, N*m/rad."""
     return 2.0 * model.tendon_stiffness * model.motor_pulley_radius**2
 
 
@@ -109,14 +113,17 @@ def joint_compliance(model: TendonSheath) -> float:
 
 
 def least_stiffness(model: TendonSheath) -> float:
-    """N*m/rad that the motor's angle meets at least: half of K where one tendon may pull alone, by `tendon_slack`."""
+    """Return the least stiffness at the motor, N*m/rad.
+
+    It is K, or half of it with `tendon_slack`, because one tendon may then pull alone.
+    """
     return (0.5 if "tendon_slack" in model.effects else 1.0) * motor_stiffness(model)
 
 
 def sliding_stiffness(model: TendonSheath) -> float:
-    """N*m/rad that the motor's angle meets while both tendons slide: K (1/alpha + 1/beta) (l_us + EA/k_s)/2.
+    """Return the stiffness at the motor while both tendons slide, N*m/rad: K (1/alpha + 1/beta) (l_us + EA/k_s)/2.
 
-    K itself with all bends at the joint, K cosh x with all of them at the motor.
+    It is K with all bends at the joint, and K cosh x with all bends at the motor.
     """
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if not isinstance(transmission, Elongating):
@@ -126,24 +133,28 @@ def sliding_stiffness(model: TendonSheath) -> float:
 
 
 def wound_by_friction(model: TendonSheath) -> float:
-    """Rad at the motor by which friction stretches the tendons at most, from sliding one way to sliding the other way.
+    """Return the largest change of the motor angle (rad) by friction, from sliding in one direction to the other.
 
-    2 h/K, with the friction torque h at the motor for all bends at the motor, where the whole tendon takes part.
+    It is 2 h/K, with h the friction torque at the joint converted to the motor by the radii. This is the value for all
+    bends at the motor, where the whole tendon elongates.
     """
     half_loop = abs(sliding(model).half_loop) * model.motor_pulley_radius / model.joint_pulley_radius
     return 2.0 * half_loop / motor_stiffness(model)
 
 
 def bending_centre(model: TendonSheath) -> float:
-    """s_c, 1: where the bending lies along the sheath, 0 at the motor and 1 at the joint, as (3.55) has it."""
+    """Return s_c, 1: the centre of the bending along the sheath, 0 at the motor and 1 at the joint.
+
+    It is 1 for a model without curvature profile, because (3.55) has all bends at the joint.
+    """
     transmission = Stack.of(model.effects, model.source).transmission(model)
     return transmission.profile.centre if isinstance(transmission, Elongating) else 1.0
 
 
 def joint_side_compliance(model: TendonSheath) -> float:
-    """m/N of one tendon between the centre of the bending and the joint: what stretches there when tau_J changes.
+    """Return the compliance (m/N) of one tendon between the centre of the bending and the joint.
 
-    (1 - s_c) l_us/EA, and 1/k_s of a series spring at the joint.
+    It is (1 - s_c) l_us/EA, plus 1/k_s of a series spring at the joint. It determines the elongation by tau_J.
     """
     spring = model.series_length if model.series_at_joint else 0.0
     return ((1.0 - bending_centre(model)) * model.unstrained_length + spring) / model.axial_stiffness

@@ -1,20 +1,23 @@
-"""Joint torque from the tendons' stretch and the motor's torque, while the tendons slide; no friction, no pretension.
+"""Compute the joint torque from tendon elongation and motor torque while the tendons slide.
 
-With s = r_M q_M - r_J q_J, tendon b is longer by s and tendon a shorter, so that their mean tensions differ by 2 k_t s.
-With (3.31)-(3.41), while both slide in the direction sigma (rho = sigma x, lengths over that of tendon and spring):
+The pretension is not required, and friction has only an effect of second order.
+
+With s = r_M q_M - r_J q_J, tendon b is longer by s and tendon a shorter by s, so that their mean tensions differ by
+2 k_t s. While both slide in the direction sigma, (3.31)-(3.41) give (rho = sigma x; lengths over that of tendon and
+spring):
 
     T3 beta = T_p0 + k_t s,    T1 alpha = T_p0 - k_t s,    tau_M = r_M (T3 - T1),    tau_J = r_J (T3 e^-rho - T1 e^rho)
 
-T_p0 drops out, and what is left is the same line in both directions:
+T_p0 cancels, and the same line results for both directions:
 
     tau_J = P s - Q tau_M
     Q = r_J/r_M (e^rho/alpha - e^-rho/beta) / (1/beta - 1/alpha)
     P = r_J k_t (e^-rho/beta + e^rho/alpha + Q r_M/r_J (1/beta + 1/alpha))
 
 To first order in x, Q = r_J/r_M s_c/(1 - s_c) and P = 2 k_t r_J/(1 - s_c), with s_c the share of the compliance between
-the motor and the centre of the bending: friction, pretension and direction do not matter, stiffness and shape do.
-Evenly bent P = 4 (EA/l) r_J (x/2)/tanh(x/2) exactly. With all bends at the joint s_c = 1, and the elongation does not
-show tau_J.
+the motor and the centre of the bending. The line therefore depends on stiffness and shape, not on friction, pretension
+and direction. For an even bend P = 4 (EA/l) r_J (x/2)/tanh(x/2) exactly. With all bends at the joint s_c = 1, and the
+elongation does not determine tau_J.
 """
 
 from __future__ import annotations
@@ -31,13 +34,16 @@ from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_side_compliance
 
-MOST_CENTRE = 0.7  # 1, s_c; there 5 % of error in s_c is a sixth of tau_J, and it grows with 1/(1 - s_c)
+MOST_CENTRE = 0.7  # 1, largest s_c; there an error of 0.05 in s_c is a sixth of tau_J, and it grows with 1/(1 - s_c)
 _SMALL = 1e-4  # 1, friction angle below which its own effect on P and Q is below 1e-8
 
 
 @dataclass(frozen=True)
 class StretchLine:
-    """tau_J = per_stretch (s - zero) - per_torque tau_M; s in m, torques in N*m. The zero is the caller's to learn."""
+    """The line tau_J = per_stretch (s - zero) - per_torque tau_M; s in m, torques in N*m.
+
+    The caller must determine the zero.
+    """
 
     per_stretch: float  # P, N
     per_torque: float  # Q, 1
@@ -46,16 +52,16 @@ class StretchLine:
     centre: float  # s_c, 1
 
     def stretch(self, q_m: float, q_j: float) -> float:
-        """s, m, by the angles of motor and joint (rad)."""
+        """Return s (m) from the angles of motor and joint (rad)."""
         return self.motor_radius * q_m - self.joint_radius * q_j
 
     def torque(self, stretch: float, tau_m: float) -> float:
-        """tau_J, N*m, by s (m, less its zero) and the motor's torque on the tendons (N*m, less J_M alpha_M)."""
+        """Return tau_J (N*m) from s minus its zero (m) and the motor torque minus J_M alpha_M (N*m)."""
         return self.per_stretch * stretch - self.per_torque * tau_m
 
 
 def stretch_line(model: TendonSheath) -> StretchLine:
-    """That of a model; raises UsageError if its bends are too close to the joint."""
+    """Return the line of a model; raises UsageError if the elongation does not show the joint torque of this model."""
     reason = unsupported_reason(model)
     if reason:
         raise UsageError(f"{model.source or 'model'}: {reason}")
@@ -65,10 +71,10 @@ def stretch_line(model: TendonSheath) -> StretchLine:
 
 
 def compliances(model: TendonSheath) -> tuple[float, float]:
-    """m/N by which T3 - T1 and T4 - T2 stretch the tendons while both slide: s = c_M (T3 - T1) + c_J (T4 - T2).
+    """Return the compliances c_M and c_J (m/N) of s = c_M (T3 - T1) + c_J (T4 - T2) while both tendons slide.
 
-    `stretch_line` solved for s, for any shape: c_M = Q r_M/P, c_J = r_J/P; together 1/(2 k_t) but for x^2, and c_J = 0
-    with all bends at the joint.
+    This is the equation of `stretch_line`, solved for s, and valid for any shape: c_M = Q r_M/P, c_J = r_J/P. Their sum
+    is 1/(2 k_t), except for terms in x^2. With all bends at the joint c_J = 0.
     """
     x, softness = model.friction_angle, 1.0 / model.tendon_stiffness
     if x < _SMALL:
@@ -82,7 +88,7 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
 
 
 def unsupported_reason(model: TendonSheath) -> str:
-    """Return the reason why the elongation does not show the joint torque of this model; empty where it can."""
+    """Return the reason why the elongation does not show the joint torque of this model; empty if it does."""
     beside, _ = of_the_stretch(model.effects)
     if beside:
         cure = (
@@ -106,7 +112,11 @@ def unsupported_reason(model: TendonSheath) -> str:
 
 
 def profile_of(model: TendonSheath) -> Profile:
-    """Where the sheath of a model bends; evenly if it has no centre, otherwise about its centre."""
+    """Return the curvature profile of a model's sheath.
+
+    It is that of the effect elongation_coupling, if present. Otherwise it is the file's bending_course, or an even bend
+    without one, shifted to the file's bending_centre if there is one.
+    """
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if isinstance(transmission, Elongating):
         return transmission.profile
@@ -115,7 +125,10 @@ def profile_of(model: TendonSheath) -> Profile:
 
 
 def compliance_centre(model: TendonSheath) -> float:
-    """s_c, 1: the share of a tendon's compliance, its series spring included, before the centre of the bending."""
+    """Return s_c, 1: the share of a tendon's compliance between the motor and the centre of the bending.
+
+    The compliance includes a series spring.
+    """
     profile = profile_of(model)
     if "elongation_coupling" not in model.effects:
         model = model.with_effects({"elongation_coupling": {"curvature_profile": profile.points}})

@@ -1,9 +1,9 @@
-"""Gentle excitation: a joint torque that shows the unknown parameters within the given limits.
+"""Design an excitation: a joint torque that makes the unknown parameters identifiable within the given limits.
 
-Friction angle and pretension show in tau_J = slope tau_M - half_loop sigma while the joint slides both ways and the
-load varies within each direction. A joint that others move (a wearer, a test bench) needs a torque at frequencies
-outside this motion; a joint that the drive moves must move both ways without leaving its speed and travel. A probe with
-little torque shows which of the two it is.
+Friction angle and pretension are identifiable from tau_J = slope tau_M - half_loop sigma if the joint slides in both
+directions and the load varies within each direction. A joint that is moved from outside (by a wearer or a test bench)
+needs a torque at other frequencies than this motion. A joint that the drive moves must move in both directions within
+its limits of speed and travel. A probe with little torque shows which of the two cases applies.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from tsa_ctrl.model.steady_sliding import sliding
 FloatArray = NDArray[np.float64]
 
 RATE = 200.0  # Hz of the set-point file; the controller interpolates
-LONGEST = 600.0  # s of a set-point file
-RAMP = 1.0  # s in which the torque grows and fades
+LONGEST = 600.0  # s, longest permitted set-point file
+RAMP = 1.0  # s, duration of the ramp at either end of the torque
 PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
-PROBE_SHARES = (0.2, 0.5, 0.9)  # of the most torque, one after the other until the joint moves
+PROBE_SHARES = (0.2, 0.5, 0.9)  # of the torque limit, tried in this order until the joint moves
 FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sensor delays, several periods in 15 s
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
 VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside the range of the excitation
 OFF = 0.2  # 1, of friction angle and pretension, by which the file may be off while both tendons must pull
 PULLING = 0.8  # of the joint torque at which a tendon then goes slack
 SHAKE_SECONDS = 8.0
-MOVING = 0.05  # rad/s RMS; slower is called standing
+MOVING = 0.05  # rad/s RMS; a slower joint counts as standing
 MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
-HEADROOM = 0.7  # of the speed and travel that are left when a probe's response is scaled up
-APART = 0.12  # relative distance of a frequency from the motion's own and its harmonics
+HEADROOM = 0.7  # of the permitted speed and of the remaining travel that the scaled response may use
+APART = 0.12  # least relative distance of a frequency from the motion's frequency and its harmonics
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Waveform:
 
     @property
     def peak(self) -> float:
-        """N*m"""
+        """Return the largest size of the torque, N*m."""
         return float(np.abs(self.tau_j_des).max())
 
 
@@ -84,7 +84,7 @@ class Design:
 
     excitation: Waveform
     verification: Waveform
-    shake: Waveform  # the slow torque beneath a shaking of the motor
+    shake: Waveform  # the slow torque to which the fast sweeps of the motor are added
     reasons: tuple[str, ...]
 
 
@@ -113,7 +113,10 @@ def probe(bounds: Bounds, share: float, seconds: float) -> Waveform:
 
 
 def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> Waveform:
-    """Equal sines (Hz) with Schroeder's phases, for a low crest factor, scaled to `peak` N*m, ramped at both ends."""
+    """Return a sum of sines of equal amplitude at `frequencies` (Hz), scaled to `peak` (N*m), with ramps at both ends.
+
+    Schroeder's phases give it a low crest factor.
+    """
     t = np.arange(0.0, seconds + 0.5 / RATE, 1.0 / RATE)
     count = len(frequencies)
     phases = [-math.pi * k * (k + 1) / count for k in range(count)]
@@ -129,9 +132,10 @@ def fading(t: FloatArray) -> FloatArray:
 
 
 def from_file(path: Path) -> Waveform:
-    """The joint torque of a set-point file (columns t in s, tau_j_des in N*m), ramped at both ends.
+    """Return the joint torque of a set-point file (columns t in s, tau_j_des in N*m), with ramps at both ends.
 
-    Raises UsageError for a file that cannot be played, is shorter than both ramps or too long, or holds no torque.
+    Raises:
+        UsageError: the file cannot be played, is shorter than four ramps or longer than `LONGEST`, or has no torque.
     """
     columns = read_waypoints(path, ("tau_j_des",)).columns
     given = from_zero(columns["t"])
@@ -146,7 +150,7 @@ def from_file(path: Path) -> Waveform:
 
 
 def playing(designed: Design, wave: Waveform) -> Design:
-    """The same with `wave` as its excitation, scaled down to the torque that the design allows."""
+    """Return the design with `wave` as its excitation, scaled down to the torque that the design permits."""
     share = min(1.0, designed.excitation.peak / wave.peak)
     reason = f"the excitation is the file given, at {share:.0%} of its torque ({share * wave.peak:.2g} N*m)"
     excitation = Waveform(wave.t, share * wave.tau_j_des)
@@ -176,7 +180,17 @@ def response(run: Dataset) -> Response:
 
 
 def design(found: Response, probed: float, bounds: Bounds, seconds: float, verification_seconds: float) -> Design:
-    """Excitation after a probe of `probed` N*m peak; raises UsageError when the joint cannot show its friction."""
+    """Return the excitation and the verification motion for the response to a probe.
+
+    Args:
+        found: response of the joint to the probe.
+        probed: N*m, peak of the probe.
+        seconds: s, duration of the excitation.
+        verification_seconds: s, duration of the verification.
+
+    Raises:
+        UsageError: the joint hardly moves, is moved faster than permitted, or is at the end of its travel.
+    """
     if found.rms_speed < MOVING:
         raise UsageError(
             f"tune: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at {probed:.2g} N*m), so friction cannot "
@@ -221,7 +235,7 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
 
 
 def apart(frequency: float, motion: float) -> float:
-    """`frequency` (Hz), moved away from the motion's own and its harmonics where it lies too near to one."""
+    """Return `frequency` (Hz), shifted if it is too close to the frequency `motion` (Hz) or to one of its harmonics."""
     if motion <= 0.0:
         return frequency
     order = round(frequency / motion)

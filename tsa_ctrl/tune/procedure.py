@@ -48,26 +48,29 @@ from tsa_ctrl.tune.run import RigRunner, Run, TrippedError, longest
 #
 # q_M = (r_J/r_M) q_J + tau_M / K - sigma g + omega_J late + zero
 #
-# with the elongation by torque and friction, and the time by which one encoder is later than the other. A regression
-# over both directions removes all of it from the ratio. The zero is each log's own. A torque that follows the angle,
-# as of a spring, hides a wrong ratio behind a wrong stiffness: the elongation is then the file's, with its
-# uncertainty. The radii of a file are measured on metal; what counts is where the tendons lie, half a diameter and the
-# windings further out.
+# with the elongation by torque and friction, and the delay `late` between the two encoders. A regression over both
+# directions separates these terms from the ratio. Each log has its own zero. If the torque follows the angle, as with a
+# spring, a wrong ratio cannot be distinguished from a wrong stiffness. The elongation is then computed from the file's
+# stiffness, with its uncertainty. The radii in a file are those of the metal. The effective radii are those of the
+# tendons, which are larger by half a diameter and by the windings.
 
 FloatArray = NDArray[np.float64]
 
 NEEDED = frozenset({"q_m", "q_j", "omega_j", "tau_m"})
-LEAST_ROWS = 200  # samples that slide, for an interval that means anything
-UNWOUND = 2.0  # times the way that the file's friction may hide after a reversal, until the tendons slide surely
+LEAST_ROWS = 200  # least number of sliding samples, so that the interval is meaningful
+UNWOUND = 2.0  # times the travel that the file's friction may take up in a reversal; then the tendons surely slide
 NOISE_MEDIAN = 1.652  # 1, median size of a second difference of noise over its standard deviation
-OWN = 5.0  # times its noise, least variation of the torque: the noise then flattens the line by 4 %
-WANTED = 0.002  # 1, half the interval over the ratio, at which it is calibrated
-REPORTED = 0.01  # 1, correction that is reported
-WRONG = 0.05  # 1, greatest correction: beyond it another pulley, exchanged radii, or counts of another encoder
+OWN = 5.0  # times its noise, least independent variation of the torque: noise then reduces the slope by 4 %
+WANTED = 0.002  # 1, half the interval over the ratio, up to which the ratio is corrected
+REPORTED = 0.01  # 1, smallest correction that is reported; smaller ones are within the tolerance of a pulley
+WRONG = 0.05  # 1, largest correction: beyond it the pulley, the order of the radii or an encoder's counts are wrong
 
 
 def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | None:
-    """Return r_J/r_M with its 95 % interval; None where the logs do not have both angles, or too little slides."""
+    """Return r_J/r_M with its 95 % interval.
+
+    The result is None if the logs do not have all required columns or too few samples slide.
+    """
     if not all(set(log.columns) >= NEEDED for log in logs):
         return None
     gear = model.joint_pulley_radius / model.motor_pulley_radius
@@ -79,7 +82,7 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
         return None
     follows = _follows(columns)
     doubt = 0.0
-    if follows is not None:  # N*m/rad: torque and angle are one
+    if follows is not None:  # N*m/rad: the torque depends on the angle
         compliance = 1.0 / sliding_stiffness(model)
         beyond = beyond - compliance * columns[:, 1]
         columns = np.delete(columns, 1, axis=1)
@@ -150,7 +153,7 @@ def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, F
 
 
 def _follows(columns: FloatArray) -> float | None:
-    """Return dtau_M/dq_J (N*m/rad) if the torque follows the other columns but for its noise, None if it is its own."""
+    """Return dtau_M/dq_J (N*m/rad) if the other columns determine the torque except for noise, otherwise None."""
     torque, others = columns[:, 1], np.delete(columns, 1, axis=1)
     line, *_ = np.linalg.lstsq(others, torque, rcond=None)
     noise = float(np.median(np.abs(np.diff(torque, 2)))) / NOISE_MEDIAN
@@ -159,14 +162,14 @@ def _follows(columns: FloatArray) -> float | None:
 
 
 def _with_zero(rows: FloatArray, index: int, count: int) -> FloatArray:
-    """The rows with a column for the zero of each log."""
+    """Return the regressors of log number `index` with `count` more columns, one for the zero of each log."""
     zeros = np.zeros((rows.shape[0], count))
     zeros[:, index] = 1.0
     return np.hstack((rows, zeros))
 
 
 def _first(squares: FloatArray, products: FloatArray) -> float:
-    """The first coefficient of a regression."""
+    """Return the first coefficient of a regression from its normal equations."""
     return float(np.linalg.lstsq(squares, products, rcond=None)[0][0])
 
 
@@ -223,7 +226,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Verification:
-    """The same motion without compensation, with the given file and with the new one.
+    """The runs of one motion: without compensation, with the given file, and with the new file.
 
     `before` is None if a fault ended that run; `fault` is then its cause.
     """
@@ -234,7 +237,7 @@ class Verification:
     fault: str = ""
 
     def reduction(self, run: Run) -> float:
-        """Per cent by which compensation reduces the RMS joint torque error."""
+        """Return by how many per cent compensation reduces the RMS joint torque error."""
         return 100.0 * (1.0 - run.rms / self.without.rms)
 
 
@@ -252,7 +255,7 @@ class Outcome:
 
     @functools.cached_property
     def errors(self) -> ThreeErrors:
-        """The errors of the new model on the excitation, whose motor torque is without the motor's acceleration."""
+        """Return the errors of the new model on the excitation; its motor torque excludes the acceleration torque."""
         return errors_of(self.logs, self.estimate.model)
 
     @property
@@ -431,7 +434,7 @@ class Procedure:
         second = self._excitation("excitation-moved", wave, mechanics)
         try:
             return (*first, *second), learn((*first, *second), self._model, self._settings)
-        except TooStillError:  # of the first, which may show nothing at all
+        except TooStillError:  # the first logs may not determine any parameter
             return second, learn(second, self._model, self._settings)
 
     def _together(self) -> list[tuple[str, dict[str, Waveform]]]:
@@ -462,7 +465,7 @@ class Procedure:
             self._ask(f"move joint '{name}' by hand, slowly to and fro, until the runs have ended")
             return multi_sine(OTHER_JOINTS, 0.0, self._settings.seconds)
         found = response(motion)
-        if found.by_torque < MOVED_BY_TORQUE:  # others move it
+        if found.by_torque < MOVED_BY_TORQUE:  # moved from outside
             return multi_sine(OTHER_JOINTS, 0.0, self._settings.seconds)
         peak = design(found, wave.peak, bounds, self._settings.seconds, 4.0 * RAMP).excitation.peak
         return multi_sine(OTHER_JOINTS, peak, self._settings.seconds)
@@ -560,7 +563,7 @@ def _worse(learned: Estimate, first: float, second: float) -> str:
 
 
 def routing_runs(settings: Settings) -> list[tuple[str, float]]:
-    """Return what moves in each run with other joints, and its duration in s."""
+    """Return the label and the duration (s) of each run with other joints."""
     names = list(settings.others)
     alone = [run for name in names for run in ((f"probe of {name}", PROBE_SECONDS), (name, settings.seconds))]
     return [*alone, (" and ".join(names), settings.seconds)] if len(names) > 1 else alone

@@ -46,7 +46,7 @@ def write_page(
 
 
 def headline(outcome: Outcome) -> str:
-    """One sentence that a person can act on."""
+    """Return one sentence with the errors of the given file and of the new file."""
     verified, result = outcome.verification, outcome.estimate.calibration
     if verified is None:
         return (
@@ -65,7 +65,7 @@ def headline(outcome: Outcome) -> str:
 
 
 def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
-    """Quantity, given, new, interval and unit."""
+    """Return a row for each parameter: quantity, given value, new value, interval and unit."""
     nominal, result = outcome.nominal, outcome.estimate.calibration
     rows: list[tuple[str, float | None, Quantity]] = [
         ("friction angle", nominal.friction_angle, result.friction_angle),
@@ -90,7 +90,7 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
 
 
 def run_rows(outcome: Outcome) -> list[tuple[str, str, str]]:
-    """Compensation, RMS error and reduction of each verification run."""
+    """Return a row for each verification run: compensation, RMS error (mN*m) and reduction."""
     verified = outcome.verification
     if verified is None:
         return []
@@ -112,7 +112,7 @@ def notes(outcome: Outcome) -> list[str]:
 
 
 def show(outcome: Outcome, difference: str, page: Path | None) -> None:
-    """Print the diff, and below it tables and notes: the text before the question."""
+    """Print the diff, then tables and notes, before the user accepts or rejects the result."""
     console = Console()
     console.print(difference or "the file would not change", markup=False, highlight=False, soft_wrap=True)
     table = Table("quantity", "given", "new", "95 % interval", "unit", title="estimated", title_justify="left")
@@ -132,9 +132,9 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:
-    """Return the tuning JSON-ready; null for unknown.
+    """Return the tuning in JSON types; null for unknown values.
 
-    `written`: where the model file before is kept, or the new file of a simulated plant; null when none was written.
+    `written`: the backup of the former model file, or the new file of a simulated plant; None if no file was written.
     """
     found, verified = outcome.estimate, outcome.verification
     rms = reduction = None

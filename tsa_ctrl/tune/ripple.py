@@ -3,8 +3,8 @@
     tau_J - predicted = a A sin(N q_M + phi) + offset of the direction        a: slope of the model, by direction
 
 Every integer N of a range is tried by least squares on the samples that surely slide. The best one counts if the wave
-that each half of the blocks of time selects reduces the error of the other half. Whether the wave pays is decided by a
-run on the rig. Source: `torque_ripple` in the catalogue.
+that each half of the blocks of time selects reduces the error of the other half. A run on the rig decides if the wave
+is used. Source: `torque_ripple` in the catalogue.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from tsa_ctrl.tune.estimate import Estimate
 FloatArray = NDArray[np.float64]
 
 EFFECT = "torque_ripple"
-FEWEST = 2.0  # cycles within the motion: a slower wave cannot be told from an error of the model over the angle
+FEWEST = 2.0  # cycles within the motion: a slower wave cannot be distinguished from another error of the model
 MOST = 120  # cycles per revolution: slots times poles of usual motors
 SURE = 2.5  # standard deviations over the blocks, by which the error of the other half must fall
 
@@ -115,7 +115,7 @@ def _fit(design: FloatArray, error: FloatArray) -> FloatArray:
 
 
 def _best(samples: _Samples, candidates: range) -> int:
-    """Return the cycles per revolution that leave the least error."""
+    """Return the number of cycles per revolution with the least residual error."""
 
     def left(cycles: int) -> float:
         design = samples.design(cycles)

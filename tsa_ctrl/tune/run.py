@@ -1,4 +1,4 @@
-"""One run of the daemon on the rig with a set-point file, from a copy of the user's configuration."""
+"""Run the daemon on the rig with a set-point file, from a copy of the user's configuration."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from tsa_ctrl.tune.excitation import Bounds, Waveform
 FloatArray = NDArray[np.float64]
 Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 
-SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
+SHORTEST_PIECE = 1.5  # s, least duration of a piece without missing cycles that a fit can use
 
 
 class TrippedError(BusError):
-    """A run that a fault of the loop ended; `cause` is that fault."""
+    """Raised if a fault of the loop ended a run; `cause` is that fault."""
 
     def __init__(self, name: str, cause: str) -> None:
         super().__init__(f"the run '{name}' failed: {cause}")
@@ -40,9 +40,9 @@ class TrippedError(BusError):
 
 @dataclass(frozen=True)
 class Run:
-    """One run's log between fade-in and stop: torques (n) in N*m, `t` (n) in s since the enable.
+    """The log of one run between fade-in and stop: torques (n) in N*m, `t` (n) in s since the enable.
 
-    `pieces` are its stretches without missing cycles, for the fits; on a busy machine there may be none.
+    `pieces` are its parts without missing cycles, for the fits; on a busy machine there may be none.
     """
 
     name: str
@@ -55,11 +55,14 @@ class Run:
 
     @property
     def rms(self) -> float:
-        """RMS error of the joint torque over the whole motion, N*m."""
+        """Return the RMS error of the joint torque over the whole motion, N*m."""
         return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
 
     def disagreement(self) -> float:
-        """RMS difference of sensor and elongation in the second half, N*m at the joint; infinite without either."""
+        """Return the RMS difference of sensor and elongation in the second half, N*m at the joint.
+
+        The result is infinite without an estimate by the elongation, or if a value is not finite.
+        """
         if self.by_elongation is None:
             return float("inf")
         late = slice(self.t.size // 2, None)
@@ -167,7 +170,10 @@ class RigRunner:
         rate: float | None,
         played: Mapping[str, str],
     ) -> str:
-        """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
+        """Return the text of the user's file, changed for this run.
+
+        It has only the required axes, this model and set-point, and limits no wider than the given ones.
+        """
         data = tomllib.loads(self._configuration.text)
         keep = self._needed()
         data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
@@ -230,7 +236,7 @@ class RigRunner:
 
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
-    """Read a run of `seconds` s of torque; raises BusError when it holds too little. `by_stretch` as of a runner."""
+    """Return a run of `seconds` s of torque; raises BusError if its log is too short. `by_stretch` as in RigRunner."""
     part = load_run(f"{log}:{axis}", (*INPUTS, STRETCH), fade_in, seconds, by_stretch=by_stretch)
     other = None if by_stretch else part.pop(STRETCH, None)
     pieces = _pieces(part, name, sha256_of(log))
@@ -238,14 +244,14 @@ def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by
 
 
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
-    """Datasets between the skips that are too long to be bridged."""
+    """Return datasets of the parts between gaps that are too long for interpolation."""
     t = columns["t"]
     present = {key: value for key, value in columns.items() if is_input(key) and bool(np.isfinite(value).all())}
     pieces = []
     for first, end in stretches(t):
         if t[end - 1] - t[first] >= SHORTEST_PIECE:
             arrays = {key: value[first:end] for key, value in present.items()}
-            with contextlib.suppress(UsageError):  # so many cycles are missing that it is on no grid
+            with contextlib.suppress(UsageError):  # too many missing cycles for a uniform grid
                 pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
     if len(pieces) == 1:
         return (dataclasses.replace(pieces[0], sha256=sha256),)
@@ -255,5 +261,5 @@ def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dat
 
 
 def longest(pieces: Sequence[Dataset]) -> Dataset:
-    """The piece of the most seconds."""
+    """Return the piece with the longest duration."""
     return max(pieces, key=lambda piece: piece.seconds)

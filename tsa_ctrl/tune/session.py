@@ -61,7 +61,7 @@ from tsa_ctrl.tune.run import Play, RigRunner, longest
 FloatArray = NDArray[np.float64]
 
 SHOWN = 8.0  # s of a run
-TRIED = 0.95  # share of the friction term in the verification if the file's is 0, as of a rig that is commissioned
+TRIED = 0.95  # share of the friction term in the verification if the file has 0, as during commissioning
 DPI = 120
 
 
@@ -279,7 +279,7 @@ class Session:
         return axes[name]
 
     def _others(self, controller: Path, names: Sequence[str]) -> dict[str, Bounds]:
-        """Return the limits of the other joints that move; raises UsageError for a name that is no other axis."""
+        """Return the limits of the other joints that move; raises UsageError if a name is not that of another axis."""
         file = self._configuration.file
         known = {axis.name: place for place, axis in enumerate(file.axes) if axis.name != self.axis.name}
         found = {}
@@ -420,13 +420,13 @@ class Session:
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()
 
     def runner(self, folder: Path, all_axes: bool = False) -> RigRunner:
-        """Return what plays waveforms on the axis, with all files in `folder`; `all_axes` as of a RigRunner."""
+        """Return a runner that plays waveforms on the axis, with all files in `folder`; `all_axes` as in RigRunner."""
         by_stretch = self._settings.by_stretch
         return RigRunner(self._configuration, self.axis, self.bounds, folder, self._play(), by_stretch, all_axes)
 
     @property
     def model(self) -> TendonSheath:
-        """The parameters in the axis' model file."""
+        """Return the parameters in the axis' model file."""
         return self._model
 
     @property

@@ -1,14 +1,15 @@
-"""Motor inertia and tendon stiffness, from how the motor swings on its tendons while the joint slides.
+"""Estimate motor inertia and tendon stiffness from the oscillation of the motor on its tendons while the joint slides.
 
     J_M e'' + b e' + K e = tau - slow part,     e = q_M - r_J/r_M q_J
 
-is linear while both tendons slide completely in one direction: while the slip by the swing is smaller than the slip by
-the joint. The angles of such windows are fitted together, each with its own beginning (angle and speed) and its
-own slow part (a cubic), by J_M, K, b and the delay of the motor's answer. The reported velocity is not used: drives
-filter it, and the bus layer does so where it derives it. A low-pass at 100 Hz looks like a third more stiffness.
+is linear while both tendons slide completely in one direction, that is while the slip by the oscillation is smaller
+than the slip by the joint. The angles of such windows are fitted together. The common parameters are J_M, K, b and an
+additional delay of the motor. Each window has its own initial angle and speed and its own slow part (a cubic). The
+reported velocity is used only to select the windows: drives filter it, and so does the bus layer where it derives it.
+In the fit, a low-pass at 100 Hz would look like a third more stiffness.
 
-The command is the input, exactly as it is held and as the drive's torque loop follows it (`delay`). A joint at rest
-would ring elsewhere: there the slip fronts move.
+The input is the command, as the drive holds it and as its torque loop follows it (`delay`). With a joint at rest the
+motor would oscillate at another frequency, because the slip fronts then move.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ FloatArray = NDArray[np.float64]
 
 WINDOW = 0.15  # s: some periods of any ringing, short compared with a gait
 TRAVEL = 0.1  # rad of the joint since its reversal, after which every part of the tendons slides
-FEWEST = 6  # windows
+FEWEST = 6  # least number of windows, for the scatter of their scores
 CUBIC = 4  # coefficients of the slow part
-ANGLE = 2e-4  # rad: a motor encoder's count, as weight
-STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # of log J_M around the first guess
+ANGLE = 2e-4  # rad, scale of the residuals: one count of a motor encoder
+STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # start values of ln J_M relative to the first guess
 GUESS = 1e-4  # kg*m^2
-FLOOR = 0.03  # relative: what play, cables and a drive's own filters make of any such measurement
-LATE = 4.0  # periods that the motor's answer may be later than its torque
+FLOOR = 0.03  # relative, least half width of an interval: error by backlash, cables and filters of the drive
+LATE = 4.0  # periods, longest additional delay of the motor's motion after its torque
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A log: its command, the motor's angle beyond the joint's (rad), and the windows in it."""
+    """One log: the command (N*m), the motor angle minus the scaled joint angle (rad), and the windows in it."""
 
     command: FloatArray
     angle: FloatArray
@@ -65,10 +66,15 @@ class _Piece:
 
 
 def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float, delay: Delay) -> Swing | None:
-    """From logs with tau_m_cmd and angles and velocities of motor and joint.
+    """Return the oscillation of the motor from logs with tau_m_cmd and with angles and velocities of motor and joint.
 
-    `radii`: r_M, r_J in m; `stiffness`: a first guess, N*m/rad. None if the joint slides too little compared with the
-    motor's swing.
+    The result is None if the joint slides too little compared with the oscillation, or if the parameters are not
+    identifiable.
+
+    Args:
+        radii: r_M and r_J, m.
+        stiffness: first guess, N*m/rad.
+        delay: of the torque after the command.
     """
     period = logs[0].period
     pieces = [_piece(log, radii) for log in logs]
@@ -98,10 +104,10 @@ def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float,
     spread = _spread(np.asarray(best.jac), best.fun, count)
     inertia, spring = GUESS * math.exp(best.x[0]), stiffness * math.exp(best.x[1])
     ringing = math.sqrt(spring / inertia) / (2.0 * math.pi)
-    across = np.array([-0.5, 0.5, 0.0, 0.0])  # of log ringing by the parameters
+    across = np.array([-0.5, 0.5, 0.0, 0.0])  # derivatives of ln ringing with respect to the parameters
     factor = half_width(count - len(best.x))
     widths = [factor * math.sqrt(float(v @ spread @ v)) for v in (np.eye(4)[0], np.eye(4)[1], across)]
-    if max(widths) > 0.5:  # nothing of it is known
+    if max(widths) > 0.5:  # not identifiable
         return None
     return Swing(
         _around(inertia, widths[0], "kg*m^2"),
@@ -139,7 +145,7 @@ def _piece(log: Dataset, radii: tuple[float, float]) -> _Piece:
 
 
 class _Motor:
-    """The motor on its tendons and its torque loop, over one period exactly: e, e', torque."""
+    """The exact discrete model of the motor on its tendons and of its torque loop; the states are e, e' and torque."""
 
     def __init__(
         self, inertia: float, stiffness: float, damping: float, transport: float, lag: float, period: float
@@ -152,7 +158,7 @@ class _Motor:
         system[2, 2:] = -1.0 / lag, 1.0 / lag
         first, second = expm(system * period * part), expm(system * period * (1.0 - part))
         self._step = second[:3, :3] @ first[:3, :3]
-        self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # by the command before, by the newest
+        self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # by the previous command, by the newest command
         self._back = whole
 
     def driven(self, command: FloatArray) -> FloatArray:
@@ -168,7 +174,7 @@ class _Motor:
         return angle
 
     def free(self, samples: int) -> FloatArray:
-        """Return an orthonormal basis (samples, 2 + CUBIC) of the beginning and the slow part of a window."""
+        """Return an orthonormal basis (samples, 2 + CUBIC) for the initial state and the slow part of a window."""
         swing = np.empty((samples, 2))
         state = np.eye(3)[:, :2]
         for i in range(samples):
@@ -180,7 +186,7 @@ class _Motor:
 
 
 def _spread(jacobian: FloatArray, residual: FloatArray, windows: int) -> FloatArray:
-    """Covariance of the parameters from the scatter of the windows' own scores."""
+    """Return the covariance of the parameters from the scatter of the windows' scores."""
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     scores = np.array(
         [j.T @ r for j, r in zip(np.array_split(jacobian, windows), np.array_split(residual, windows), strict=True)]

@@ -1,4 +1,4 @@
-"""Estimation of friction angle and pretension from logs, with honest intervals."""
+"""Estimate friction angle and pretension from logs, with intervals that contain the model errors."""
 
 from tsa_ctrl.identify.calibrate.estimate import calibrate, errors_of, routing_of_logs
 from tsa_ctrl.identify.calibrate.result import Calibration

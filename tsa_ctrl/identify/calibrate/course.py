@@ -1,10 +1,11 @@
-"""How a sheath bends along its length, from logs with q_m, q_j, tau_m and a joint torque sensor.
+"""Estimate the curvature profile of a sheath from logs with q_m, q_j, tau_m and a joint torque sensor.
 
-Sliding shows the centre of the bends alone. A turn shows the rest: its slip front runs from the motor through the
-bends one by one, and how far it has come decides what stretch and joint torque are in the meantime. So the places of
-`PLACES` equal shares of the bending are found, together with stiffness, friction and motor inertia, that make both
-differ least (Gauss-Newton); without information in the log the places stay at an even bend. Two bends with a straight
-piece between, taken for an even one, cost up to 20 mN*m RMS of 300 on simulated rigs.
+Sliding shows only the centre of the bends. A reversal shows the rest: its slip front runs from the motor through one
+bend after another, and its position determines elongation and joint torque in the meantime. The profile is described by
+the positions of `PLACES` equal shares of the bending. The Gauss-Newton method finds these positions, stiffness,
+friction and motor inertia with the least error of elongation and joint torque. If the log contains no information, the
+positions stay at those of the given profile. If two bends with a straight piece between them are modelled as one even
+bend, the error is up to 20 mN*m RMS of 300 on simulated rigs.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from tsa_ctrl.model.stretch import profile_of
 
 FloatArray = NDArray[np.float64]
 
-PLACES = 6  # with 8 nothing is gained on simulated rigs
-SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, in the middles of equal parts
-SPREAD = 0.1  # of the length, standard deviation of a place beforehand
-ALIKE_FOR = 0.1  # s, for which the model error of the tendons stays similar: so much of a log counts once
-ROUNDS = 12  # of Gauss-Newton at most; small steps end them earlier
-ENOUGH = 2e-3  # of the length: smaller steps of a place end the search
-STEPS = (0.01, 0.02, 1e-5, 0.01)  # of ln k, ln x, J_M and a place, for derivatives
-MOST = (0.1, 0.1, 1e-4, 0.08)  # in one round
-DIGITS = 4  # of a place
-LEAST, GREATEST = 0.01, 0.97  # centre of a course that a file may have
+PLACES = 6  # 8 are no better on simulated rigs
+SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, at the middle of equal parts
+SPREAD = 0.1  # of the length, prior standard deviation of a position
+ALIKE_FOR = 0.1  # s, correlation time of the tendon model's error: samples within it count as one
+ROUNDS = 12  # most iterations of the Gauss-Newton method; it usually ends earlier, by `ENOUGH`
+ENOUGH = 2e-3  # of the length: smaller steps of all positions end the search
+STEPS = (0.01, 0.02, 1e-5, 0.01)  # of ln k, ln x, J_M and a position, for derivatives: larger than single contacts
+MOST = (0.1, 0.1, 1e-4, 0.08)  # largest change of the same parameters in one iteration, so that the search converges
+DIGITS = 4  # decimals of a position, more than the logs determine
+LEAST, GREATEST = 0.01, 0.97  # range of the centre of the bends that a file may have
 
 
 def course_of(places: FloatArray) -> Points:
-    """A course through these places of the shares, half a share more at either end."""
+    """Return the profile through these positions of `SHARES` (1, of the length), with half a share more at each end."""
     low = max(0.0, places[0] - 0.5 * (places[1] - places[0]))
     high = min(1.0, places[-1] + 0.5 * (places[-1] - places[-2]))
     points = [(0.0, 0.0), (low, 0.0), *zip(places, SHARES, strict=True), (high, 1.0), (1.0, 1.0)]
@@ -44,13 +45,19 @@ def course_of(places: FloatArray) -> Points:
 
 
 def find_course(logs: Sequence[TendonLog], model: TendonSheath, motor_inertia: float) -> TendonSheath:
-    """The model with its `bending_course` and the stiffness and friction that go with it; J_M in kg*m^2, to begin."""
+    """Return the model with the estimated `bending_course`, stiffness and friction.
+
+    If the centre of the estimated bends is outside the permitted range, the given model is returned.
+
+    Args:
+        motor_inertia: kg*m^2, start value of J_M.
+    """
     even = np.array(profile_of(model).points)
     begin = np.interp(SHARES, even[:, 1] + 1e-12 * np.arange(len(even)), even[:, 0])
     p = np.concatenate(([0.0, 0.0, motor_inertia], begin))
     step = np.array([*STEPS[:3], *np.full(PLACES, STEPS[3])])
     most = np.array([*MOST[:3], *np.full(PLACES, MOST[3])])
-    held = np.eye(PLACES) - 1.0 / PLACES  # the centre is what all of the log shows
+    held = np.eye(PLACES) - 1.0 / PLACES  # no prior on the centre, because the whole log shows it
     for _ in range(ROUNDS):
         rows, rest = _linear(logs, model, p, step)
         seconds = sum(log.stretch.size * log.period for log in logs)
@@ -78,7 +85,10 @@ def _variant(model: TendonSheath, p: FloatArray) -> TendonSheath:
 def _linear(
     logs: Sequence[TendonLog], model: TendonSheath, p: FloatArray, step: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rows and rests of a round, stretch and joint torque each over its own deviation, their zeros as last columns."""
+    """Return regressors and residuals of one iteration; the last columns are for the zeros of the two channels.
+
+    Regressors and residuals of elongation and joint torque are each divided by the RMS error of the channel.
+    """
     parts: tuple[list[tuple[FloatArray, FloatArray]], ...] = ([], [])
     for number, log in enumerate(logs):
         assert log.tau_j is not None

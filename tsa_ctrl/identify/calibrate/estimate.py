@@ -40,9 +40,9 @@ from tsa_ctrl.model.steady_sliding import pretension_level
 
 FloatArray = NDArray[np.float64]
 
-ITERATIONS = 8  # Gauss-Newton steps; it ends earlier when a step is below TOLERANCE
-TOLERANCE = 1e-7  # of ln x and ln T_p: digits that no file is written with; a step there is rounding
-MOST_LOG = 50.0  # of ln x and ln T_p: the end of an interval of data that do not determine it
+ITERATIONS = 8  # most Gauss-Newton steps; the search usually ends earlier, by TOLERANCE
+TOLERANCE = 1e-7  # of ln x and ln T_p: a smaller step is rounding, and files have fewer digits
+MOST_LOG = 50.0  # of ln x and ln T_p: limit of an interval if the data do not determine the value
 GAIN_UNCERTAIN = 0.05  # 95 %, of the gain from motor torque to joint torque: a torque constant and a sensor of 3 % each
 BY_SLOPE = 0.5  # of the file's uncertainty: at x = 0.7 in (3.55) a gain that is off by 5 % leaves 0.6 of it
 STEP = 1e-4  # relative step of numerical derivatives: its errors are far below an interval
@@ -60,9 +60,14 @@ class JointFit:
 def joint_fit(
     logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool, gain: float = 1.0
 ) -> JointFit | None:
-    """Gauss-Newton on the instrumented normal equations; None when the data do not determine it.
+    """Return the joint fit by the Gauss-Newton method on the instrumented normal equations.
 
-    `gain` (1): true motor torque over measured one, where the fit starts; a certified gain stays there.
+    The result is None if the data do not determine the parameters.
+
+    Args:
+        lag: delay of the instrumental variables in samples.
+        certified_gain: True to keep the gain at its start value.
+        gain: true motor torque over measured one, 1; start value.
     """
     gain_free = not certified_gain
     p = np.array([math.log(model.friction_angle), math.log(model.pretension), math.log(gain), *np.zeros(len(logs))])
@@ -120,7 +125,7 @@ def _jacobian(
 
 
 def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
-    """Friction angle (1) and pretension (N) with their intervals."""
+    """Return friction angle (1) and pretension (N) with their intervals."""
     made = []
     for index, unit in ((0, "1"), (1, "N")):
         low, high = (min(MOST_LOG, max(-MOST_LOG, end)) for end in joint.estimate.interval(index))
@@ -179,7 +184,7 @@ def _widened(found: Quantity, ratio: float) -> Quantity:
 
 
 def combinations_of(joint: JointFit, model: TendonSheath) -> tuple[Quantity, Quantity]:
-    """Slope and half loop at the model's own configuration from the joint fit (delta method)."""
+    """Return slope (1) and friction torque (N*m) at the model's own configuration from the joint fit (delta method)."""
     value = joint.estimate.value
     x, tension = math.exp(value[0]), math.exp(value[1])
     gain = math.exp(value[2]) if joint.gain_free else 1.0
@@ -199,7 +204,7 @@ def combinations_of(joint: JointFit, model: TendonSheath) -> tuple[Quantity, Qua
     return made[0], made[1]
 
 
-MIN_BLOCKS = 8  # t of 7 degrees of freedom is 2.4; of half as many it would be 3.2, and intervals useless
+MIN_BLOCKS = 8  # Student's t is 2.4 with 7 degrees of freedom; with half as many blocks it is 3.2: useless intervals
 
 
 def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
@@ -282,7 +287,7 @@ EFFECT_ITERATIONS = 20  # at most; with all bending at the motor each leaves 0.1
 SETTLED = 1e-4  # of the half loop: below it they end; intervals are a hundred times as wide
 # s omitted between a held-out block and the rest: twice the correlation time of the noise (prepared.LAG_LIMIT)
 GAP = 1.0
-GAP_SHARE = 0.25  # of a block: a gap in a short log is no longer, lest it leave too little
+GAP_SHARE = 0.25  # of a block: largest gap, so that a short log keeps enough samples
 
 
 def calibrate(
@@ -299,13 +304,17 @@ def calibrate(
     Logs with the columns q_j.NAME of joints that move also show how these joints bend the sheaths. The gains are then
     estimated with the rest and are in the [routing] of the result's model.
 
-    `certified_gain`: the torque channels' gain is certified, so the slope counts. `tensioner`: known change of the
-    pretension in N by log name (patterns allowed). `hold_out`: pattern of the logs on which the errors are measured
-    (default: every third by name; with one log, blocks). `split="fit"` chooses x and T_p by least simulation error
-    within [uncertainty] where the data cannot part them, instead of keeping the file's proportion; so does a slope
-    below r_J/r_M, which (3.55) cannot have whatever the proportion.
+    Args:
+        certified_gain: True if the gain of the torque channels is certified, so that the slope counts.
+        tensioner: known change of the pretension in N by log name (patterns allowed).
+        hold_out: pattern of the logs on which the errors are measured. The default is every third log by name, or
+            blocks of the log if there are few.
+        split: "keep" keeps the file's proportion of x and T_p if the data cannot separate them. "fit" then chooses both
+            by least simulation error within [uncertainty]. A slope below r_J/r_M has the effect of "fit", because
+            (3.55) cannot have such a slope for any proportion.
 
-    Raises UsageError if the logs do not show enough (the message has the reason), or a column is missing.
+    Raises:
+        UsageError: the logs do not determine the parameters (the message has the reason), or a column is missing.
     """
     if model.friction_angle == 0.0 or model.pretension == 0.0:
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
@@ -419,7 +428,10 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
 
 
 def _combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
-    """`combinations`; effects that depend on x and T_p are taken out at the values that follow from it."""
+    """Return `combinations`, with the effects that depend on x and T_p subtracted at the values that follow from it.
+
+    The values are found by iteration.
+    """
     found = combinations(logs, model, lag)
     for _ in range(EFFECT_ITERATIONS if model.effects else 0):
         before = found[1].value
@@ -440,7 +452,7 @@ def _experiment(model: TendonSheath) -> str:
 
 
 def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[PreparedLog], list[PreparedLog]]:
-    """Logs to learn from and logs to measure the error on: whole logs, or blocks of the one log with gaps."""
+    """Return the logs for the fit and the held-out logs: whole logs, or blocks of each log with gaps between them."""
     held = held_out_logs([log.name for log in logs], pattern)
     if held:
         return [log for log in logs if log.name not in held], [log for log in logs if log.name in held]
@@ -458,8 +470,9 @@ def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[Prepar
 def _rms(logs: list[PreparedLog], model: TendonSheath, sliding: bool = False) -> float:
     """Return the simulation error, N*m, over all samples, or where the joint surely slides; nan without such samples.
 
-    (3.55) reverses at once, while tendons need a way for it. There a model with more friction has the larger error,
-    even if it is the true one. So only the error while sliding decides which of two models is better.
+    The friction of (3.55) reverses at once, but real tendons need some travel for it. During reversals a model with
+    more friction therefore has the larger error, even if it is the true one. Only the error while sliding decides which
+    of two models is better.
     """
     errors = []
     for log in logs:

@@ -1,4 +1,4 @@
-"""x and T_p0 where the data know only their product: the nominal file's proportion is kept within [uncertainty]."""
+"""Determine x and T_p0 from their product alone: the proportion of the nominal file is kept within [uncertainty]."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 def bounds(model: TendonSheath) -> tuple[tuple[float, float], tuple[float, float]]:
-    """How far recalibration may move x and T_p0: a factor of nominal either way, from [uncertainty]."""
+    """Return the ranges (low, high) of x (1) and T_p0 (N) that [uncertainty] permits around the nominal values."""
     fx, ft = 1.0 + model.friction_angle_uncertainty, 1.0 + model.pretension_uncertainty
     x, tension = model.friction_angle, model.pretension
     return (x / fx, x * fx), (tension / ft, tension * ft)
@@ -34,10 +34,10 @@ def narrower(found: tuple[Quantity, Quantity], model: TendonSheath, share: float
 
 
 def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tuple[Quantity, Quantity]:
-    """Move x and T_p0 together, in proportion to their uncertainties, until 2 T_p r_J sinh x is the half loop.
+    """Return x (1) and T_p0 (N), changed in proportion to their uncertainties, with 2 T_p r_J sinh x = `half_loop`.
 
-    The intervals are the remaining ranges for the known product within the bounds of both. Adds to `notes` when the
-    half loop cannot be reached.
+    The intervals are the ranges of both that remain for the known product within [uncertainty]. If the friction torque
+    cannot be reached within [uncertainty], the nearest corner is returned, and a note is added to `notes`.
     """
     (low_x, high_x), (low_t, high_t) = bounds(model)
     wx, wt = math.log(high_x / low_x) / 2.0, math.log(high_t / low_t) / 2.0
@@ -63,7 +63,7 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
 
 
 def _root(rising: Callable[[float], float]) -> float:
-    """Where a function that rises from below 0 at -1 to above 0 at 1 is 0: halved until no number lies between."""
+    """Return the root of a function that rises from below 0 at -1 to above 0 at 1, by bisection to the last digit."""
     low, high = -1.0, 1.0
     while low < (middle := 0.5 * (low + high)) < high:
         if rising(middle) < 0.0:
@@ -74,10 +74,11 @@ def _root(rising: Callable[[float], float]) -> float:
 
 
 def least_error(logs: list[PreparedLog], model: TendonSheath) -> tuple[Quantity, Quantity]:
-    """x and T_p0 within [uncertainty] by least simulation error; the bounds are their intervals.
+    """Return x (1) and T_p0 (N) within [uncertainty] with the least simulation error; the bounds are their intervals.
 
-    Over the admitted samples: at rest friction is anything up to the friction torque, and the sign of a velocity that
-    is noise would make the least friction the best (a weight that stands between strokes: 0.38 instead of 0.61 N*m).
+    Only the admitted samples count. At rest the friction can have any value up to the friction torque, and the sign of
+    the velocity is noise. Such samples would bias the result to low friction (a weight that rests between strokes: 0.38
+    instead of 0.61 N*m).
     """
     from scipy.optimize import least_squares  # slow to import
 

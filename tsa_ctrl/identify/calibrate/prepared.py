@@ -1,4 +1,4 @@
-"""Logs made ready for the fits: signals, admission, blocks of time, and the known change of the pretension."""
+"""Prepare logs for the fits: signals, admission of samples, blocks of time, and known changes of the pretension."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
 
-# Select the samples for a calibration: data admission, apart from the fit.
+# Select the samples for a calibration, independent of the fit.
 #
-# Learned from: sliding in a known direction. Refused: standstill, and the neighbourhood of each reversal, where sigma
-# is not known from a noisy velocity and the friction has not yet built up (presliding).
+# Samples that slide in a known direction are admitted. Standstill and the surroundings of each reversal are rejected,
+# because a noisy velocity does not determine sigma there, and the friction has not yet built up (presliding).
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-NOISE_FACTOR = 5.0  # a speed below so many times the velocity noise has no sure sign
-SPEED_FRACTION = 0.05  # of the fast motion's speed: slower is called standstill
+NOISE_FACTOR = 5.0  # times the velocity noise: the sign of a slower velocity is not certain
+SPEED_FRACTION = 0.05  # of the fast motion's speed: a slower motion counts as standstill
 STROKE_FRACTION = 0.15  # of the stroke after a reversal: friction may still be building up
 GUARD_TIME = 0.03  # s on each side of a reversal: sensor delays
-MIN_SECONDS = 1.0  # admitted motion in each direction: twice the time within which noise is alike (prepared.LAG_LIMIT)
-# Spread of the motor torque within a direction over its noise: below, noise bends the slope by more than a fifth
+MIN_SECONDS = 1.0  # least admitted motion in each direction: twice the correlation time of noise (prepared.LAG_LIMIT)
+# Least ratio of the motor torque's spread within a direction to its noise: below it the slope is wrong by over a fifth
 MIN_LOAD_TO_NOISE = 2.0
 
 
 @dataclass(frozen=True)
 class Admission:
-    """`mask` (n) of admitted samples, `direction` sigma (n), and the reasons for rejected samples."""
+    """The admitted samples of one log: `mask` (n), `direction` sigma (n), and the reasons for rejected samples."""
 
     mask: BoolArray
     direction: FloatArray
@@ -48,7 +48,7 @@ class Admission:
 
 
 def noise_deviation(x: FloatArray) -> float:
-    """Standard deviation of the fast part of a signal, robustly from third differences (white-noise scale 20)."""
+    """Return the standard deviation of the noise of a signal, robustly from third differences (variance factor 20)."""
     if x.size < 8:
         return 0.0
     d = np.diff(x, 3)
@@ -61,8 +61,8 @@ def noise_deviation(x: FloatArray) -> float:
 def admit(t: FloatArray, omega: FloatArray) -> Admission:
     """Admit the samples of one log in which the joint surely slides.
 
-    `t` (n) in s at a constant rate, `omega` (n) in rad/s: joint velocity. A log that does not move is an admission of
-    nothing; `require` turns that into an error.
+    `t` (n) in s at a constant rate, `omega` (n) in rad/s: joint velocity. No sample of a log without motion is
+    admitted; `require` raises an error for it.
     """
     period = float(t[-1] - t[0]) / max(1, t.size - 1)
     fast = float(np.quantile(np.abs(omega), 0.95))
@@ -95,7 +95,7 @@ def admit(t: FloatArray, omega: FloatArray) -> Admission:
 
 
 def _hold(direction: FloatArray) -> FloatArray:
-    """At standstill sigma keeps its last non-zero value; before the first motion it is the first one."""
+    """Return sigma (n,) that keeps its last non-zero value at standstill, and has the first one before any motion."""
     index = np.where(direction != 0.0, np.arange(direction.size), -1)
     last = np.maximum.accumulate(index)
     first = int(np.flatnonzero(direction)[0])
@@ -103,9 +103,9 @@ def _hold(direction: FloatArray) -> FloatArray:
 
 
 def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) -> None:
-    """Refuse data that cannot identify the half loop and the slope.
+    """Raise TooStillError if the data cannot identify friction torque and slope.
 
-    Raises TooStillError with the quantity that varies too little.
+    The message names the quantity that varies too little.
     """
     forward = sum(a.seconds_forward for a in admissions)
     backward = sum(a.seconds_backward for a in admissions)
@@ -148,22 +148,26 @@ class PreparedLog:
     admission: Admission
     labels: NDArray[np.int64]
     tensioner: float
-    chosen: NDArray[np.bool_]  # samples of this log that belong to the set at hand
+    chosen: NDArray[np.bool_]  # samples of this log that belong to the present set
 
     @property
     def mask(self) -> NDArray[np.bool_]:
-        """Samples to learn from (n)."""
+        """Return the mask (n,) of the admitted samples in the present set."""
         return self.admission.mask & self.chosen
 
     def restricted(self, chosen: NDArray[np.bool_]) -> PreparedLog:
-        """The same log of which only some samples count; memory effects still see the whole motion."""
+        """Return the log with only the `chosen` samples in its set; effects with memory still use the whole motion."""
         return dataclasses.replace(self, chosen=self.chosen & chosen)
 
 
 def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str, float]) -> list[PreparedLog]:
-    """Return each log with its admitted samples.
+    """Return the logs with their admitted samples, without logs that have none.
 
-    `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError.
+    Args:
+        tensioner: changes of T_p0 (N) by pattern of the logs' names.
+
+    Raises:
+        UsageError: no log, a pattern without a match, the same data twice, or logs that cannot be used with the model.
     """
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
@@ -198,7 +202,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
 
 
 def _check_different(logs: Sequence[Dataset]) -> None:
-    """The same data twice would make every interval too narrow."""
+    """Raise UsageError if two logs contain the same data, because every interval would then be too narrow."""
     seen: dict[tuple[str, float], str] = {}
     for log in logs:
         piece = log.sha256, float(log.columns["t"][0])  # of one file, between its holes
@@ -219,7 +223,7 @@ def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
 
 
 def instrument_lag(logs: list[PreparedLog]) -> int:
-    """Samples beyond which the noise of the motor torque no longer correlates with itself."""
+    """Return the lag in samples beyond which the noise of the motor torque is not correlated."""
     residuals = []
     for log in logs:
         x = np.column_stack([log.signals.tau_m, log.admission.direction, np.ones(log.tau_j.size)])
@@ -232,10 +236,13 @@ def instrument_lag(logs: list[PreparedLog]) -> int:
 
 
 def offsets(logs: list[PreparedLog]) -> list[FloatArray]:
-    """For each log, columns (n, m) of which its own is 1: a sensor's zero moves from log to log, not within one."""
+    """Return for each of m logs the regressors (n, m) of its offset: 1 in the log's own column, 0 in the others.
+
+    The zero of a sensor may change between logs, but not within one.
+    """
     return [np.broadcast_to(row, (log.tau_j.size, len(logs))) for row, log in zip(np.eye(len(logs)), logs, strict=True)]
 
 
 def stack(parts: list[FloatArray], logs: list[PreparedLog]) -> FloatArray:
-    """The admitted samples of all logs in one array; `parts`: one array per log."""
+    """Return the admitted samples of all logs in one array; `parts`: one array per log."""
     return np.concatenate([part[log.mask] for part, log in zip(parts, logs, strict=True)])

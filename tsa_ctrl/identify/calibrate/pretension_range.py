@@ -1,7 +1,7 @@
-"""The range in which a pretension is appropriate: no tendon goes slack, and the motor has torque left for the joint.
+"""Compute the range of an appropriate pretension: no tendon goes slack, and the motor torque exceeds the friction.
 
-Both tendons pull while |tau_M| < 2 T_p0 r_M, and friction at the motor is h = 2 T_p0 r_M f(x), which also grows with
-the pretension. So for a torque of tau at the motor
+Both tendons pull while |tau_M| < 2 T_p0 r_M. The friction torque at the motor is h = 2 T_p0 r_M f(x), which also
+increases with the pretension. For a torque of tau at the motor the range is therefore
 
     tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x)),     f by where the sheath bends (`tsa_ctrl.model.steady_sliding`)
 """
@@ -18,23 +18,23 @@ from tsa_ctrl.model.steady_sliding import sliding
 
 FloatArray = NDArray[np.float64]
 
-REACHED = 0.999  # of the samples, of the motor torque: its peak without spikes
-NEAR = 1.1  # of the lesser end: below it sensors that are off by a tenth hide whether a tendon pulls
+REACHED = 0.999  # quantile of the motor torque that counts as its peak, so that spikes do not count
+NEAR = 1.1  # of the lower end: below it, sensor errors of 10 % may hide a slack tendon
 
 
 def appropriate(model: TendonSheath, torque: float) -> tuple[float, float]:
-    """T_p0 in N, lowest and highest, for `torque` N*m at the motor."""
+    """Return the lowest and the highest appropriate T_p0 in N for `torque`, N*m at the motor."""
     lowest = torque / (2.0 * model.motor_pulley_radius)
     return lowest, model.pretension * torque / sliding(model).motor_half_loop
 
 
 def reached(logs: Iterable[FloatArray]) -> float:
-    """N*m at the motor that logs reach, of their motor torques."""
+    """Return the largest torque (N*m at the motor) that logs reach; `logs`: their motor torques, (n,) each."""
     return max(float(np.quantile(np.abs(tau_m), REACHED)) for tau_m in logs)
 
 
 def remark(model: TendonSheath, torque: float) -> str:
-    """A line for people where T_p0 of the model is not appropriate for `torque` N*m at the motor; empty where it is."""
+    """Return a remark if the model's T_p0 is not appropriate for `torque`, N*m at the motor; empty if it is."""
     lowest, highest = appropriate(model, torque)
     begin = f"the motor torque in these logs reaches {torque:.3g} N·m, for which {lowest:.3g} to {highest:.3g} N are"
     if model.pretension < NEAR * lowest and "tendon_slack" not in model.effects:

@@ -1,11 +1,12 @@
-"""Linear estimation with noise on both axes and coloured errors: lagged instruments and a block jackknife.
+"""Linear estimation with noise on both axes and coloured errors: lagged instruments and intervals from blocks of time.
 
-Ordinary least squares of tau_J on tau_M is biased when tau_M is noisy (the slope shrinks), and its textbook intervals
-are wrong when the errors are coloured. Here the instrument of tau_M is the mean of tau_M a lag earlier and a lag later,
-beyond the correlation time of the noise: the noise drops out, the (slow) signal stays. Intervals come from the scatter
-of whole blocks of time, each block's residuals scaled by (1 - leverage)^(-1/2), with Student's t at as many degrees of
-freedom as that variance has (CR2: Bell and McCaffrey 2002; Imbens and Kolesar 2016). Leaving blocks out (CR3) scales by
-(1 - leverage)^(-1), too much where few blocks decide.
+Ordinary least squares of tau_J on tau_M is biased if tau_M is noisy (the slope becomes too small), and its standard
+intervals are wrong if the errors are coloured. Here the instrument of tau_M is the mean of tau_M one lag earlier and
+one lag later. The lag exceeds the correlation time of the noise, so the noise cancels and the (slow) signal remains.
+Intervals follow from the scatter of whole blocks of time. The residuals of each block are scaled by
+(1 - leverage)^(-1/2), and the interval is by Student's t with the degrees of freedom of that variance (CR2: Bell and
+McCaffrey 2002; Imbens and Kolesar 2016). A jackknife over blocks (CR3) would scale by (1 - leverage)^(-1), which is too
+much if a result depends on few blocks.
 """
 
 from __future__ import annotations
@@ -22,20 +23,20 @@ FloatArray = NDArray[np.float64]
 
 # t of 17 degrees of freedom is within 8 % of the normal one, and a block of a short log is still longer than its noise
 BLOCKS = 18
-MAX_LAG_LOSS = 0.10  # the instrument may lose so much of the correlation with its signal
-ALONE = 1e-6  # 1 - leverage, below which a block alone determines a combination: rounding of a sum of thousands
-MOST_FREEDOM = 1e6  # Student's t is then the normal distribution
-NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has died out
+MAX_LAG_LOSS = 0.10  # largest permitted loss of correlation between the instrument and its signal
+ALONE = 1e-6  # 1 - leverage below which one block alone determines a combination: rounding of a sum of thousands
+MOST_FREEDOM = 1e6  # upper limit, at which Student's t equals the normal distribution
+NOISE_CORRELATION = 0.05  # autocorrelation of the noise below which it counts as uncorrelated
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients (k), their covariance (k, k) from B blocks of time, and the basis of its own uncertainty.
+    """Coefficients (k), their covariance (k, k) from B blocks of time, and the data for its degrees of freedom.
 
-    With k-vectors of scores, `influence` (B, k, k) takes the residuals' score of a block to its share of the error of
-    `value`, `leverage` (B, k, k) is the part of a block's score that the fit took up, `weight` (B, k, k) what white
-    errors of variance 1 would make the covariance of each block's true score. `of_prior` (k, k) is the part of the
-    covariance that a prior contributes; its variance is known.
+    A score is a k-vector of one block. `influence` (B, k, k) maps the score of a block's residuals to its contribution
+    to the error of `value`. `leverage` (B, k, k) is the part of a block's score that the fit absorbs. `weight`
+    (B, k, k) is the covariance of each block's true score for white errors of variance 1. `of_prior` (k, k) is the part
+    of the covariance that a prior contributes; its variance is known.
     """
 
     value: FloatArray
@@ -46,19 +47,20 @@ class Estimate:
     of_prior: FloatArray | None = None
 
     def interval(self, index: int, level: float = LEVEL) -> tuple[float, float]:
-        """Two-sided interval of one coefficient."""
+        """Return the two-sided interval of one coefficient."""
         return self.interval_of(np.eye(self.value.size)[index], level)
 
     def interval_of(self, gradient: FloatArray, level: float = LEVEL) -> tuple[float, float]:
-        """Interval of `gradient @ value` (delta method for a function with that gradient)."""
+        """Return the interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
         deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
         half = half_width(self.degrees_of_freedom(gradient), level) * deviation
         return centre - half, centre + half
 
     def degrees_of_freedom(self, gradient: FloatArray) -> float:
-        """Return the degrees of freedom of the variance of `gradient @ value` (Satterthwaite): few where it rests on
-        few blocks.
+        """Return the degrees of freedom of the variance of `gradient @ value` (Satterthwaite).
+
+        They are few if the variance depends on few blocks.
         """
         b = self.influence.transpose(0, 2, 1) @ gradient
         taken = np.einsum("bji,bj->bi", self.leverage, b)
@@ -76,7 +78,10 @@ class Estimate:
 
 
 def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.int64]]:
-    """Labels of contiguous blocks of about equal length over several logs; a log is never joined with another."""
+    """Return the labels of contiguous blocks over several logs, (n,) for each log; no block contains two logs.
+
+    With fewer logs than `blocks` the blocks have about equal length; otherwise each log is one block.
+    """
     total = sum(lengths)
     labels, first = [], 0
     for n in lengths:
@@ -87,7 +92,7 @@ def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.in
 
 
 def lagged(signal: FloatArray, lag: int) -> FloatArray:
-    """Mean of a signal `lag` samples earlier and later (edges use the one that exists)."""
+    """Return the mean of a signal `lag` samples earlier and later; near the ends only the existing one counts."""
     if lag == 0:
         return signal
     n = signal.size
@@ -99,9 +104,10 @@ def lagged(signal: FloatArray, lag: int) -> FloatArray:
 
 
 def choose_lag(signals: list[FloatArray], residuals: list[FloatArray], limit: int) -> int:
-    """The shortest lag at which the residual's fast part (against a mean over 4 `limit`) is uncorrelated.
+    """Return the shortest lag at which the fast part of all residuals is uncorrelated, in samples, at most `limit`.
 
-    `limit` in samples bounds it; a signal that would lose too much of itself at that lag shortens it.
+    The fast part is the residual minus its moving mean over 4 `limit` samples. The lag of a log is shortened if its
+    signal would lose more than `MAX_LAG_LOSS` of its correlation at that lag.
     """
     lag = 0
     for signal, residual in zip(signals, residuals, strict=True):
@@ -126,7 +132,7 @@ def _correlation_lag(residual: FloatArray, limit: int) -> int:
 
 
 def _loss(signal: FloatArray, lag: int) -> float:
-    """Share of the correlation with itself that a signal loses at a lag; noise, which is to be lost, is averaged."""
+    """Return the share of its autocorrelation that a signal loses at a lag, after averaging its noise."""
     if 4 * lag >= signal.size:
         return 1.0
     from scipy.ndimage import uniform_filter1d  # slow to import
@@ -140,7 +146,7 @@ def _loss(signal: FloatArray, lag: int) -> float:
 
 @dataclass(frozen=True)
 class Prior:
-    """Knowledge of the coefficients before the data: `value` (k) and `precision` (k), 1/variance, 0 without any."""
+    """Prior knowledge of the coefficients: `value` (k) and `precision` (k), which is 1/variance, or 0 without any."""
 
     value: FloatArray
     precision: FloatArray
@@ -153,11 +159,17 @@ def solve(
     labels: NDArray[np.int64],
     prior: Prior | None = None,
 ) -> Estimate:
-    """Just-identified instrumental variables with a covariance from blocks of time.
+    """Return the estimate by just-identified instrumental variables, with a covariance from blocks of time.
 
-    `regressors`, `instruments` (n, k), `target` (n), `labels` (n) block numbers. A prior counts as one more observation
-    of each coefficient; its weight against the samples follows from the scatter of whole blocks. Raises
-    numpy.linalg.LinAlgError when the data do not determine the coefficients.
+    Args:
+        regressors, instruments: (n, k) each.
+        target: (n,).
+        labels: block numbers, (n,).
+        prior: one more observation of each coefficient. Its weight relative to the samples follows from the scatter of
+            whole blocks.
+
+    Raises:
+        numpy.linalg.LinAlgError: the data do not determine the coefficients.
     """
     order = np.argsort(labels, kind="stable")
     starts = np.flatnonzero(np.diff(labels[order], prepend=-1))
@@ -184,7 +196,10 @@ def solve(
 
 
 def _inverse_root(matrices: FloatArray) -> FloatArray:
-    """Inverse square roots (B, k, k); a direction that a block alone determines (a root of 0) has no residual."""
+    """Return the inverse square roots (B, k, k) of matrices; an eigenvalue of 0 gives 0.
+
+    Such a direction is determined by one block alone and has no residual.
+    """
     values, vectors = np.linalg.eig(matrices)
     alone = values.real < ALONE
     roots = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, values.astype(np.complex128))))

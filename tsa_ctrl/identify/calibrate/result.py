@@ -20,26 +20,27 @@ if TYPE_CHECKING:
 # Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
 # blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
 BY_CHANCE = 2.0 / 18.0
-ROUNDING = 1e-4  # of the error on the data learned from, which shows no further digits
+ROUNDING = 1e-4  # of the error on the fitted data: smaller differences are rounding
 
 
 @dataclass(frozen=True, repr=False)
 class Calibration(Displayed):
     """Result of `calibrate`.
 
-    `slope` (1) is d tau_J / d tau_M and `half_loop_torque` (N*m) half the distance between the two branches, both at
-    the model's own bending angle and pretension: for the simplified model r_J/r_M cosh x and 2 T_p r_J sinh x.
-    `split`: the data part the product into x and T_p; otherwise `friction_angle` and `pretension` keep the nominal
-    file's proportion and their intervals are what [uncertainty] and the half loop leave open. `by_slope`: the slope of
-    one configuration separated them.
+    `slope` (1) is d tau_J / d tau_M. `half_loop_torque` (N*m) is the friction torque, half the distance between the two
+    branches. Both are at the model's own bending angle and pretension: r_J/r_M cosh x and 2 T_p r_J sinh x for the
+    simplified model. `split` is True if the data separate the product into x and T_p. Otherwise `friction_angle` and
+    `pretension` keep the nominal file's proportion, and their intervals are the ranges that [uncertainty] and the
+    friction torque permit. `by_slope` is True if the slope of one configuration separated them.
 
     `routing`: gains of other joints by "gain.JOINT" (rad/rad; "gain_a.JOINT", "gain_b.JOINT" where the tendons differ)
     and "pretension_per_wrap_angle" (N/rad); empty where no other joint bends the sheath.
 
-    RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
-    `rms_given` and `rms_written` (`model`, which is written to the file) on all data, which `model` has learned from.
-    `sliding_before` to `sliding_written`: the same where the joint surely slides; they decide what is worse and better.
-    `errors`: of `model` on all samples, with reversals and standstill, equal to the output of `simulate`.
+    RMS errors are in N*m. `rms_before` (nominal model) and `rms_after` (fitted to the other data) are on held-out data.
+    `rms_given` (nominal model) and `rms_written` (`model`, which is written to the file) are on all data, to which
+    `model` was fitted. `sliding_before` to `sliding_written` are the same errors where the joint surely slides; they
+    decide if a model is better or worse. `errors` are those of `model` on all samples, including reversals and
+    standstill, as `simulate` reports them.
     """
 
     friction_angle: Quantity
@@ -67,12 +68,12 @@ class Calibration(Displayed):
 
     @property
     def better(self) -> bool:
-        """Return True if the calibrated model has the smaller error on held-out data."""
+        """Return True if the calibrated model has the smaller error while sliding on held-out data."""
         return self.sliding_after < self.sliding_before
 
     @property
     def worse(self) -> str:
-        """Return in words where the error while sliding is larger than with the given model; empty if nowhere."""
+        """Return as text where the error while sliding is larger than with the given model; empty if nowhere."""
         found = []
         if self.sliding_written > (1.0 + ROUNDING) * self.sliding_given:
             found.append(f"{self.sliding_given:.4g} -> {self.sliding_written:.4g} N·m on these logs")
@@ -102,7 +103,10 @@ class Calibration(Displayed):
         return bars(errors, "RMS error (N·m)", f"Friction torque {self.half_loop_torque}")
 
     def written(self, model: TendonSheath) -> TendonSheath:
-        """Return the model; the estimates have as many digits as the narrowest interval justifies: the half loop's."""
+        """Return the model with friction coefficient and pretension rounded to the digits that the intervals justify.
+
+        The narrowest interval of all estimated quantities decides.
+        """
         share = min(found.share for found in self.quantities.values() if found.share >= 0.0)
         return replace(
             model,
@@ -111,7 +115,7 @@ class Calibration(Displayed):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object of `tsa calibrate --json`."""
+        """Return the public JSON object of `tsa calibrate --json`."""
         found: dict[str, Any] = json_types(
             {
                 "schema": 1,

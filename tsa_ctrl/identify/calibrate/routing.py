@@ -5,8 +5,9 @@
 
 Friction torque and slope of the transmission follow x and T_p, so one least-squares fit of the joint torque finds x,
 T_p0, all gains g_ij and k at once (Gauss-Newton on the instrumented normal equations of `regression`). The fit makes no
-assumption on the motion: joints may move alone or together. What the motion does not show has a wide interval. Without
-a joint torque sensor the fit is one of the elongation, with the stiffness in place of the gain of tau_M.
+assumption on the motion: joints may move alone or together. A parameter that the motion does not determine has a wide
+interval. Without a joint torque sensor the elongation is fitted instead, with the stiffness in place of the gain of
+tau_M.
 
 mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which stays. The
 file knows k by the tendon's stiffness and lever. This knowledge enters as an observation with the file's uncertainty.
@@ -73,7 +74,7 @@ class RoutingFit:
 
     @property
     def sentence(self) -> str:
-        """Return what the logs show about the joints."""
+        """Return a sentence on the joints that bend the sheaths and on those that do not."""
         words = []
         for name, gain in self.gains.items():
             kind, _, joint = name.partition(".")
@@ -94,7 +95,10 @@ def bent_by(log: PreparedLog, model: TendonSheath) -> PreparedLog:
 
 
 def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
-    """Return the joints of the columns q_j.NAME that move, but the own one: rad of standard deviation over all logs."""
+    """Return the standard deviation (rad) of the angle of each moving joint, without the actuator's own joint.
+
+    Only joints whose column q_j.NAME is in all logs count.
+    """
     names = [name for name in logs[0].signals.joints if all(name in log.signals.joints for log in logs)]
     found = {}
     for name in names:
@@ -227,7 +231,7 @@ class _Problem:
 
 
 def of_elongation(logs: Sequence[Dataset], model: TendonSheath) -> list[PreparedLog]:
-    """Return logs without a joint torque for `fit_routing`: what it fits is r_M q_M - r_J q_J, m."""
+    """Return logs without a joint torque for `fit_routing`, with r_M q_M - r_J q_J (m) as the quantity to fit."""
     prepared = []
     for log, labels in zip(logs, block_labels([len(log) for log in logs]), strict=True):
         signals = log.completed_for(model).signals()
@@ -241,9 +245,9 @@ def of_elongation(logs: Sequence[Dataset], model: TendonSheath) -> list[Prepared
 def fit_routing(
     logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, by_elongation: bool = False
 ) -> RoutingFit | None:
-    """Return the gains of all joints that move in the logs, and what goes with them.
+    """Return the gains of all joints that move in the logs, with x, T_p0 and dT_p/dTheta.
 
-    `by_elongation`: the logs are those of `of_elongation`. The result is None if no joint bends a sheath, and for logs
+    `by_elongation`: True for the logs of `of_elongation`. The result is None if no joint bends a sheath, and for logs
     with a measured wrap angle (column theta).
     """
     moved = moving_joints(logs) if logs else {}
@@ -254,7 +258,7 @@ def fit_routing(
     fixed = {GAIN} if certified_gain and not by_elongation else set[int]()
     found = None
     halves = set(range(JOINTS + 1, problem.size, 2))
-    while True:  # remove what the logs do not show, the least first
+    while True:  # remove the gains that the logs do not determine, the least certain one first
         found = problem.solve(fixed, None if found is None else found[0])
         if found is None:
             return None

@@ -19,12 +19,12 @@ from tsa_ctrl.observer.stretch import pairs_of
 
 FloatArray = NDArray[np.float64]
 
-TURNED = 0.05  # of the joint's way at the motor: pulley radii are known to a few per cent
-AGAINST = -0.5  # correlation of stretch and motor torque; tendons that give with it have 0.9, slip and creep leave more
-JUMP = 5.0  # times the `OFTEN`th largest change from row to row: no reversal of a log is that far from all others
-OFTEN = 10  # rows: a motion is as fast again in each of its turns, a jump or two that some rows take are alone
-LEAST = 0.2  # of the pretension's stretch: counts, play and noise are less
-AROUND = 20  # rows either side of a jump, by which it lasts
+TURNED = 0.05  # 1, permitted difference of the motion of both pulleys: their radii are known to a few per cent
+AGAINST = -0.5  # correlation of elongation and motor torque that shows a wrong sign; correct signs give about 0.9
+JUMP = 5.0  # times the `OFTEN`th largest change between rows: no motion changes this much faster once only
+OFTEN = 10  # rows: a motion repeats its highest speed in every cycle, while a jump takes only one or two rows
+LEAST = 0.2  # of the elongation at the pretension: counts, backlash and noise are smaller
+AROUND = 20  # rows on either side of a jump, over which it must last
 
 
 @dataclass(frozen=True)

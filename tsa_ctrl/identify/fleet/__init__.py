@@ -1,4 +1,4 @@
-"""Fleets of logs: each diagnosed separately, on all cores or on a scheduler, resumable, with one table of verdicts."""
+"""Diagnose many logs separately, on all cores or on a scheduler, with one table of verdicts; a run can be resumed."""
 
 from tsa_ctrl.identify.fleet.ledger import Row
 from tsa_ctrl.identify.fleet.sweep import logs_in, sweep

@@ -1,4 +1,4 @@
-"""Where the work of a fleet is done: processes of this machine, or a Dask scheduler that is already running."""
+"""Provide the workers that diagnose the logs: processes of this machine, or those of a running Dask scheduler."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CONNECT = 10.0  # s to reach a scheduler
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor (`submit` as in concurrent.futures), how many jobs it works on at a time, if it sees our files."""
+    """An executor of concurrent.futures, the number of its parallel jobs, and True if it can read the local files."""
 
     executor: Executor
     count: int
@@ -27,7 +27,10 @@ class Workers:
 
 @contextlib.contextmanager
 def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep") -> Iterator[Workers]:
-    """Processes of this machine, one per core that this process may use; each begins with `preload` imported."""
+    """Provide processes of this machine; each of them imports the module `preload` first.
+
+    `jobs`: number of processes; default: one per core that this process may use.
+    """
     count = jobs or len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=_begin)
     try:
@@ -42,16 +45,18 @@ def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep
 
 
 def _begin() -> None:
-    """Ctrl-C is for the process that started the fleet; a worker ends with it, however it ends."""
+    """Ignore SIGINT in a worker, and end the worker when its parent process ends."""
     ignore(signal.SIGINT)
     end_with_parent()
 
 
 @contextlib.contextmanager
 def dask(scheduler: str) -> Iterator[Workers]:
-    """The workers of a running Dask scheduler ("tcp://host:8786"); they need this package, but none of the files.
+    """Provide the workers of a running Dask scheduler ("tcp://host:8786"); they need this package, but no files.
 
-    Raises UsageError when the extra is not installed, BusError if no scheduler answers.
+    Raises:
+        UsageError: the package distributed is not installed.
+        BusError: no scheduler answers, or it has no workers.
     """
     try:
         from distributed import Client

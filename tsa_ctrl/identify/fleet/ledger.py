@@ -1,4 +1,4 @@
-"""The answers of a fleet so far: a file of lines that an interruption cannot spoil, and the table made from it."""
+"""Store the results of a fleet in a file with one line per log that survives interruptions, and write the table."""
 
 from __future__ import annotations
 
@@ -32,10 +32,12 @@ class Named:
 
 @dataclass(frozen=True)
 class Row:
-    """The answer on one log. `verdict`: as in diagnosis.json, or "error" with the reason in `error`.
+    """The result of one log.
 
-    `rms` in N*m as in diagnosis.json; `key` identifies log, model, seed and version, so that an answer is taken again
-    only for the same question.
+    Attributes:
+        key: identifies log, model, seed and version; a result is reused only for the same key.
+        verdict: as in diagnosis.json, or "error" with the reason in `error`.
+        rms: N*m, as in diagnosis.json.
     """
 
     log: str
@@ -50,14 +52,14 @@ class Row:
 
     @property
     def told(self) -> str:
-        """The causes in one line: names, with their indistinguishable effects."""
+        """Return the names of the causes in one line, each with its indistinguishable effects."""
         return "; ".join(
             each.effect + (f" (or {', '.join(each.alternatives)})" if each.alternatives else "") for each in self.causes
         )
 
 
 def row_of(name: str, key: str, result: Diagnosis) -> Row:
-    """The line of the table for a diagnosis."""
+    """Return the result of a diagnosis for the ledger and the table."""
     data = result.to_dict()
     return Row(
         log=name,
@@ -72,7 +74,7 @@ def row_of(name: str, key: str, result: Diagnosis) -> Row:
 
 
 def known_rows(folder: Path) -> dict[str, Row]:
-    """Answers of an earlier run by key; a line that an interruption cut short counts as not written."""
+    """Return the results of an earlier run by key; a line that an interruption cut short is ignored."""
     path = folder / LEDGER
     if not path.exists():
         return {}
@@ -87,7 +89,7 @@ def known_rows(folder: Path) -> dict[str, Row]:
 
 
 def append(folder: Path, row: Row) -> None:
-    """Add one answer; it is on the disk when this returns. Raises UsageError."""
+    """Append one result to the ledger and sync it to the disk; raises UsageError if the file cannot be written."""
     path = folder / LEDGER
     try:
         with path.open("a", encoding="utf-8") as file:
@@ -107,7 +109,7 @@ def _ends_with_a_line(path: Path) -> bool:
 
 
 def write_table(folder: Path, rows: Iterable[Row]) -> Path:
-    """Write verdicts.csv, one line per log; returns its path. Raises UsageError."""
+    """Write verdicts.csv with one line per log and return its path; raises UsageError if it cannot be written."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     steps = ("as_given", "recalibrated", "extended", "noise_floor")
@@ -121,6 +123,6 @@ def write_table(folder: Path, rows: Iterable[Row]) -> Path:
 
 
 def counted(rows: Iterable[Row]) -> tuple[Counter[str], Counter[str]]:
-    """How many logs per verdict, and per cause named."""
+    """Return the number of logs by verdict, and by identified cause."""
     rows = list(rows)
     return Counter(row.verdict for row in rows), Counter(each.effect for row in rows for each in row.causes)

@@ -1,4 +1,4 @@
-"""Diagnoses all logs of a folder, goes on where an interruption stopped it, and writes one table of verdicts."""
+"""Diagnose all logs of a folder, continue after an interruption, and write one table of verdicts."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from tsa_ctrl.log.table import ENDINGS
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.version import __version__
 
-AHEAD = 2  # jobs per worker that are handed out: enough that none waits, few enough to be kept in memory
+AHEAD = 2  # submitted jobs per worker: enough that no worker is idle, few enough for the memory
 
 Progress = Callable[[int, int, Row | None], None]
 
 
 @dataclass(frozen=True)
 class Job:
-    """A log and the model to diagnose it with. `key` identifies all of it.
+    """A log and the model for its diagnosis; `key` identifies both, the seed and the version.
 
-    `log`: where it lies, for a worker that sees the same disk; for any other its contents.
+    `log`: the path for a worker on the same disk, the contents of the file for other workers.
     """
 
     name: str
@@ -42,14 +42,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Done:
-    """The line of the table, and the files of the report by name (none where the log could not be diagnosed)."""
+    """The result of one log, and the files of its report by name; no files if the diagnosis failed."""
 
     row: Row
     files: dict[str, bytes]
 
 
 def carry_out(job: Job) -> Done:
-    """Diagnose one log. Never raises: a fleet continues, and the row of this log has its error."""
+    """Diagnose one log; if the diagnosis fails, the row contains the error, so that the other logs continue."""
     with tempfile.TemporaryDirectory(prefix="tsa-fleet-") as name:
         folder = Path(name)
         model = _laid(folder / "model" / job.model_name, job.model)
@@ -59,7 +59,7 @@ def carry_out(job: Job) -> Done:
             write(result, folder / "report", model)
         except TsaError as error:
             return Done(Row(job.name, job.key, "error", error=_plain(error, log, model)), {})
-        except Exception as error:  # one log that no one thought of must not cost the other hundreds their answer
+        except Exception as error:  # an unexpected error on one log must not end the whole run
             return Done(
                 Row(job.name, job.key, "error", error=f"{type(error).__name__}: {_plain(error, log, model)}"), {}
             )
@@ -74,7 +74,7 @@ def _laid(path: Path, content: bytes) -> Path:
 
 
 def _plain(error: Exception, *files: Path) -> str:
-    """The message in one line, without folders: they may be temporary ones."""
+    """Return the message in one line, without the folders of the files, because they may be temporary."""
     text = " ".join(str(error).split())
     for path in files:
         text = text.replace(str(path), path.name)
@@ -82,7 +82,7 @@ def _plain(error: Exception, *files: Path) -> str:
 
 
 def logs_in(folder: Path) -> list[Path]:
-    """The logs that lie in a folder itself, by name. Raises UsageError if there is no log."""
+    """Return the logs directly in a folder, sorted by name; raises UsageError if the folder contains none."""
     try:
         found = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(ENDINGS))
     except OSError as error:
@@ -103,12 +103,15 @@ def sweep(
     strict: bool = False,
     progress: Progress = lambda done, total, row: None,
 ) -> list[Row]:
-    """Diagnose each log separately with `model`; returns the rows of the table by name.
+    """Diagnose each log separately with `model`; return the results in the order of `logs`.
 
-    Each report goes to out/NAME, each answer to out/fleet.jsonl at once, the table to out/verdicts.csv at the end or at
-    an interruption. Answers in fleet.jsonl for the same log, model, seed and version are reused.
-    progress(done, total, row) is called at the start (row None) and after each answer. Raises UsageError when a file
-    cannot be read or written, BusError when a worker dies.
+    Each report is written to out/NAME, and each result to out/fleet.jsonl as soon as it is available. The table is
+    written to out/verdicts.csv at the end or at an interruption. Results in fleet.jsonl for the same log, model, seed
+    and version are reused. progress(done, total, row) is called at the start (row None) and after each result.
+
+    Raises:
+        UsageError: a file cannot be read or written.
+        BusError: a worker process died.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -144,7 +147,7 @@ def sweep(
 
 
 def _key(path: Path, model: bytes, seed: int, strict: bool) -> str:
-    """The same for the same name and contents of the log, model, seed and version."""
+    """Return a hash of the version, the seed, `strict`, the log's name, and the contents of log and model."""
     digest = hashlib.sha256(f"{__version__} {seed} {'strict ' if strict else ''}{path.name} ".encode())
     digest.update(hashlib.sha256(model).digest())
     try:
@@ -167,12 +170,12 @@ def _unreadable(path: Path, error: OSError) -> UsageError:
 
 
 def _reported(out: Path, row: Row) -> bool:
-    """Return True if the report of an answer still exists."""
+    """Return True if the report of a result still exists; a result with an error has none."""
     return row.verdict == "error" or (out / row.log / "diagnosis.json").is_file()
 
 
 def _file(folder: Path, done: Done) -> None:
-    """Write a report's files; diagnosis.json last: it marks the others as complete."""
+    """Write the files of a report; diagnosis.json is last and marks the others as complete."""
     try:
         for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
             folder.mkdir(exist_ok=True)

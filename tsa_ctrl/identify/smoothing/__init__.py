@@ -1,6 +1,6 @@
-"""Position, velocity and acceleration from the counts of an encoder: a zero-phase smoother, its bandwidth by the data.
+"""Derive position, velocity and acceleration from encoder counts by a zero-phase smoother; the data set its bandwidth.
 
-Every verb that derives a velocity or an acceleration does it by this one (`identify.motion`).
+All commands that derive a velocity or an acceleration use this smoother (`identify.motion`).
 """
 
 from tsa_ctrl.identify.smoothing.bandwidth import LowPass

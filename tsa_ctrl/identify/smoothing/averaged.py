@@ -15,10 +15,10 @@ import numpy as np
 
 from tsa_ctrl.model.functions import Array
 
-LONGEST = 65_536  # samples of a segment: a minute at 1 kHz, for bands from 1 Hz on as sharp as they are wide
-COVERED = 262_144  # samples looked at in the segments of one length: the density of a band is then known to a few %
+LONGEST = 65_536  # samples of a segment, a minute at 1 kHz: the window is then narrower than the bands above 1 Hz
+COVERED = 262_144  # samples used in the segments of one length: the density of a band is then known to a few per cent
 SHORTEST = 64  # samples of a segment; a shorter signal has no useful spectrum
-CYCLES = 64.0  # of a band's lower edge in a segment: the window blurs by 6.4 of them either way, a tenth of the band
+CYCLES = 64.0  # of a band's lower edge in a segment: the window blurs by 6.4 of them either way, a tenth of the edge
 WIDTH = 2.0**0.125  # of a band, upper over lower edge: a filter's gain changes little over it
 SHAPE = 20.0  # of the Kaiser window: side lobes 155 dB down, more than 24 bit
 FEWEST = 3  # resolved frequencies in a band
@@ -63,7 +63,7 @@ def band_densities(y: Array, period: float) -> tuple[Array, Array]:
 
 def _density(y: Array, period: float, length: int) -> Array:
     """Return the mean density of segments of `length` samples spread over y, each without its mean and slope."""
-    wanted = 1 + -(-4 * (len(y) - length) // length)  # three quarters overlap: the window is that narrow
+    wanted = 1 + -(-4 * (len(y) - length) // length)  # an overlap of three quarters, because the window is narrow
     count = max(1, min(wanted, COVERED // length))
     starts = np.unique(np.linspace(0, len(y) - length, count).round().astype(np.int64))
     segments = np.lib.stride_tricks.sliding_window_view(y, length)[starts]
@@ -71,7 +71,7 @@ def _density(y: Array, period: float, length: int) -> Array:
     trend = np.stack([segments.mean(axis=1), segments @ line / float(line @ line)], axis=1)
     segments *= window
     segments -= trend @ np.stack([window, sloped])
-    parts = np.fft.rfft(segments, axis=1).view(np.float64)  # real and imaginary in turn
+    parts = np.fft.rfft(segments, axis=1).view(np.float64)  # real and imaginary parts alternate
     squares = np.einsum("ij,ij->j", parts, parts).reshape(-1, 2)
     return np.asarray(2.0 * period / len(starts) * (squares[:, 0] + squares[:, 1]))
 
@@ -85,14 +85,14 @@ def _window(length: int) -> tuple[Array, Array, Array]:
     return line, window, line * window
 
 
-MEANS = range(2, 11)  # samples that a mean may span: more would reach down to where joints of 1 kHz move
-CORNERS = (0.05, 0.07, 0.1, 0.14, 0.2)  # of the rate, of filters of first order: the same reach
-POINTS = 16  # in a band, over which a shape's mean is taken: the zeros of a mean are narrower than a band
-DEEPEST = 1e-3  # of a shape: rounding and white noise after the mean fill its zeros
-FLAT = 2.0  # times the level or a FLATth of it: a band off by less is noise, as neighbours in a shape differ by less
-MISSED = 2  # bands in a row off by more that end the plateau: a line or a zero alone does not
+MEANS = range(2, 11)  # samples of a mean: longer ones would affect the frequencies at which joints move at 1 kHz
+CORNERS = (0.05, 0.07, 0.1, 0.14, 0.2)  # of the rate, corner of first-order filters: the same range of frequencies
+POINTS = 16  # in a band, over which a shape is averaged: the zeros of a mean are narrower than a band
+DEEPEST = 1e-3  # lower limit of a shape: rounding and white noise after the mean fill its zeros
+FLAT = 2.0  # ratio to the level, or its inverse, up to which a band counts as noise: neighbouring bands differ by less
+MISSED = 2  # successive bands beyond this ratio that end the plateau, so that a single line or zero does not end it
 SUNK = 0.1  # of a shape: in its zeros all of the measured power is noise, including rounding
-FURTHER = 1.4  # times as far down (half an octave) a shape must reach to be believed instead of white noise
+FURTHER = 1.4  # factor (half an octave) by which a shape must reach lower than white noise to be used instead
 
 
 def plateau(measured: Array, count: int, period: float, top: float) -> tuple[float, Array]:
@@ -115,7 +115,10 @@ def plateau(measured: Array, count: int, period: float, top: float) -> tuple[flo
 
 
 def _reach(flat: Array, level: float) -> tuple[float, int]:
-    """The level of the plateau that ends at the top, and its lowest band."""
+    """Return the level of the plateau that begins at the highest band, and the number of its lowest band.
+
+    `level`: first estimate of the level.
+    """
     end, missed = len(flat) - 1, 0
     for band in range(len(flat) - 1, -1, -1):
         missed = missed + 1 if not level / FLAT < flat[band] < FLAT * level else 0

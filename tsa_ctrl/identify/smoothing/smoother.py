@@ -1,9 +1,10 @@
-"""One smoother for every verb: an angle or a velocity and its derivatives, as sharp as its noise allows.
+"""Smooth an angle or a velocity and its derivatives; all commands use this smoother.
 
-The low-pass follows from the data: from the densities of motion and noise, by least expected error
-(`bandwidth`). Rounding to counts is not white noise where the motion is slower than a count per sample; so its density
-is measured: a smooth motion near the one recorded is rounded again, at other positions between the counts, until the
-low-pass that follows is the one that it began with. The remaining power of the highest frequencies is white noise.
+The low-pass with the least expected error follows from the spectral densities of motion and noise (`bandwidth`).
+Rounding to counts is not white noise if the motion is slower than one count per sample. Its density is therefore
+measured: a smoothed copy of the recorded motion is rounded again at other positions between the counts. This is
+repeated until the resulting low-pass is one that was used before. The remaining power at the highest frequencies is
+white noise.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from tsa_ctrl.identify.smoothing.averaged import SHORTEST, band_densities, bands
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 4  # of positions between the counts: samples in the mean of the noise density; of short logs more
-DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
-HELD = 2_000_000  # samples in all draws at most that are held at once: of an hour they would take 120 MB
-ROUNDS = 8  # of rounding again at most; two or three are enough but for encoders of a few counts
-MORE = 4.0  # times the noise that rounding can be, to begin with: from below, no stair is taken for motion
-TOP = 0.3  # of the rate: motion ends below it
-WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass that leaves more may distort more than it improves
-WORTH = 0.1  # of the rounding's density: a smaller excess is not another kind of noise
-GRID = 1e-3  # of a count, by which steps may miss a whole number of counts (digits of a text file)
+DRAWS = 4  # random trials of the position between the counts, over which the noise density is averaged; more if short
+DRAWN = 65_536  # least number of samples in all trials: a minute at 1 kHz
+HELD = 2_000_000  # most samples of all trials in memory at once: for an hour they would require 120 MB
+ROUNDS = 8  # most repetitions of the rounding; two or three suffice except for encoders of a few counts
+MORE = 4.0  # times the rounding noise, as first estimate: a smaller one would treat the steps of the counts as motion
+TOP = 0.3  # of the rate: motion has lower frequencies
+WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass with a larger error may distort more than it improves
+WORTH = 0.1  # of the rounding's density: a smaller excess does not count as white noise
+GRID = 1e-3  # relative error of a step as a whole number of counts, because of the digits of a text file
 ORDERS = {"angle": ((0, 1), (2,)), "velocity": ((0,), (1,))}  # derivatives that share a low-pass
 
 
 @dataclass(frozen=True)
 class Smoothed:
-    """A signal (n,) sampled every `period` s, and what of it is motion.
+    """A signal (n,) sampled every `period` s, with the low-passes that separate its motion from noise.
 
-    `smooth` is the low-pass of an angle and its velocity, or of a velocity; `steep` of the acceleration. `errors`
-    are the RMS errors expected of value, first and (of an angle) second derivative, `noises` the noise's part of them.
-    `count` is the step of the grid that the values lie on, 0 without one. Without low-passes (None) the signal is taken
-    as exact and its derivatives are central differences.
+    `smooth` is the low-pass of an angle and its velocity, or of a velocity. `steep` is that of the acceleration.
+    `errors` are the expected RMS errors of the value, the first and (for an angle) the second derivative, and `noises`
+    are the parts of the noise in them. `count` is the step between possible values, 0 without such a grid. If a
+    low-pass is None, the signal is not filtered, and its derivatives are central differences.
     """
 
     raw: Array
@@ -50,19 +51,19 @@ class Smoothed:
 
     @cached_property
     def value(self) -> Array:
-        """The signal itself."""
+        """Return the smoothed signal."""
         return self.raw if self.smooth is None else self._both[0]
 
     @cached_property
     def rate(self) -> Array:
-        """Its first derivative: of an angle the velocity, of a velocity the acceleration."""
+        """Return the first derivative: the velocity for an angle, the acceleration for a velocity."""
         if self.kind == "angle":
             return np.gradient(self.raw, self.period) if self.smooth is None else self._both[1]
         return self._steep(1)
 
     @cached_property
     def second(self) -> Array:
-        """The acceleration of an angle."""
+        """Return the second derivative: the acceleration for an angle."""
         return self._steep(2)
 
     @cached_property
@@ -71,10 +72,10 @@ class Smoothed:
         return filtered(self.raw, self.period, self.smooth, (0, 1) if self.kind == "angle" else (0,))
 
     def within(self, cutoff: float) -> Smoothed:
-        """The same angle with no motion above `cutoff` Hz in value and rate; the acceleration stays.
+        """Return the angle with value and rate limited to `cutoff` (Hz); the acceleration stays.
 
-        White noise passes a low-pass as its cut-off to the order of the derivative and a half. The motion that the
-        lower cut-off removes is not in `errors`: it was excluded on purpose.
+        The RMS of white noise after a low-pass is proportional to the cut-off to the power r + 1/2, for a derivative of
+        order r. The removed motion is not included in `errors`, because the limit is intended.
         """
         if self.smooth is None or self.smooth.cutoff <= cutoff:
             return self
@@ -96,10 +97,13 @@ class Smoothed:
 
 
 def smoothed(y: Array, period: float, kind: str = "angle", cutoff: float | None = None) -> Smoothed:
-    """`y` (n,), an "angle" or a "velocity" sampled every `period` s, smoothed; `cutoff` in Hz overrides the data's.
+    """Return `y` (n,), an "angle" or a "velocity" sampled every `period` s, with its low-passes.
 
-    Raises nothing: a signal that never changes or is shorter than SHORTEST samples is unchanged, and so is a measured
-    velocity whose motion reaches so far up that little noise could be taken away.
+    A signal that never changes or has fewer than SHORTEST samples is not filtered. A measured velocity is not filtered
+    either if a low-pass would remove too little noise; its acceleration is.
+
+    Args:
+        cutoff: Hz, replaces the cut-off that follows from the data.
     """
     step = grid(y)
     shared, apart = ORDERS[kind]
@@ -131,7 +135,7 @@ def _noise(
     orders: tuple[int, ...],
     cutoff: float | None,
 ) -> Noise:
-    """Rounding, as it is when a motion like this one is rounded, and white noise, of a velocity perhaps averaged."""
+    """Return the noise: that of rounding a similar motion, and white noise, which may be averaged for a velocity."""
     edges = bands(len(y), period)
     top = np.sqrt(edges[1:] * edges[:-1]) > TOP / period
     if not top.any():
@@ -141,7 +145,7 @@ def _noise(
     if kind == "velocity":
         level, shape = plateau(measured, len(y), period, TOP)
     white = max(0.0, level - rounding)
-    held = len(y) / max(1, int(np.count_nonzero(np.diff(y))))  # samples on one count: its rounding is so much slower
+    held = len(y) / max(1, int(np.count_nonzero(np.diff(y))))  # samples per count, which slow the noise down
     first = rounding if step == 0.0 else MORE * held * rounding
     noise = Noise(first + white * shape, np.zeros(len(measured)))
     if step == 0.0:
@@ -150,7 +154,7 @@ def _noise(
     count = max(DRAWS, -(-DRAWN // len(y)))
     together = count if count * len(y) < HELD else 1
     for _ in range(ROUNDS):
-        rng = np.random.default_rng(0)  # the same draws in each round, so that they end
+        rng = np.random.default_rng(0)  # the same random trials in each round, so that the search ends
         motion = motion_density(measured, values, noise)
         low_pass = choose(len(y), period, motion, noise.density, orders, cutoff)[0].low_pass
         if low_pass in tried:
@@ -173,14 +177,14 @@ def _noise(
 
 
 def _rounded_again(path: Array, step: float, deviation: float, rng: np.random.Generator) -> Array:
-    """The error of rounding `path` and noise to `step`, somewhere else between the counts."""
+    """Return the error (n,) of rounding `path` with noise to `step`, at a random position between the counts."""
     shifted = path + rng.uniform(-0.5 * step, 0.5 * step)
     noisy = shifted + deviation * rng.standard_normal(len(path)) if deviation > 0.0 else shifted
     return np.asarray(np.round(noisy / step) * step - shifted)
 
 
 def grid(y: Array) -> float:
-    """The step of the grid that all values lie on; 0 without one."""
+    """Return the step of the grid on which all values of `y` lie; 0 without a grid."""
     steps = np.abs(np.diff(y))
     steps = steps[steps > 0.0]
     if steps.size == 0:
