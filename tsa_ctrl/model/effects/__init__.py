@@ -1,6 +1,6 @@
 """The effects by which measured data differ from (3.55)-(3.56), in their order of composition.
 
-An effect is a class with its formulas and its `specification`; a class in this tuple is known everywhere.
+An effect is a class with its formulas and its `specification`. All parts of the software use the classes of this tuple.
 """
 
 from __future__ import annotations

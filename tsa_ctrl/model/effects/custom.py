@@ -1,10 +1,11 @@
-"""A formula of the user's own in place of an effect that the catalogue lacks. Source: the explanation of a residual.
+"""A formula of the user for an effect that is not in the catalogue. Source: the explanation of a residual.
 
     stage "joint": tau_J -= f(..., tau = torque of the tendons at the joint, after backlash)
     stage "motor": tau_M -= f(..., tau = motor torque after the effects of the motor's side)
 
-It comes last of its side. Where f depends on tau the inverse is solved for, which needs tau - f to grow with tau. The
-memory of f (`filters`) is reset for each log and at each enable; it stays constant while the inverse is solved.
+It is the last effect of its side. If f depends on tau, the inverse is found numerically, and tau - f must increase with
+tau. The memory of f (`filters`) is reset for each log and at each enable. It does not change while the inverse is
+computed.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ CLOSE = 1e-11  # N*m; tolerance of the inverse: as exact as the effects with a c
 MOST_DOUBLINGS, MOST_STEPS = (
     24,
     40,
-)  # of the inverse: from 1 mN*m to more than any joint bears; then halves
+)  # of the inverse: the doublings extend from 1 mN*m to more than any joint; the steps then suffice for `CLOSE`
 
 
 def _columns(parameters: Mapping[str, Setting]) -> Columns:
-    """The signals that the formula has in it, of those that may lack."""
+    """Return the columns of the formula that a log may lack."""
     program = cast(Custom, Specification.of(Custom).build(parameters)).program
     return tuple(columns for name, columns in NEEDS.items() if program.uses(name))
 
 
 @dataclass(frozen=True)
 class Custom:
-    """f by its text and named constants."""
+    """The formula f, by its text and its named constants."""
 
     expression: Annotated[str, Parameter("N*m", text=True)]
     stage: Annotated[Literal["joint", "motor"], Parameter(choices=("joint", "motor"))] = "joint"
@@ -61,15 +62,15 @@ class Custom:
 
     @cached_property
     def program(self) -> Program:
-        """The formula read; raises UsageError."""
+        """Return the parsed formula; raises UsageError if it is invalid."""
         return parse(self.expression, NAMES, dict(self.constants), "[effects.custom] expression")
 
     def memories(self) -> Memories:
-        """Return the memories of the formula at the beginning of a loop."""
+        """Return new memories of the formula for evaluation cycle by cycle."""
         return Memories(self.program.memories)
 
     def taken(self, tau: Array, state: State[Array]) -> Array:
-        """f over a whole log, N*m, shape (n); UsageError where the formula has no value."""
+        """Return f over a whole log, N*m, shape (n); raises UsageError if a value is not finite."""
         taken = np.broadcast_to(self.program.over(self._signals(tau, state), state.t), np.shape(tau))
         if not np.isfinite(taken).all():
             row = int(np.argmin(np.isfinite(taken)))
@@ -80,7 +81,7 @@ class Custom:
         return taken
 
     def invert(self, wanted: float, state: State[float], memories: Memories) -> float:
-        """Return tau with tau - f(tau) = `wanted`, N*m; nan where the formula has no value. The memories stay."""
+        """Return tau with tau - f(tau) = `wanted`, N*m; nan if no solution is found. The memories do not change."""
         if not math.isfinite(wanted):
             return wanted
         if not self.program.uses("tau"):
@@ -89,7 +90,7 @@ class Custom:
         below, above = self.left(low, state, memories) - wanted, 0.0
         if below == 0.0:
             return low
-        for _ in range(MOST_DOUBLINGS):  # towards the side that lacks
+        for _ in range(MOST_DOUBLINGS):  # in the direction that reduces the error
             step = span if below < 0.0 else -span
             high = low + step
             above = self.left(high, state, memories) - wanted
@@ -98,7 +99,7 @@ class Custom:
             low, below, span = high, above, 2.0 * span
         else:
             return math.nan
-        for number in range(MOST_STEPS):  # secants that leave no end behind (Illinois), and halves where f jumps
+        for number in range(MOST_STEPS):  # the Illinois method, with a bisection in every fourth step in case f jumps
             middle = 0.5 * (low + high) if number % 4 == 3 else (low * above - high * below) / (above - below)
             left = self.left(middle, state, memories) - wanted
             if abs(left) < CLOSE:
@@ -111,13 +112,13 @@ class Custom:
         return 0.5 * (low + high)
 
     def accept(self, tau: float, state: State[float], memories: Memories) -> None:
-        """This cycle's torque is `tau`, N*m: the memories follow it when the next one begins."""
+        """Accept `tau` (N*m) as the torque of this cycle; the memories store it when the next cycle begins."""
         if memories.parts and math.isfinite(tau):
             self._value(tau, state, memories)
             memories.accept()
 
     def left(self, tau: float, state: State[float], memories: Memories) -> float:
-        """tau - f(tau), N*m; nan where the formula has no value."""
+        """Return tau - f(tau), N*m; nan if the formula has no value."""
         return tau - self._value(tau, state, memories)
 
     def _value(self, tau: float, state: State[float], memories: Memories) -> float:

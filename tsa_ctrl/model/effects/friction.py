@@ -26,8 +26,8 @@ from tsa_ctrl.model.effects.specification import (
 )
 from tsa_ctrl.model.functions import Array, F, Functions
 
-NOISE_TO_SPEED = 4.0  # a speed scale below so many times the velocity noise is not resolved
-LEAST_HEATING = 0.5  # K; thermometers are not better
+NOISE_TO_SPEED = 4.0  # times the velocity noise: a smaller speed scale is not resolved
+LEAST_HEATING = 0.5  # K; thermometers have this accuracy
 
 
 def _velocities(name: str, s: Scales) -> list[Variant]:
@@ -123,7 +123,7 @@ class TensionDependentFriction:
         return functions.power(functions.at_least(tension / self.reference_tension, self.LOWEST), -self.exponent)
 
     def slope(self, tension: float, factor: float) -> float:
-        """d factor/dT, 1/N, for the inversion."""
+        """Return d factor/dT, 1/N, for the inversion."""
         if tension <= self.LOWEST * self.reference_tension:
             return 0.0
         return -self.exponent * factor / tension
@@ -152,5 +152,5 @@ class LoadDependentFriction:
         return tau_j * (1.0 + self.coefficient * sigma * functions.sign(tau_j))
 
     def required(self, functions: Functions[F], torque: F, sigma: F) -> F:
-        """The input torque that a plain drive needs: tau = torque + sigma k abs(tau)."""
+        """Return the input torque that a plain drive needs: the solution of tau = torque + sigma k abs(tau)."""
         return torque / (1.0 - self.coefficient * sigma * functions.sign(torque))

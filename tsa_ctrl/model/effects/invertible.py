@@ -1,9 +1,9 @@
-"""Check that a controller can invert a formula, before it runs, on a grid of the signals and of the memories of f.
+"""Check that a controller can invert a formula f, on a grid of the signals and of the memories of f.
 
-tau - f has to grow with tau: at once, in the one period after which the loop asks again, with every possible state of
-the memories; and after ever so long, or the inverse runs away slowly. With a memory at least `LEAST` of a change has to
-come out at once (an inverse of less differentiates the set-point), and the inverse of small changes has to settle: no
-pole of it outside the unit circle.
+tau - f must increase with tau within one period of the loop, for every possible state of the memories. It must also
+increase in steady state, because the inverse would otherwise diverge slowly. For a formula with a memory there are two
+more conditions. At least the share `LEAST` of a change of tau must have an effect within one period; otherwise the
+inverse differentiates the set-point. The inverse of small changes must be stable: no pole outside the unit circle.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from tsa_ctrl.model.effects.lever import unmoved
 from tsa_ctrl.model.expression import Remember
 from tsa_ctrl.model.functions import Array
 
-GRID, POINTS = 7, 401  # points per signal, and of the torque, at which the inverse is looked at
-COARSE, COARSEST = 3, 2  # points per signal where they are many: a thousand in all
-NEAR = 1e-6  # N*m, over which its slope is taken: local, so that no wave is missed by being met in step
-LEAST = 0.05  # of a change of tau that a formula with a memory lets through at once: set-points have steps and noise
+GRID, POINTS = 7, 401  # points per signal, and of the torque, at which the inverse is checked
+COARSE, COARSEST = 3, 2  # points per signal if there are many signals, for a thousand points in all
+NEAR = 1e-6  # N*m, step for the slope: small, so that a wave in the formula cannot alias with the step
+LEAST = 0.05  # least share of a change of tau - f within one period, with a memory: set-points have steps and noise
 REACH = {"omega_j": 10.0, "q_j": math.pi, "q_m": math.pi, "sigma": 1.0, "t": 1.0, "temperature": 60.0}
-LOADS = 5  # torques about which the inverse of small changes is looked at
-SMALL = 1e-3  # of the largest torque: a small change
-SETTLES = 1e-5  # of a period: slower than 100 s at 1 kHz it runs away by no pole but a real one, which grows at rest
+LOADS = 5  # number of torques about which the inverse of small changes is checked
+SMALL = 1e-3  # of the largest torque: size of a small change, for which the formula is nearly linear
+SETTLES = 1e-5  # tolerance of the unit circle: divergence slower than 100 s at 1 kHz is found by the steady state
 
 
 def check_invertible(custom: Custom, largest: float, period: float, where: str) -> None:
-    """Raise UsageError unless a loop of `period` s can undo the formula everywhere up to `largest` N*m."""
+    """Raise UsageError unless a loop of `period` s can invert the formula everywhere up to `largest` N*m."""
     program = custom.program
     if not program.uses("tau"):
         return
     tau, number = np.linspace(-largest, largest, POINTS), len(program.memories)
-    spans = {period: LEAST, math.inf: 0.0} if number else {period: 0.0}  # s, and what has to come out by then
+    spans = {period: LEAST, math.inf: 0.0} if number else {period: 0.0}  # s, and the least share of a change by then
     for known in _places([name for name in REACH if program.uses(name)], number):
         for (elapsed, least), parts in product(spans.items(), _levels(number)):
             passes = _passed(custom, tau, known, parts, elapsed) > least
@@ -59,7 +59,7 @@ def _refused(where: str, tau: float, known: Mapping[str, float], said: str) -> U
 
 
 def _places(used: Sequence[str], memories: int) -> Iterator[dict[str, float]]:
-    """Values of the signals that the formula has in it: a grid, coarser where it has many dimensions."""
+    """Return a grid of values of the signals in the formula; it is coarser if there are many signals and memories."""
     many = len(used) + memories
     count = GRID if many < 4 else COARSE if many < 7 else COARSEST
     spans = [np.linspace(-REACH[name], REACH[name], count) for name in used]
@@ -68,12 +68,15 @@ def _places(used: Sequence[str], memories: int) -> Iterator[dict[str, float]]:
 
 
 def _levels(number: int) -> Array:
-    """Where the memories may be, (m, number), -1 to 1 of what each may reach."""
+    """Return combinations of states of the memories, (m, number), from -1 to 1 within the range of each memory."""
     return np.array(np.meshgrid(*[(-1.0, 0.0, 1.0)] * number)).reshape(number, -1).T if number else np.zeros((1, 0))
 
 
 def _passed(custom: Custom, tau: Array, known: Mapping[str, float], parts: Array, elapsed: float) -> Array:
-    """d(tau - f)/d tau at each tau; the memories at `parts`, in a period of `elapsed` s (inf: after rest)."""
+    """Return d(tau - f)/d tau at each tau, after `elapsed` s (inf: in steady state).
+
+    `parts`: initial states of the memories, -1 to 1.
+    """
     program, first = custom.program, dict[int, tuple[Array, Array]]()
 
     def before(index: int, x: Array) -> Array:
@@ -101,7 +104,7 @@ def _settles(
 ) -> bool:
     """Return True if the inverse about a torque (N*m) at rest is stable, by the eigenvalues of a cycle of the lags.
 
-    A hysteresis is a spring to small changes while it sticks, and nothing while it slides.
+    For small changes, a hysteresis acts as a spring while it sticks, and has no effect while it slides.
     """
     state, memories = unmoved(0.0), custom.memories()
     state.q_j = state.q_m = state.temperature = 0.0

@@ -1,4 +1,4 @@
-"""Effects on the joint's side: each gives the torque (N*m) that it takes, tau_J -= f. Source: the catalogue."""
+"""Effects on the joint's side; each returns the torque f (N*m) by which it reduces tau_J. Source: the catalogue."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class DirectionAsymmetricFriction:
 
 @dataclass(frozen=True)
 class Inertia:
-    """f = J domega/dt; rotor and joint are one here."""
+    """f = J domega/dt; J is the inertia of rotor and joint together."""
 
     inertia: Annotated[float, non_negative("kg*m^2")]  # J
 
@@ -117,7 +117,7 @@ def _springs(name: str, s: Scales) -> list[Variant]:
         rest = s.middle - float(u[1]) * s.torque / stiffness if stiffness > 1e-12 * unit else s.middle
         return {"stiffness": stiffness, "rest_angle": rest}
 
-    if s.offset:  # where the spring rests is the same as a constant torque
+    if s.offset:  # another rest angle has the same effect as a constant torque
         only = Coordinate("stiffness", 0.0, INF, 1e-3)
 
         def centred(u: Array) -> dict[str, Value]:
@@ -173,4 +173,4 @@ class TorqueOffset:
     )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
-        return -self.offset + 0.0 * state.omega  # shaped like the others
+        return -self.offset + 0.0 * state.omega  # for the same shape as the other effects

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-decorators=False
-"""Loops over a log that depend on their own last step, compiled and cached; imported only where memory is in play."""
+"""Compiled and cached loops over a log for functions with a memory; imported only if a model uses them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ announce()
 
 @njit("float64[::1](float64[::1], float64[::1], float64)", cache=True)
 def lag(x: Array, t: Array, constant: float) -> Array:
-    """T dy/dt + y = x from rest, T = `constant` in s; exact for x that is linear between samples, t in s."""
+    """Return y, (n,), of T dy/dt + y = x from rest, T = `constant` in s; exact for x linear between samples, t in s."""
     y = np.empty(x.size)
     state = x[0]
     y[0] = state
@@ -31,11 +31,14 @@ def lag(x: Array, t: Array, constant: float) -> Array:
 
 @njit("float64[::1](float64[::1], float64[::1], float64, float64)", cache=True)
 def ring(x: Array, t: Array, frequency: float, damping: float) -> Array:
-    """y'' + 2 d w y' + w^2 y = w^2 x from rest, w = 2 pi f; exact for x that is linear between samples, t in s."""
+    """Return y, (n,), of y'' + 2 d w y' + w^2 y = w^2 x from rest, with w = 2 pi f, f = `frequency`, d = `damping`.
+
+    The result is exact for x that is linear between samples; t in s.
+    """
     y = np.empty(x.size)
     omega = 2.0 * math.pi * frequency
     turn = omega * math.sqrt(max(1.0 - damping * damping, 0.0))
-    behind = 2.0 * damping / omega  # s that y is behind a ramp; the rest swings freely
+    behind = 2.0 * damping / omega  # s, delay of y behind a ramp; the difference oscillates freely
     state, rate, elapsed = x[0], 0.0, -1.0
     wave = swing = 0.0
     y[0] = state

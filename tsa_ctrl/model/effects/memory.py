@@ -1,5 +1,6 @@
-"""Effects with memory: the friction state after a reversal, backlash, and a delayed measurement. Source: the
-catalogue.
+"""Effects with memory: the friction state after a reversal, backlash, and a delayed measurement.
+
+Source: the catalogue.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl, last_reversal, maxwell_slip
 from tsa_ctrl.model.signals import Signals
 
-_GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
-_REVERSAL = 2.5  # counts: more than two, and safe against rounding
-_FIRST_MOMENT = 0.01  # s from the log's start in which a displacement shows whether it moves
-_STILL = 0.1  # of the RMS speed: slower is standstill
+_GRID_TOLERANCE = 0.02  # largest deviation of a step from a whole number of counts, because of rounding in the file
+_REVERSAL = 2.5  # counts of a reversal: more than two, with a margin for rounding
+_FIRST_MOMENT = 0.01  # s from the log's start in which a displacement is checked for motion
+_STILL = 0.1  # of the RMS speed: a slower motion is standstill
 _NOISE_TO_STEP = 3.0  # counts with the effect of white noise of one standard deviation
 
 
@@ -85,7 +86,7 @@ class PreslidingHysteresis:
     )
 
     def path(self, signals: Signals) -> Array:
-        """s, rad; from omega_j if the log lacks the joint's angle."""
+        """Return the displacement s, rad, (n,); it is integrated from omega_j if the log lacks the angle."""
         if self.displacement != "joint" and signals.q_m is not None:
             return signals.q_m
         if signals.q_j is not None:
@@ -93,14 +94,14 @@ class PreslidingHysteresis:
         return integrate(signals.omega_j, signals.t)
 
     def start(self, displacement: Array, t: Array, omega: Array) -> float:
-        """z(0): the direction if the log starts moving, both the joint and the displacement that z follows; else 0.
+        """Return z(0): the direction of the joint if the displacement that z follows moves at the start, else 0.
 
-        A motor that rests while a load is put on the joint has left the friction state where it was.
+        If a load is applied to the joint while the motor rests, the friction state does not change.
         """
         return float(np.sign(omega[0])) if _moves_at_start(displacement, t) else 0.0
 
     def state(self, displacement: Array | MonotonicSegments, start: float) -> Array:
-        """z, shape (n,), along a displacement of shape (n,)."""
+        """Return z, shape (n,), along a displacement of shape (n,)."""
         legs = displacement if isinstance(displacement, MonotonicSegments) else MonotonicSegments.of(displacement)
         if self.elements == 1:
             return dahl(legs, self.presliding_distance, start)
@@ -108,7 +109,7 @@ class PreslidingHysteresis:
 
 
 class PreslidingState:
-    """The same friction state sample by sample, for the live loop."""
+    """The friction state of `PreslidingHysteresis`, sample by sample, for the control loop."""
 
     def __init__(self, effect: PreslidingHysteresis) -> None:
         self._distance = effect.presliding_distance
@@ -121,7 +122,7 @@ class PreslidingState:
         self._states: list[float] = []
 
     def update(self, displacement: float, start: float) -> float:
-        """z after moving to `displacement` (rad; nan holds the state); `start` is z at the first call."""
+        """Return z after the motion to `displacement` (rad; nan keeps the state); `start` is z at the first call."""
         if self.z != self.z:
             self.z, self._states = start, [start] * self._elements
         if displacement != displacement:
@@ -170,11 +171,14 @@ class Backlash:
 
     @staticmethod
     def last_reversal(q_j: Array) -> Array:
-        """The angle of the joint's last reversal, (n,), nan before the first. It counts beyond two encoder counts."""
+        """Return the angle of the joint's last reversal, (n,); nan before the first one.
+
+        Reversals of up to two encoder counts do not count.
+        """
         return last_reversal(MonotonicSegments.of(q_j), _REVERSAL * resolution(q_j))
 
     def inside(self, q_j: Array, reversal: Array) -> npt.NDArray[np.bool_]:
-        """Mask, shape (n,): where the play is open. `reversal`: as of `last_reversal`."""
+        """Return a mask, shape (n,), of the samples in which the backlash is open; `reversal`: by `last_reversal`."""
         return np.asarray(np.abs(q_j - reversal) < self.gap)
 
 
@@ -235,15 +239,16 @@ def _moves_at_start(displacement: Array, t: Array) -> bool:
 
 
 def integrate(omega: Array, t: Array) -> Array:
-    """Angle, rad, from a velocity by the trapezoidal rule, 0 at the first sample."""
+    """Return the angle, rad, from a velocity by the trapezoidal rule; it is 0 at the first sample."""
     steps = 0.5 * (omega[1:] + omega[:-1]) * np.diff(t)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def resolution(q: Array) -> float:
-    """One encoder count, rad: the grid of the angles, or its equivalent in a log without counts.
+    """Return one encoder count, rad: the grid of the angles, or an equivalent for a log without counts.
 
-    Without a grid the noise (from second differences) takes its place, so that noise at standstill reverses nothing.
+    Without a grid the result is a multiple of the noise (from second differences), so that noise at standstill does not
+    count as a reversal.
     """
     steps = np.abs(np.diff(q))
     steps = steps[steps > 0.0]

@@ -1,6 +1,6 @@
 """Effects at the motor, in the order that converts the reported torque into the torque on the pulley.
 
-tau_M: torque that the drive reports, N*m. Source: the catalogue of effects; `invert` undoes `apply`.
+tau_M: torque that the drive reports, N*m. Source: the catalogue of effects. `invert` is the inverse of `apply`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tsa_ctrl.model.effects.specification import (
 )
 from tsa_ctrl.model.functions import Array, F, Functions
 
-MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for
+MOST_CYCLES = 40  # most cycles of torque ripple per motor turn for which a fit searches
 LEAST_LIMIT = 0.2  # of the largest motor torque of a log; a lower limit means another motor
 LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
 

@@ -1,6 +1,7 @@
 """Effects on the bending angle Theta (rad) and on the pretension T_p (N), in their order of composition.
 
-Source: the catalogue of effects; T_p below 0 is slack and is cut off after each step by the composition.
+Source: the catalogue of effects. After each effect the composition limits T_p to 0 or more, because a tendon cannot
+push.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ class ConfigurationDependentBending:
 
 
 def _routes(name: str, s: Scales) -> list[Variant]:
-    """One gain for each of the other joints, all at once."""
+    """Return one variant with a gain for each of the other joints."""
 
     def parameters(u: Array) -> dict[str, Value]:
         return {joint: float(value) / reach for (joint, reach), value in zip(s.joints.items(), u, strict=True)}
@@ -68,7 +69,7 @@ def _no_other_joint(s: Scales) -> str:
 class RoutingByJoint:
     """Theta += sum of g_j q_j over other joints, beyond [routing]; path length and T_p follow by (3.50), (3.56).
 
-    A model file with this effect is read as one whose [routing] has these gains in addition.
+    In a model file with this effect, the gains are added to those of [routing] when the file is read.
     """
 
     constants: tuple[tuple[str, float], ...] = ()  # g_j by joint, rad/rad

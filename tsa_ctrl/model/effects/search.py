@@ -1,7 +1,7 @@
-"""How a fit looks for an effect in logs: coordinates of its parameters, and starting grids of the nonlinear ones.
+"""Describe the search of a fit for an effect: coordinates of its parameters, and start values of the nonlinear ones.
 
-Coordinates are scaled so that 1 is an effect about as large as the torque; an amplitude with a phase is a pair (cosine,
-sine), which is linear where amplitude and phase are not.
+Coordinates are scaled so that the effect at 1 is about as large as the torque. An amplitude with a phase is replaced by
+a pair (cosine, sine), because the effect is linear in this pair.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from tsa_ctrl.model.functions import Array
 Value: TypeAlias = float | int | str  # the values that a fit sets
 Parameters: TypeAlias = Callable[[Array], dict[str, Value]]
 INF = math.inf
-FEW_SAMPLES = 1.5  # a lag or delay so short hides among the moments of unknown direction
+FEW_SAMPLES = 1.5  # samples: a shorter lag or delay acts only where the direction is unknown, and is not visible
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One free number of a fit, in its own scale: bounds, and the step of finite differences."""
+    """One free parameter of a fit in its own scale, with its bounds and the step of finite differences."""
 
     name: str
     low: float
@@ -34,10 +34,10 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Variant:
-    """An effect with its discrete choices made.
+    """An effect with fixed discrete choices.
 
-    `starts`: vectors over `coordinates`; the ones of `amplitude` (indices) are at 0 there, where the effect vanishes,
-    and its response is nearly linear in them. Without an amplitude a start is the whole effect.
+    `starts`: start vectors of `coordinates`. The coordinates with the indices `amplitude` are 0 there, so that the
+    effect vanishes; its response is nearly linear in them. Without an amplitude, a start is the complete effect.
     """
 
     effect: str
@@ -85,7 +85,7 @@ def linear(
     high: float = INF,
     full_strength: tuple[tuple[float, ...], ...] = (),
 ) -> Search:
-    """One amplitude: parameter = scale * coordinate, between bounds of the parameter."""
+    """Return the search for one amplitude: parameter = scale * coordinate, between bounds of the parameter."""
 
     def variants(name: str, s: Scales) -> list[Variant]:
         unit = scale(s)
@@ -102,7 +102,7 @@ def linear(
 def duration(
     parameter: str, longest: float, starts: tuple[float, float, int], step: Callable[[Scales], float] = lambda _: 0.02
 ) -> Search:
-    """One time in s from 0 to `longest`, as a coordinate in hundredths of a second.
+    """Return the search for one time in s from 0 to `longest`, as a coordinate in hundredths of a second.
 
     `starts`: shortest, longest (s) and number of the values at which a fit begins. `step`: of finite differences, in
     hundredths of a second.
@@ -143,10 +143,10 @@ def wave(
 
 
 def one(_: Scales) -> float:
-    """The scale of a parameter that is a share of the whole."""
+    """Return 1, the scale of a parameter that is a share."""
     return 1.0
 
 
 def geometric(low: float, high: float, count: int) -> list[float]:
-    """`count` values from low to high in equal ratios; empty without a range."""
+    """Return `count` values from `low` to `high` in equal ratios; empty without a range."""
     return [float(v) for v in np.geomspace(low, high, count)] if high > low > 0.0 else []

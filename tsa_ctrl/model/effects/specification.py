@@ -19,11 +19,11 @@ from tsa_ctrl.model import curvature
 from tsa_ctrl.model.effects.search import Scales, Search, Value
 
 Setting: TypeAlias = Value | curvature.Points  # the values of a file
-Columns: TypeAlias = tuple[tuple[str, ...], ...]  # of each inner tuple one column must be there
+Columns: TypeAlias = tuple[tuple[str, ...], ...]  # the log must have one column of each inner tuple
 
 
 class Stage(Enum):
-    """Where an effect enters; the order of the members is the order of composition."""
+    """The stage of the model at which an effect acts; the order of the members is the order of composition."""
 
     VELOCITY = "measured velocity"
     MOTOR_TORQUE = "motor torque"
@@ -50,7 +50,7 @@ class Kind(Enum):
 
     @property
     def spoken(self) -> str:
-        """Return the kind in words."""
+        """Return the kind as text."""
         return {"tendon_sheath": "tendon-sheath", "rigid_drive": "plain drive"}.get(self.value, "geared drive")
 
 
@@ -72,7 +72,10 @@ class Motion(Enum):
 
 @dataclass(frozen=True)
 class Twins:
-    """Effects (or `parameter_error`) that look like another one in some logs, and the motions that part them."""
+    """Effects (or `parameter_error`) that some logs cannot distinguish from another one.
+
+    `parted_by`: the motions that separate them.
+    """
 
     names: tuple[str, ...]
     parted_by: tuple[Motion, ...]
@@ -100,7 +103,7 @@ class Parameter:
     default: Setting | None = None
 
     def describe(self) -> str:
-        """Allowed values in words, for error messages."""
+        """Return the allowed values as text, for error messages."""
         if self.text:
             return 'a formula in quotes, such as "k*sin(2*q_j)"'
         if self.choices:
@@ -128,7 +131,7 @@ class Parameter:
         return above and below
 
     def taken(self, value: Any) -> Setting:
-        """An accepted value as the effect's class takes it."""
+        """Return an accepted value in the type that the effect's class requires."""
         if self.text:
             return str(value)
         if self.choices:
@@ -137,18 +140,21 @@ class Parameter:
 
 
 def non_negative(unit: str, **more: Any) -> Parameter:
-    """At least 0."""
+    """Return a parameter that must be at least 0."""
     return Parameter(unit, low=0.0, **more)
 
 
 def positive(unit: str, **more: Any) -> Parameter:
-    """Above 0."""
+    """Return a parameter that must be above 0."""
     return Parameter(unit, low=0.0, low_open=True, **more)
 
 
 @dataclass(frozen=True)
 class Draw:
-    """A size that the demo draws by seed, between `low` and `high`; of either sign, or a whole number below `high`."""
+    """The range of a value that the demo chooses at random, between `low` and `high`.
+
+    `signed`: either sign is possible. `whole`: a whole number below `high`.
+    """
 
     low: float
     high: float
@@ -171,22 +177,22 @@ class Specification:
     """Describe one effect: its name, stage and summary, the signals that it needs, and how it is inverted and hidden.
 
     Attributes:
-        search: the way in which a fit searches for it.
-        unresolved: the reason why a log leaves no variant of it.
+        search: returns the variants that a fit tries.
+        unresolved: the reason if no variant can be tried on a log.
         untestable: the reason why a log with certain signals cannot show it; empty if it can.
         asks: the motion to record in that case.
-        twins: effects that look the same; a pair is written on one of the two only.
+        twins: effects that look the same; only one effect of each pair lists the other.
         columns: columns that a log must have.
         live_columns: signals that the loop must measure, from the effect's parameters, if they differ from `columns`.
         feedforward: the limit of the live inverse, with {parameter} in the text; empty if the inverse is exact.
-        demo: sizes that the full circle of `tsa demo` may hide, a tenth to a third of the half loop of its rig.
+        demo: values that `tsa demo` may hide in its rig, a tenth to a third of the rig's friction torque.
     """
 
     name: str
     stage: Stage
     summary: str
     search: Search
-    equation: str  # how it enters
+    equation: str  # the change of the model by this effect
     twins: tuple[Twins, ...] = ()
     unresolved: str = "the log does not reach the scale on which it acts"
     untestable: Callable[[Scales], str] = _always
@@ -209,7 +215,7 @@ class Specification:
         return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
 
     def parameter(self, name: str) -> Parameter:
-        """That of the class; a constant that the file names is a plain number."""
+        """Return the parameter of the class; for another name, that of the effect's further constants."""
         other = dataclasses.replace(self.constants or Parameter(), name=name)
         return next((p for p in self.parameters if p.name == name), other)
 
@@ -219,7 +225,7 @@ class Specification:
         return self.constants is not None
 
     def build(self, parameters: Mapping[str, Setting]) -> Any:
-        """The effect with checked parameters; those that its class does not know are its `constants`."""
+        """Return the effect with checked parameters; parameters that its class does not have become `constants`."""
         if not self.named:
             return self.effect(**parameters)
         known = {p.name for p in self.parameters}
@@ -228,11 +234,14 @@ class Specification:
         return self.effect(**own, constants=rest)
 
     def parted_from(self, other: str) -> tuple[Motion, ...]:
-        """The motions that part this effect from another, as written here."""
+        """Return the motions that separate this effect from another; empty if `twins` does not list the other."""
         return next((twins.parted_by for twins in self.twins if other in twins.names), ())
 
     def needed_live(self, parameters: Mapping[str, Setting]) -> Columns:
-        """The signals that the loop must measure; none for what only the stretch shows, which the law leaves alone."""
+        """Return the signals that the loop must measure.
+
+        There are none for effects that only the elongation shows, because the control law does not use them.
+        """
         if self.stage is Stage.STRETCH:
             return ()
         return self.columns if self.live_columns is None else self.live_columns(parameters)

@@ -1,7 +1,7 @@
-"""Effects that the joint torque does not show: they act on the tendons' stretch s = r_M q_M - r_J q_J (m) alone.
+"""Effects that act only on the tendon elongation s = r_M q_M - r_J q_J (m); the joint torque does not show them.
 
-Each adds its own length to the elongation by the tensions at both ends. `ends`: T3 - T1 and T4 - T2, N; an element on
-the joint's pulley moves the joint's angle. Source: the catalogue of effects.
+Each effect adds a length to the elongation by the tensions at both ends. `ends`: T3 - T1 and T4 - T2, N. An element at
+the joint pulley changes the joint angle. Source: the catalogue of effects.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from tsa_ctrl.model.effects.specification import Kind, Motion, Parameter, Specif
 from tsa_ctrl.model.functions import Array, F, Functions
 
 _BOTH_ANGLES = (("q_m",), ("q_j",))
-_MICROMETRE = 1e-6  # m: amplitudes of lengths are sought in it, so that they are numbers about 1 to 1000
-_STEPS = 48  # places in a log at which a slip is sought first; between them the fit finds it
+_MICROMETRE = 1e-6  # m: unit of amplitudes of lengths in a search, so that they are numbers of about 1 to 1000
+_STEPS = 48  # times in a log at which the search for a slip starts; the fit then finds times between them
 
 
 def _springs(name: str, s: Scales) -> list[Variant]:
@@ -56,7 +56,7 @@ def _creeps(name: str, s: Scales) -> list[Variant]:
     def parameters(u: Array) -> dict[str, Value]:
         return {"length": _MICROMETRE * float(u[0]), "time_constant": math.exp(u[1])}
 
-    low, high = 0.02 * s.seconds, 0.5 * s.seconds  # slower is a straight line, which warmth draws as well
+    low, high = 0.02 * s.seconds, 0.5 * s.seconds  # slower creep is a straight line, as is drift by temperature
     coordinates = (
         Coordinate("length", -math.inf, math.inf, 1e-3),
         Coordinate("time_constant", math.log(low), math.log(high), 2e-2),
@@ -123,10 +123,10 @@ class PulleySlip:
 
 @dataclass(frozen=True)
 class JointPlay:
-    """s += r_J g/2 sign(T4 - T2): play behind the joint's pulley, which the tendons' pull takes to one side.
+    """s += r_J g/2 sign(T4 - T2): backlash behind the joint pulley, closed to one side by the tension difference.
 
-    `backlash` is play that no torque crosses after a reversal of the motion; this one follows the torque's sign, and
-    what crosses it is the whole torque.
+    The effect `backlash` transmits no torque after a reversal of the motion until its gap is closed. This effect
+    depends on the sign of the torque and always transmits the whole torque.
     """
 
     gap: Annotated[float, positive("rad")]  # g

@@ -1,8 +1,8 @@
-"""The transmission from the four tensions, with the effects that change it, and the full model in its place.
+"""The transmission: the simplified model from the four tensions with the effects that change it, and the full model.
 
-B is the torque (N*m) that arrives at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle,
-the mean of both tendons; x_a = x (1 + i), x_b = x (1 - i) with the imbalance i (1) of tendons that are routed
-differently. sigma in [-1, 1] is the direction or the friction state. Source: (3.37), (3.40), (3.45)-(3.46),
+B is the torque (N*m) at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle, the mean of
+both tendons; x_a = x (1 + i), x_b = x (1 - i) with the imbalance i (1) of tendons with different routings. sigma in
+[-1, 1] is the direction or the friction state. Source: (3.37), (3.40), (3.45)-(3.46),
 (3.53)-(3.55) and the catalogue of effects. Sliding, with the signed angles sigma x_a and sigma x_b:
 
     T1 = T_p - tau_M/(2 r_M),     T3 = T_p + tau_M/(2 r_M),
@@ -28,13 +28,13 @@ from tsa_ctrl.model.functions import SCALARS, F, Functions
 
 
 def motor_tensions(tau_m: F, pretension: F, r_m: float) -> tuple[F, F]:
-    """(T1, T3) from (3.40) and (3.45); a negative one means that a tendon would have to push."""
+    """Return (T1, T3), N, from (3.40) and (3.45); a negative tension means that a tendon would have to push."""
     half = tau_m / (2.0 * r_m)
     return pretension - half, pretension + half
 
 
 def torque_between(t2: F, t4: F, r_j: float) -> F:
-    """tau_J from the joint-side tensions (3.46)."""
+    """Return tau_J, N*m, from the joint-side tensions (3.46)."""
     return r_j * (t4 - t2)
 
 
@@ -50,11 +50,16 @@ class FullModel(NamedTuple, Generic[F]):
 def full_model(
     functions: Functions[F], angles: tuple[F, F], alpha: F, beta: F, strain_force: F, r_m: float, r_j: float
 ) -> FullModel[F]:
-    """The full model, derived signs.
+    """Return the full model with the derived signs.
 
-    angles: signed friction angles x_a and x_b. alpha of tendon a and beta of tendon b: elongation integrals (3.36),
-    (3.39), and strain_force EA Delta l, the mean of both tendons, all three divided by l_us or none of them. A series
-    element adds EA/k_s to alpha, beta and to the length in EA Delta l.
+    alpha, beta and strain_force are all divided by l_us, or none of them is. A series spring adds EA/k_s to alpha, beta
+    and to the length in EA Delta l.
+
+    Args:
+        angles: signed friction angles x_a and x_b.
+        alpha, beta: elongation integrals of tendons a and b, (3.36), (3.39).
+        strain_force: EA Delta l, the mean of both tendons.
+        r_m, r_j: m.
     """
     decay, growth = functions.exp(-angles[1]), functions.exp(angles[0])
     total = alpha + beta
@@ -118,7 +123,7 @@ def _profiles(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class ElongationCoupling:
-    """The full model (3.53) in place of (3.55), for any course of the bending along the sheath."""
+    """The full model (3.53) in place of (3.55), for any curvature profile of the sheath."""
 
     curvature_profile: Annotated[str | curvature.Points, Parameter(choices=tuple(NAMED), points=True, fitted=False)]
 
@@ -136,7 +141,7 @@ class ElongationCoupling:
 
 @dataclass(frozen=True)
 class FourTensions:
-    """(3.55) from the four tensions, with asymmetric sheaths, slack and tension-dependent friction where present."""
+    """(3.55) from the four tensions, with asymmetric sheaths, slack and tension-dependent friction if present."""
 
     radii: tuple[float, float]  # r_M, r_J, m
     asymmetry: SheathAsymmetry | None = None
@@ -154,14 +159,14 @@ class FourTensions:
         return self.slack is None and self.tension_dependence is None
 
     def angles(self, x: F, imbalance: F | float = 0.0) -> tuple[F, F]:
-        """x_a and x_b."""
+        """Return x_a and x_b, 1, with the effect of asymmetric sheaths."""
         x_a, x_b = x * (1.0 + imbalance), x * (1.0 - imbalance)
         return (x_a, x_b) if self.asymmetry is None else self.asymmetry.angles(x_a, x_b)
 
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F, imbalance: F | float = 0.0) -> F:
         """B, N*m."""
         if self.symmetric and isinstance(imbalance, float) and imbalance == 0.0:
-            return self.grown(functions, tau_m, functions.exp(sigma * x), pretension)  # the exponential is what costs
+            return self.grown(functions, tau_m, functions.exp(sigma * x), pretension)  # fast: a single exponential
         t1, t3 = self._tensions(functions, tau_m, pretension)
         x_a, x_b = self.angles(x, imbalance)
         if self.tension_dependence is not None:
@@ -170,7 +175,7 @@ class FourTensions:
         return torque_between(t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), self.radii[1])
 
     def grown(self, functions: Functions[F], tau_m: F, growth: F, pretension: F) -> F:
-        """B, N*m, of a `symmetric` pair at growth = exp(sigma x)."""
+        """Return B, N*m, of a `symmetric` pair at growth = exp(sigma x)."""
         t1, t3 = self._tensions(functions, tau_m, pretension)
         return torque_between(t1 * growth, t3 / growth, self.radii[1])
 
@@ -179,7 +184,10 @@ class FourTensions:
         return (t1, t3) if self.slack is None else self.slack.clip(functions, t1, t3)
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> float:
-        """tau_M, N*m, for which `torque` gives B: closed, or at most `ITERATIONS` steps with tension dependence."""
+        """Return tau_M, N*m, that delivers B = `torque`.
+
+        The solution is closed, or by at most `ITERATIONS` steps with tension-dependent friction.
+        """
         x_a, x_b = self.angles(x, imbalance)
         tau_m = self._invert(torque, sigma * x_a, sigma * x_b, pretension)
         if self.tension_dependence is not None:
@@ -187,7 +195,7 @@ class FourTensions:
         return tau_m
 
     def limits(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
-        """Domain of tau_M, N*m, in which both tendons pull; unbounded when the model knows slack."""
+        """Return the range of tau_M, N*m, in which both tendons pull; it is unlimited if the model includes slack."""
         if self.slack is not None:
             return -math.inf, math.inf
         bound = 2.0 * pretension * self.radii[0]
@@ -212,7 +220,7 @@ class FourTensions:
         return tau_m
 
     def _iterate(self, torque: float, tau_m: float, sigma: float, x: tuple[float, float], pretension: float) -> float:
-        """Newton's method on B(tau_M), kept inside the bracket seen so far; the best point seen is returned."""
+        """Solve B(tau_M) = torque by Newton's method within the present bracket, and return the best tau_M found."""
         accepted = TOLERANCE * (abs(torque) + pretension * self.radii[0])
         low, high, best, least = -math.inf, math.inf, tau_m, math.inf
         for _ in range(ITERATIONS):
@@ -234,7 +242,7 @@ class FourTensions:
     def _value_and_slope(
         self, tau_m: float, sigma: float, x: tuple[float, float], pretension: float
     ) -> tuple[float, float]:
-        """B and dB/dtau_M with tension-dependent friction."""
+        """Return B (N*m) and dB/dtau_M (1) with tension-dependent friction."""
         dependence = self.tension_dependence
         assert dependence is not None
         r_m, r_j = self.radii
@@ -257,7 +265,7 @@ class Elongating:
     radii: tuple[float, float]  # r_M, r_J, m
     profile: Profile
     series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
-    at_joint: bool = False  # if it has one: there it carries T2 and T4
+    at_joint: bool = False  # True for a series element at the joint, which carries T2 and T4
     _last: list[tuple[tuple[float, float, float], FullModel[float]]] = field(
         default_factory=list, compare=False, repr=False
     )
@@ -268,20 +276,20 @@ class Elongating:
         return True
 
     def line(self, functions: Functions[F], x: F, pretension: F, imbalance: F | float = 0.0) -> FullModel[F]:
-        """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
+        """Return (3.53)-(3.54) at the signed angle x, with all lengths over l_us."""
         angles = x * (1.0 + imbalance), x * (1.0 - imbalance)
         alpha, beta = self.lengths(functions, *angles)
         return full_model(functions, angles, alpha, beta, pretension * (1.0 + self.series), *self.radii)
 
     def lengths(self, functions: Functions[F], x_a: F, x_b: F) -> tuple[F, F]:
-        """alpha and beta over l_us at the signed angles x_a and x_b, the series element included."""
+        """Return alpha and beta over l_us at the signed angles x_a and x_b, including the series element."""
         alpha, beta = self.profile.mean_exponential(functions, x_a), self.profile.mean_exponential(functions, -x_b)
         if self.at_joint:
             return alpha + self.series * functions.exp(x_a), beta + self.series * functions.exp(-x_b)
         return alpha + self.series, beta + self.series
 
     def _now(self, x: float, pretension: float, imbalance: float) -> FullModel[float]:
-        """`line` for floats; the last one is kept, since the inverse asks for it three times a cycle."""
+        """Return `line` for floats; the last result is cached, because the inverse requests it three times a cycle."""
         last, asked = self._last, (x, pretension, imbalance)
         if not last or last[0][0] != asked:
             last[:] = [(asked, self.line(SCALARS, x, pretension, imbalance))]
@@ -293,23 +301,23 @@ class Elongating:
         return line.gain * tau_m - line.loss
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> float:
-        """tau_M, N*m, for which `torque` gives B."""
+        """Return tau_M, N*m, that delivers B = `torque`."""
         line = self._now(sigma * x, pretension, imbalance)
         return (torque + line.loss) / line.gain
 
     def limits(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
-        """Domain of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
+        """Return the range of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
         line = self._now(sigma * x, pretension, imbalance)
         level, coupling = 2.0 * self.radii[0] * line.level, 2.0 * self.radii[0] * line.coupling
         return -level / (1.0 + coupling), level / (1.0 - coupling)
 
     def tangent(self, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> tuple[float, float]:
-        """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.steady_sliding`; exact."""
+        """Return (slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.steady_sliding`; exact."""
         line = self._now(sigma * x, pretension, imbalance)
         return line.gain, line.loss
 
 
 Transmission = FourTensions | Elongating
 
-ITERATIONS = 30  # steps at most; 3-5 are usual, more only at a kink
-TOLERANCE = 1e-13  # of the torque scale: below it rounding decides
+ITERATIONS = 30  # most steps; 3 to 5 are usual, more are required only at a kink
+TOLERANCE = 1e-13  # of the torque scale: smaller errors are rounding
