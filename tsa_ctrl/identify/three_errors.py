@@ -119,7 +119,10 @@ def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
 
 
 def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
-    """Return the torque less its linear part in motor torque and motion, by direction; 0 where that is unknown."""
+    """Return the torque (n,), N*m, minus its linear part in motor torque and motion, by direction.
+
+    Samples without a known direction (`used` False) are interpolated.
+    """
     omega, tau = signals.omega_j[part], signals.tau_m[part]
     angle = np.cumsum(omega) * signals.period if signals.q_j is None else signals.q_j[part]
     angle = (angle - angle.mean()) / max(float(np.std(angle)), np.finfo(np.float64).tiny)
@@ -143,7 +146,7 @@ def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
     factors: Array = np.linalg.lstsq(columns[used], target[used], rcond=None)[0]
     rest = target - columns @ factors
     index = np.arange(len(rest))
-    bridged = np.interp(index, index[used], rest[used])  # a step down to 0 would be at all frequencies
+    bridged = np.interp(index, index[used], rest[used])  # a step to 0 would add power at all frequencies
     return np.where(used, rest, bridged)
 
 

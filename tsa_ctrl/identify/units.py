@@ -32,7 +32,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable
 }
 # Limit for joints that tendons move; a joint behind a gear may turn faster
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
-WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
+WIDEST_SWING = 20.0  # rad: if a joint moves back and forth over a larger range, its angle is in degrees
 DEGREES = 180.0 / np.pi  # per radian: factor by which an angle in degrees is too large
 INVERSE = 0.05  # relative distance from 1 / ratio below which the two ends' columns count as swapped
 TORQUES = (  # number of units in one N*m

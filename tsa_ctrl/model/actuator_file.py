@@ -1,4 +1,4 @@
-"""The tables of an actuator model file, as a person writes them, with the allowed range of each value."""
+"""The tables of an actuator model file, with the allowed range of each value."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     bending_angle: Angle  # Theta, rad
     contact_offset: Offset = 0.0  # p, m
     unstrained_bending_angle: SignedAngle | None = None  # Theta_us, rad (3.51)
-    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, where no effect gives the whole course
+    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, without an effect with a profile
     bending_course: tuple[tuple[float, float], ...] | None = None  # (of the length, of the bending) about that centre
 
 
@@ -109,7 +109,7 @@ class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[uncertainty]: how far the nominal values may be off."""
+    """[uncertainty]: the largest errors of the nominal values."""
 
     friction_angle: Share = 0.25  # factor either way, minus 1
     pretension: Share = 0.25
@@ -118,7 +118,7 @@ class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True
 
 
 class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A model file of kind "tendon_sheath", as it is written."""
+    """The structure of a model file of kind "tendon_sheath"."""
 
     actuator: ActuatorSection
     tendon: TendonSection
@@ -131,7 +131,7 @@ class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A model file of kind "rigid_drive", as it is written."""
+    """The structure of a model file of kind "rigid_drive"."""
 
     actuator: RigidDriveSection
     effects: dict[str, dict[str, Any]] = {}
@@ -139,7 +139,7 @@ class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class GearedDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A model file of kind "geared_drive", as it is written."""
+    """The structure of a model file of kind "geared_drive"."""
 
     actuator: GearedDriveSection
     effects: dict[str, dict[str, Any]] = {}

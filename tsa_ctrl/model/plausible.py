@@ -1,4 +1,4 @@
-"""Physical consistency of a model: each number may be possible while two of them contradict each other.
+"""Check the physical consistency of a model: two numbers may contradict each other although each is possible.
 
 A wrong unit is wrong by a factor of 10 to 1000. The limits below are limits of materials, so they need no tuning:
 
@@ -26,7 +26,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import TURNS
 
 MODULUS = (0.3e9, 1000e9)  # Pa; a soft polymer has 0.5 GPa, the stiffest carbon fibre 900 GPa
-STRENGTH = 3e9  # Pa, of the strongest steel wire; a tendon's fibres are stronger, and fill its diameter in part
+STRENGTH = 3e9  # Pa, of the strongest steel wire; fibres are stronger, but fill only a part of a tendon's diameter
 STRAIN = 0.04  # 1, at which the fibres break that bear most (polyethylene, aramid)
 SPRING_TRAVEL = 0.2  # 1, of the tendon's length, that pretension may lengthen tendon and series spring by
 MOST_FRICTION_ANGLE = 3.0  # 1; exp(3) = 20: a twentieth of the tension arrives

@@ -21,8 +21,8 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
-_RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; their remainder is below 1e-5
-_LARGEST = 8_000_000  # bytes of the legs of a path that are kept: an hour at 1 kHz must stay below a gigabyte
+_RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; the remaining transient is below 1e-5
+_LARGEST = 8_000_000  # bytes, largest cached segments of a path: an hour at 1 kHz must need less than a gigabyte
 _SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
 
 

@@ -1,1 +1,1 @@
-"""Joint torque that no sensor measures: from the stretch of the tendons, and from the motor's torque alone."""
+"""Estimate the joint torque without a sensor, from the tendon elongation or from the motor torque alone."""

@@ -51,8 +51,8 @@ from tsa_ctrl.tune.run import RigRunner, Run, TrippedError, longest
 # with the elongation by torque and friction, and the delay `late` between the two encoders. A regression over both
 # directions separates these terms from the ratio. Each log has its own zero. If the torque follows the angle, as with a
 # spring, a wrong ratio cannot be distinguished from a wrong stiffness. The elongation is then computed from the file's
-# stiffness, with its uncertainty. The radii in a file are those of the metal. The effective radii are those of the
-# tendons, which are larger by half a diameter and by the windings.
+# stiffness, with its uncertainty. A file states the radii of the metal. The effective radii at the tendons are larger,
+# by half a diameter and by the windings.
 
 FloatArray = NDArray[np.float64]
 

@@ -24,7 +24,7 @@ from tsa_ctrl.model.stretch import profile_of
 
 FloatArray = NDArray[np.float64]
 
-PLACES = 6  # 8 are no better on simulated rigs
+PLACES = 6  # 8 do not improve the result on simulated rigs
 SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, at the middle of equal parts
 SPREAD = 0.1  # of the length, prior standard deviation of a position
 ALIKE_FOR = 0.1  # s, correlation time of the tendon model's error: samples within it count as one

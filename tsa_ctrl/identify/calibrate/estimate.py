@@ -136,7 +136,7 @@ def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
 def by_slope(
     logs: list[PreparedLog], model: TendonSheath, lag: int
 ) -> tuple[tuple[Quantity, Quantity], JointFit] | None:
-    """Return x (1) and T_p (N) of one configuration from slope and half loop, and their fit.
+    """Return x (1) and T_p (N) of one configuration from slope and friction torque, and their fit.
 
     The gain of the torque channels is known within `GAIN_UNCERTAIN` only. The intervals contain this error. With much
     friction, or bends near the motor, the slope still determines x much better than the file does. None where it does
@@ -283,8 +283,8 @@ Split = Literal["keep", "fit"]
 # no more than this does not contradict (3.55).
 GAIN = 0.03
 HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
-EFFECT_ITERATIONS = 20  # at most; with all bending at the motor each leaves 0.12 of the error at x = 0.3, 0.55 at 1
-SETTLED = 1e-4  # of the half loop: below it they end; intervals are a hundred times as wide
+EFFECT_ITERATIONS = 20  # most iterations; with all bends at the motor, 0.12 of the error remains at x = 0.3, 0.55 at 1
+SETTLED = 1e-4  # of the friction torque: a smaller change ends the iteration; intervals are a hundred times as wide
 # s omitted between a held-out block and the rest: twice the correlation time of the noise (prepared.LAG_LIMIT)
 GAP = 1.0
 GAP_SHARE = 0.25  # of a block: largest gap, so that a short log keeps enough samples

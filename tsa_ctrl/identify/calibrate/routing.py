@@ -34,11 +34,11 @@ from tsa_ctrl.model.signals import Signals
 
 FloatArray = NDArray[np.float64]
 
-MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not sought
+MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not estimated
 ITERATIONS = 10  # Gauss-Newton steps at most; on simulated rigs 2 to 7
 LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad: the first step of a wrong file is too long
-SMALLEST_STEP = 1e-5  # at which the steps end: digits that no file is written with
-SETTLED = 0.02  # of a step, below which the instruments stay: they need not be exact
+SMALLEST_STEP = 1e-5  # smaller steps end the iteration: files have fewer digits
+SETTLED = 0.02  # smaller steps do not update the instruments, which need not be exact
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # of Theta_0, swing of the wrap angle by a joint below which it does not bend the sheath
 # Places of the parameters.

@@ -45,7 +45,7 @@ class State(Generic[F]):
     sigma: F  # 1, direction: sign of omega, or the friction state z in [-1, 1]
     start: float  # s, the log's first sample
     joints: Mapping[str, F] = field(default_factory=dict)  # rad, of joints that may bend the sheath, by name
-    theta_difference: F | None = None  # rad, half of Theta_a - Theta_b; None where both tendons are routed alike
+    theta_difference: F | None = None  # rad, half of Theta_a - Theta_b; None if both tendons have the same routing
 
 
 def unmoved(theta: float) -> State[float]:

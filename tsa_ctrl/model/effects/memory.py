@@ -55,7 +55,7 @@ def _distances(name: str, s: Scales) -> list[Variant]:
         starts = tuple((math.log(v),) for v in geometric(3.0 * low, 0.5 * reach, 8))
         return Variant(name, (coordinate,), starts, (), parameters, f"{elements} elements, {follows}")
 
-    # Where the tendons are soft a motor hardly moves while the joint's own reversal turns the friction.
+    # With soft tendons, the motor hardly moves while a reversal of the joint reverses the friction.
     motor = [] if math.isnan(s.motor_step) else [("motor", s.motor_reach)]
     return [of(n, follows, reach) for follows, reach in (*motor, ("joint", s.reach)) for n in (1, 2, 4, 8)]
 
@@ -153,7 +153,7 @@ def _gaps(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class Backlash:
-    """The tendon part of tau_J is 0 while abs(q - q_r) < gap, q_r the joint angle at the last reversal."""
+    """The tendons' part of tau_J is 0 while abs(q - q_r) < gap, with q_r the joint angle at the last reversal."""
 
     gap: Annotated[float, positive("rad")]
 

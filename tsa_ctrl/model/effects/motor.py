@@ -36,7 +36,7 @@ from tsa_ctrl.model.functions import Array, F, Functions
 
 MOST_CYCLES = 40  # most cycles of torque ripple per motor turn for which a fit searches
 LEAST_LIMIT = 0.2  # of the largest motor torque of a log; a lower limit means another motor
-LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
+LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must contain
 
 
 def _derived(s: Scales) -> str:
@@ -135,7 +135,7 @@ def _ripples(name: str, s: Scales) -> list[Variant]:
     def resolved(cycles: int) -> bool:  # false without a motor angle
         return cycles * s.motor_reach / math.pi > LINES_PER_RANGE and cycles * s.motor_step < 0.6 * math.pi
 
-    first = 2 if s.plain else 1  # one cycle per turn of a plain drive's shaft is a weight on it
+    first = 2 if s.plain else 1  # in a plain drive, one cycle per turn is the effect of a weight on the shaft
     return [of(cycles) for cycles in range(first, MOST_CYCLES + 1) if resolved(cycles)]
 
 

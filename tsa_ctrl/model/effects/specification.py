@@ -55,7 +55,7 @@ class Kind(Enum):
 
 
 class Motion(Enum):
-    """The recordings that separate effects that look alike, in the order of their cost."""
+    """The recordings that separate effects with similar results, in the order of their cost."""
 
     SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
     BOTH_WAYS = f"{SPEEDS}, in both directions"
