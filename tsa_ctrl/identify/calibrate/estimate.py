@@ -308,7 +308,7 @@ def calibrate(
         certified_gain: True if the gain of the torque channels is certified, so that the slope counts.
         tensioner: known change of the pretension in N by log name (patterns allowed).
         hold_out: pattern of the logs on which the errors are measured. The default is every third log by name, or
-            blocks of the log if there are few.
+            blocks of each log if there are fewer than three logs.
         split: "keep" keeps the file's proportion of x and T_p if the data cannot separate them. "fit" then chooses both
             by least simulation error within [uncertainty]. A slope below r_J/r_M has the effect of "fit", because
             (3.55) cannot have such a slope for any proportion.
