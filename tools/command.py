@@ -270,6 +270,12 @@ def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
     Console(width=None if sys.stdout.isatty() else 250).print(table(head, lines))
 
 
+def print_goals(rows: Sequence[Row]) -> None:
+    """Print a table of rows with "what", "goal" and "found"; a row whose value is at most its goal is met."""
+    lines = [(row["what"], f"{row['goal']:.1f}", f"{row['found']:.1f}", row["found"] <= row["goal"]) for row in rows]
+    print_table(("row", "goal", "measured", "met"), lines)
+
+
 def show(rows: Sequence[Row], keys: Sequence[str], as_json: bool) -> None:
     """Print one JSON object a line, or a table of these keys."""
     if as_json:

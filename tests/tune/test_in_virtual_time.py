@@ -119,7 +119,7 @@ def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, caps
 def test_a_joint_that_is_no_other_axis_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig.write(tmp_path, VIRTUAL, RATE)
     assert tune(tmp_path, "--joint", "hip", "--dry-run") == 2
-    assert "--joint hip is no other axis; the other axes are none" in capsys.readouterr().err
+    assert "--joint hip is not the name of another axis; the other axes are none" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -133,8 +133,7 @@ def main() -> int:
                 if chosen.json:
                     print(json.dumps(row), flush=True)
     if not chosen.json:
-        lines = [(r["what"], f"{r['goal']:.1f}", f"{r['found']:.1f}", r["found"] <= r["goal"]) for r in rows]
-        command.print_table(("row", "goal", "measured", "met"), lines)
+        command.print_goals(rows)
     return 0
 
 

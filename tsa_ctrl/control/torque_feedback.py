@@ -8,7 +8,8 @@ friction, ripple, an eccentric pulley. One integrator per direction removes it,
 A reversal therefore begins with the correction of the new direction. While the tendons stick, the joint torque does not
 follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
 
-* The error counts only while the command is the largest since the last reversal. Below it nothing slides.
+* The error counts only while command and set-point are the largest since the last reversal. Below the largest command
+  nothing slides, and a set-point that has decreased leaves more torque than desired with any friction.
 * The correction decreases at most as fast as the rest of the command grows. A motor that turns back only releases
   friction. So a fade-in with too much friction ends at the friction that is there: the correction takes the growth.
 * A reversal that delivered too much reduces the next one at once. The integral of a stroke is kept in part (`KEPT`),

@@ -18,8 +18,8 @@ ingenia    The EDS of the EVE-XCR-C 1.8.1 (github.com/ingeniamc/ingenialink-pyth
            0x100C, 0x100D and 0x1400:5, no 0x1016; 0x6073 = 40, no 0x6072, 0x603F, 0x6080, 0x60A9, 0x605B, 0x605C,
            0x605E; 0x6502 is 0x301A5, without cyclic synchronous torque.
 kinco      Kinco FD5 user manual: velocities in DEC = rpm * 512 * resolution / 1875; the mode is 0 while disabled.
-nanotec    Nanotec PD4-E CANopen manual: 0x60C2:2 is -3; the rated torque is that of the rated current 0x203B:1, and
-           there is no 0x6076.
+nanotec    Nanotec PD4-E CANopen manual: 0x60C2:2 is -3; the rated current 0x203B:1 defines the rated torque,
+           and there is no 0x6076.
 copley     Copley CANopen Programmer's Manual 16-01195: velocities in 0.1 counts/s, no 0x60A9.
 Elmo's EDS "CANeds Gold V002" (github.com/ipa320/cob_robots): no RPDO event timer, no 0x1007, no 0x1019.
 kinco, nanotec and copley keep the vendor and product of the settings: no document at hand states theirs.

@@ -185,7 +185,7 @@ class Ticker:
         late = now - self.deadline
         if late <= 0:
             return 0
-        skip = -(-late // self.period)  # a deadline at `now` itself is kept, as the next one is above
+        skip = -(-late // self.period)  # a deadline that is due exactly now is not skipped, here and above
         self.history.add(1e-9 * now, skip, 1e-9 * (late + self.period))
         self.deadline += skip * self.period
         self.skipped += skip

@@ -163,14 +163,14 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     before = regressed.value / _of_bends_at_the_joint(found.model)
     if at_joint.low <= before <= at_joint.high:
         return found
-    notes = [
+    note = (
         f"the elongation of the tendons shows a half loop of {at_joint}, the torques where the joint moves "
         f"{before:.4g} N*m: the tendons slide only in part there; the value by the elongation is used"
-    ]
-    better, told_before = found.model, len(notes)
+    )
+    better = found.model
     for _ in range(ROUNDS):
         half = _scaled(at_joint, _of_bends_at_the_joint(better))
-        del notes[told_before:]
+        notes: list[str] = []
         angle, tension = keep_split(model, half, notes)
         better = better.recalibrated(angle.value, tension.value)
     return dataclasses.replace(
@@ -179,7 +179,7 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
         calibration=dataclasses.replace(
             found.calibration, friction_angle=angle, pretension=tension, half_loop_torque=half, model=better
         ),
-        notes=(*found.notes, *notes),
+        notes=(*found.notes, note, *notes),
     )
 
 

@@ -19,9 +19,10 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, prepare
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width
 from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
+from tsa_ctrl.model.composition import pretension_at
 from tsa_ctrl.model.curvature import NAMED, Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
-from tsa_ctrl.model.functions import SCALARS
+from tsa_ctrl.model.functions import ARRAYS, SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.steady_sliding import bending_centre
@@ -116,13 +117,20 @@ def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[Flo
     mask = prepared.mask
     completed = log.completed_for(model)
     angle = log["q_j"][mask]
-    gear = model.joint_pulley_radius / model.motor_pulley_radius
     direction = prepared.admission.direction * friction_share(completed, model)
     columns = (np.ones(angle.size), log["tau_m"][mask], direction[mask], angle)
-    beyond = log["q_m"][mask] - gear * angle
-    if "theta_difference" in completed:  # paths of different lengths (3.52)
-        beyond = beyond - model.lever / model.motor_pulley_radius * completed["theta_difference"][mask]
-    return np.column_stack(columns), np.column_stack((beyond, log["tau_j"][mask]))
+    return np.column_stack(columns), np.column_stack((beyond_joint(completed, model)[mask], log["tau_j"][mask]))
+
+
+def beyond_joint(log: Dataset, model: TendonSheath) -> FloatArray:
+    """Return by how much the motor angle exceeds the joint angle and the difference of the paths (3.52), rad, (n,).
+
+    `log`: completed for the model.
+    """
+    beyond = log["q_m"] - model.joint_pulley_radius / model.motor_pulley_radius * log["q_j"]
+    if "theta_difference" in log:
+        beyond = beyond - model.lever / model.motor_pulley_radius * log["theta_difference"]
+    return beyond
 
 
 def friction_share(log: Dataset, model: TendonSheath) -> FloatArray:
@@ -133,8 +141,8 @@ def friction_share(log: Dataset, model: TendonSheath) -> FloatArray:
     if "theta" not in log:
         return np.ones(len(log))
     theta = log["theta"]
-    tension = model.pretension + model.pretension_slope * (theta - model.bending_angle)
-    return np.maximum(theta, 0.0) * np.maximum(tension, 0.0) / (model.bending_angle * model.pretension)
+    tension = pretension_at(ARRAYS, model, theta)
+    return np.maximum(theta, 0.0) * tension / (model.bending_angle * model.pretension)
 
 
 def _blocks(columns: FloatArray, given: FloatArray) -> list[tuple[FloatArray, FloatArray]]:

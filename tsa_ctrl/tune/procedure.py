@@ -21,7 +21,7 @@ from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.model.steady_sliding import sliding, sliding_stiffness, wound_by_friction
 from tsa_ctrl.tune.by_stretch import beside_stretch, estimate_by_stretch, moved_by_hand
-from tsa_ctrl.tune.estimate import Estimate, estimate, extended, friction_share
+from tsa_ctrl.tune.estimate import Estimate, beyond_joint, estimate, extended, friction_share
 from tsa_ctrl.tune.excitation import (
     MOVED_BY_TORQUE,
     MOVING,
@@ -146,10 +146,7 @@ def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, F
     completed = log.completed_for(model)
     share = friction_share(completed, model)
     columns = np.column_stack((angle, log["tau_m"], direction * share, speed))
-    beyond = log["q_m"] - gear * angle
-    if "theta_difference" in completed:  # paths of different lengths (3.52)
-        beyond = beyond - model.lever / model.motor_pulley_radius * completed["theta_difference"]
-    return columns[slides], beyond[slides]
+    return columns[slides], beyond_joint(completed, model)[slides]
 
 
 def _follows(columns: FloatArray) -> float | None:
@@ -551,7 +548,7 @@ def _agreeing(run: Run, found: Estimate) -> str:
 
 def _milli(error: float) -> str:
     """Return an RMS error (N*m) as people read it; infinite for a run that a fault ended."""
-    return f"{1e3 * error:.0f} mN·m" if np.isfinite(error) else "unknown, because a fault ended the run,"
+    return f"{1e3 * error:.0f} mN·m" if np.isfinite(error) else "unknown (a fault ended the run)"
 
 
 def _worse(learned: Estimate, first: float, second: float) -> str:

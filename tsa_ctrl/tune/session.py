@@ -279,14 +279,16 @@ class Session:
         return axes[name]
 
     def _others(self, controller: Path, names: Sequence[str]) -> dict[str, Bounds]:
-        """Return the limits of the other joints that move; raises UsageError if a name is not that of another axis."""
+        """Return the limits of the other joints that move; raises UsageError for a name that no other axis has."""
         file = self._configuration.file
         known = {axis.name: place for place, axis in enumerate(file.axes) if axis.name != self.axis.name}
         found = {}
         for name in names:
             if name not in known:
                 axes = ", ".join(known) or "none"
-                raise UsageError(f"{controller}: --joint {name} is no other axis; the other axes are {axes}")
+                raise UsageError(
+                    f"{controller}: --joint {name} is not the name of another axis; the other axes are {axes}"
+                )
             axis, model = file.axes[known[name]], self._configuration.models[known[name]]
             limits = axis.limits
             found[name] = Bounds(most_torque(model, limits.torque), limits.joint_speed, limits.travel)

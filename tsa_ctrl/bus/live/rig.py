@@ -38,8 +38,8 @@ class Rig:
     """All axes of one bus, or of several as one (`bus.wire.bus.BusGroup`).
 
     `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
-    the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
-    the last one said), `flooded` (cycles whose answers could not be distinguished from old ones).
+    the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (its
+    contents), `flooded` (cycles whose answers could not be distinguished from old ones).
     """
 
     def __init__(
