@@ -360,8 +360,8 @@ def _without_bursts(table: Table) -> Table:
         kept[first:end] = False
     rows = np.flatnonzero(kept) if table.rows is None else table.rows[kept]
     note = (
-        f"{np.count_nonzero(~kept)} rows in {len(bursts)} bursts lack a number, the first from "
-        f"{table.place(int(bursts[0][0]))} on: they count as holes"
+        f"{np.count_nonzero(~kept)} rows lack a number, the first from {table.place(int(bursts[0][0]))} on: "
+        "they count as holes"
     )
     columns = {name: values[kept] for name, values in table.columns.items()}
     return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))
@@ -379,7 +379,8 @@ def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
             continue
         if np.all(np.abs(np.abs(steps[jumps]) - TURN) < WRAPS * TURN):
             out[name] = np.unwrap(columns[name])
-            notes.append(f"column {name} is wrapped to one turn: {np.count_nonzero(jumps)} jumps of 2 pi are removed")
+            count = np.count_nonzero(jumps)
+            notes.append(f"column {name} is wrapped to one turn: jumps of 2 pi are removed, {count} in all")
     return out
 
 
@@ -403,8 +404,8 @@ def _without_spikes(table: Table, columns: dict[str, Array], notes: list[str]) -
         mended[found] = 0.5 * (values[found - 1] + values[found + 1])
         out[name] = mended
         notes.append(
-            f"{found.size} single samples of column {name} are spikes, the first at {table.place(int(found[0]))}: "
-            "replaced by the mean of their neighbours"
+            f"column {name} has spikes of a single sample, {found.size} in all, the first at "
+            f"{table.place(int(found[0]))}: replaced by the mean of the two neighbours"
         )
     return out
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections import Counter
 from collections.abc import Iterable
@@ -14,7 +15,6 @@ from tools.command import Row
 
 WITH_TORQUE = ("ramping", "running", "tuning")  # phases in which a time to torque zero means something
 KEPT = Path(__file__).with_name("hazards.json")  # what the manual's table is written from
-_WORDS = 60  # of a cause
 
 
 def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
@@ -86,4 +86,4 @@ def _short(cause: str) -> str:
         words = words.partition(separator)[0]
     if cause.startswith("emergency") and "EMCY" in cause:
         words = f"{words}: EMCY {cause.partition('EMCY ')[2][:6]}"
-    return words[:_WORDS]
+    return re.sub(r" \d+ of \d+ .*", "", words)
