@@ -32,7 +32,8 @@ from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion, resi
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups, made_up
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
-from tsa_ctrl.identify.diagnosis.selection.forward import Round, Selection, select
+from tsa_ctrl.identify.diagnosis.selection.entry import FEWEST_LOGS, left_out_error
+from tsa_ctrl.identify.diagnosis.selection.forward import Round, Selection, other_starts, select
 from tsa_ctrl.identify.diagnosis.selection.meaning import SIMPLER, meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
@@ -169,9 +170,8 @@ def _without(
     left = {name: variants for name, variants in catalogue.items() if name not in names}
     rounds: tuple[Round, ...] = ()
     while True:
-        selection = select(problem, start, left, rng)
+        selection, findings = _searched(problem, start, left, rng)
         rounds = (*rounds, *selection.rounds)
-        selection, findings = residual_structure(selection, left, rng)
         named = selection.fitted.names
         selection, grouped = alternatives(selection, catalogue, findings)
         selection, groups = parted(selection, catalogue, findings, grouped)
@@ -201,6 +201,25 @@ def _without(
     instead = replace(instead, selection=replace(instead.selection, rounds=(*rounds, *instead.selection.rounds)))
     told, described = ((each.selection.fitted, each.formula) for each in (found, instead))
     return instead if keeps_its_promise(problem, split, told, described) else found
+
+
+def _searched(
+    problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator
+) -> tuple[Selection, tuple[Finding, ...]]:
+    """Return the selected causes and the structure of what they leave.
+
+    If structure is left, the noise model contains it and is no judge between causes. The selection then starts again
+    from other first causes, and the causes that predict logs not used in the fit best are returned. This needs
+    FEWEST_LOGS logs.
+    """
+    found = [residual_structure(select(problem, start, catalogue, rng), catalogue, rng)]
+    logs = sum(bool(problem.mask[part].any()) for part in problem.frame.slices)
+    if logs >= FEWEST_LOGS and structure_share(found[0][1]) and not start.names:
+        for begin in other_starts(problem, start, catalogue, rng):
+            found.append(residual_structure(select(*begin, catalogue, rng), catalogue, rng))
+    if len(found) == 1:
+        return found[0]
+    return min(found, key=lambda each: left_out_error(each[0].problem, each[0].fitted))
 
 
 def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:

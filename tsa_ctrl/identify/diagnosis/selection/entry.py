@@ -210,6 +210,24 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
     return share <= MOST_LEFT**ENOUGH_LOGS
 
 
+def left_out_error(problem: Problem, found: Fit) -> float:
+    """Return the sum of squares of the simulation error of logs that were not used in the fit, (N*m)^2.
+
+    The logs are left out in up to FOLDS groups of neighbours by name, and all other coordinates are fitted again.
+    """
+    logs = [part for part in problem.frame.slices if problem.mask[part].any()]
+    reversals = models_reversals(found) or not problem.nuisance.moments
+    total = 0.0
+    for group in np.array_split(np.arange(len(logs)), min(FOLDS, len(logs))):
+        inside = np.zeros(len(problem.frame), dtype=np.bool_)
+        for number in group:
+            inside[logs[number]] = True
+        learned = fit_on_simulation_error(problem, found, reversals, problem.mask & ~inside)
+        left = problem.frame.target - problem.predicted(learned.hypothesis.model(learned.point))
+        total += float(np.sum(np.square(left[problem.mask & inside])))
+    return total
+
+
 def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
     """Return True if the gain is spread over several blocks and the effect is large enough.
 

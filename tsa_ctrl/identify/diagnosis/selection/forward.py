@@ -40,10 +40,14 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     step_with_late_reversals,
 )
 
-MOST_CAUSES = 4  # a longer list of causes merely fits functions to the data; targets and tests hide two causes
+# Six causes take ten minutes on 25 trials of a cable drive, which has five. Evidence ends the search earlier: with a
+# limit of four, a torque sensor lag took the place of the eccentricity, and a load left out had an error of 17 mN*m
+# instead of 6.
+MOST_CAUSES = 6
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
 # Ratio of the sum of squares (white units) to the number of samples: 5 % are three standard deviations of 7,000 samples
 MORE_THAN_NOISE = 1.05
+MOST_STARTS = 3  # first causes from which a selection starts; on the cable drive the second one was right
 
 
 @dataclass(frozen=True)
@@ -103,6 +107,20 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
             break
         problem, fitted = entered
     return Selection(problem, fitted, _evidence(problem, fitted), tuple(rounds))
+
+
+def other_starts(
+    problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator
+) -> list[tuple[Problem, Fit]]:
+    """Return the problems and fits with a first cause that is accepted as well, but is not the best one.
+
+    Greedy selection may begin with a cause that fits the sum of several others, and then cannot leave it.
+    """
+    found = _round(problem, start, catalogue, rng)
+    accepted = [step for step in found.steps if enters(problem, start, step, found.threshold)]
+    first = {step.names[-1]: step for step in reversed(accepted)}  # best fit of each name
+    ranked = sorted(first.values(), key=accepted.index)
+    return [_entered(problem, step, catalogue) for step in ranked[1:MOST_STARTS]]
 
 
 def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
