@@ -283,8 +283,9 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def drawn(rng: np.random.Generator, row: Row, short: bool) -> tuple[Bench, dict[str, dict[str, Any]], float] | None:
-    """Return a bench, the hidden effect of a row, and the torque noise (N*m); None if this random trial has no valid
-    case.
+    """Return a bench, the hidden effect of a row, and the torque noise (N*m).
+
+    Return None if this random trial has no valid case.
     """
     bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
     ratio = log_uniform(rng, *row.ratio)

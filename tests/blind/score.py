@@ -95,7 +95,7 @@ def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: 
 
 
 def _covered(cause: dict[str, Any], case: Case) -> dict[str, bool]:
-    """Return True for each parameter whose interval contains the hidden value; empty for a different law."""
+    """Return for each parameter: True if its interval contains the hidden value. Empty for a different law."""
     hidden = case.truth.effects[cause["effect"]]
     found = cause["parameters"]
     defaults = {"elements": 1, "displacement": "motor" if any("q_m" in log.columns for log in case.logs) else "joint"}

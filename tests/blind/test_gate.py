@@ -1,12 +1,13 @@
-"""Check the diagnosis on a small blind benchmark; `tools/run bench/diagnose` is the large one.
+"""Check the diagnosis on a small blind benchmark. `tools/run bench/diagnose` runs the large one.
 
 The random trials are fixed, so that a count changes only with the code. The limits follow from the targets and the
 number of cases.
 
-Each change is tested on one case of each effect, a third of the causes outside the catalogue, two logs of each kind
-without an effect, and three pairs (`EACH_CHANGE`). The table gives, for a share of right answers that falls from the
-target to the second figure, the probability in per cent that the test fails
-(`test_a_diagnosis_that_got_worse_fails` computes it):
+Each change of the code is tested on the cases of `EACH_CHANGE`: one case of each effect, a third of the causes outside
+the catalogue, two logs of each kind without an effect, and three pairs.
+
+In the table, the share of right answers falls from the target to the second figure. The last column contains the
+probability in per cent that the test then fails (calculated by `test_a_diagnosis_that_got_worse_fails`):
 
     one effect named alone          0.95 -> 0.7    97
     within two alternatives         0.99 -> 0.8    97

@@ -271,7 +271,7 @@ def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, tu
     by(speed, turning=turning)
     assert by.direction.age == pytest.approx(age)
     by(speed, turning=turning)
-    assert by.direction.age == 0.0  # only for this reversal
+    assert by.direction.age == 0.0  # the age applies to this reversal only
     by(-speed, turning=-turning)
     by.direction.reset()
     assert by.direction.age == 0.0
@@ -306,7 +306,7 @@ def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: float) -> None:
-    """The reversal travel is 0.4 rad. After a rest, a motion below a twentieth (20 mrad) is not a reversal."""
+    """With a reversal travel of 0.4 rad, a motion of less than a twentieth (20 mrad) is not a reversal after a rest."""
     for gone, back in ((0.0199, True), (0.02, False), (0.0201, False)):
         by = By(way=0.4)
         by(way)

@@ -95,7 +95,8 @@ def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -
         assert by_name[name].high == by_name[name].value
 
 
-# name: bounds and rate (unit/s); None: set by another kind. x = 0.26, T_p0 = 45 N, 2 N*m and 200 N*m/s in the file
+# (low, high, rate per s) by name; the bounds are None if the parameter cannot be set. The file has x = 0.26,
+# T_p0 = 45 N, a torque limit of 2 N*m and a rate limit of 200 N*m/s.
 ALWAYS = {
     "compensation": (0.0, 1.2, 0.5),
     "slew": (1.0, 10_000.0, math.inf),

@@ -1,7 +1,7 @@
 """Compare the slip fronts of a joint at rest with two tendons whose tensions are stored point by point.
 
-In the reference, the tension of a tendon loaded by the motor is max(old, T1 e^(-phi)), and that of a released tendon
-is min(old, T3 e^(+phi)). phi is the friction angle from the motor. The motor's motion elongates one tendon and
+In the reference, the tension of a tendon loaded by the motor is max(old, T1 e^(-phi)). The tension of a released tendon
+is min(old, T3 e^(+phi)). phi is the friction angle, counted from the motor. The motor's motion elongates one tendon and
 releases the other by the same length. The reference uses no code of the package.
 """
 

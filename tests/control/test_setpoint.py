@@ -360,7 +360,7 @@ def test_between_two_periods_the_future_is_on_the_line_between() -> None:
 
 @pytest.mark.parametrize(("late", "periods"), [(0.45, 1), (0.5, 1), (0.55, 2), (4.3, 5), (5.3, 6), (5.55, 6.55)])
 def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(late: float, periods: float) -> None:
-    """Up to half a period of lateness, the cycle gets its own value; above it, the one of the next period.
+    """A cycle gets its own value if it is late by up to half a period, and otherwise the value of the next period.
 
     Lateness beyond the known future restarts the set-point at the current time.
     """

@@ -23,7 +23,7 @@ class Rig:
         self.feedback = TorqueFeedback(bandwidth, RATIO, PERIOD)
         self.true, self.offset, self.most = true * LOOP, offset, most * LOOP
         self.delivered = 0.0  # N*m, converted to the motor
-        self.raised: list[float] = []  # N*m, by which the correction raised the friction term in each cycle
+        self.raised: list[float] = []  # N*m, increase of the friction term by the correction in each cycle
 
     def run(self, seconds: float, amplitude: float, moving: bool, noise: float = 0.0) -> np.ndarray:
         """Return the error of the joint torque (N*m) over time. A reversal begins every `STROKE` seconds."""
@@ -42,7 +42,7 @@ class Rig:
             pull = command + self.offset
             if moving:
                 self.delivered = pull - way * self.true
-            else:  # sticking tendons follow the motor only beyond their friction
+            else:  # sticking tendons follow the motor only if their friction is exceeded
                 self.delivered = min(max(self.delivered, pull - self.true), pull + self.true)
             error = self.delivered / RATIO - wanted
             errors.append(error)

@@ -22,7 +22,7 @@ S = PowerState
 
 
 def by_the_standard(statusword: int) -> PowerState:
-    """Return the state by the statusword table of CiA 402-2. The rows list bits 6 5 3 2 1 0; x means any value."""
+    """Return the state by the statusword table of CiA 402-2. The rows list bits 6 5 3 2 1 0 (x: any)."""
     rows = {
         "0x0000": S.NOT_READY_TO_SWITCH_ON,
         "1x0000": S.SWITCH_ON_DISABLED,

@@ -262,7 +262,7 @@ def test_rpdo_timeout_below_two_periods_is_refused() -> None:
 
 
 def test_fault_found_at_the_start_is_reset_only_on_request() -> None:
-    """On request, the bring-up writes a rising edge of controlword bit 7 by SDO; otherwise it writes no controlword."""
+    """On request, the bring-up writes a rising edge of controlword bit 7. Otherwise it writes no controlword."""
     with bench(drive={(0x6041, 0): (6, 0x0218), (0x603F, 0): (6, 0x2310)}) as nodes:
         node = nodes.nodes[1]
 

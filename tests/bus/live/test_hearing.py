@@ -1,4 +1,4 @@
-"""Determine which command a drive received from its stored value and the sent commands alone."""
+"""Test the detection of commands that a drive did not receive, from its stored value and the sent commands."""
 
 from __future__ import annotations
 
@@ -18,10 +18,8 @@ def play(
 ) -> float:
     """Return the share of commands counted as lost.
 
-    The drive receives every `hears`-th command, and its stored value follows `lag` cycles later.
-
-    The value is read every 20 or 21 cycles. The answer comes after `wait` cycles. It may be up
-    to `trembles` cycles older.
+    The drive receives every `hears`-th command, and its stored value follows `lag` cycles later. This value is read
+    every 20 or 21 cycles. The answer comes after `wait` cycles and may be up to `trembles` cycles older.
     """
     late = random.Random(1)
     before = hearing.asked, hearing.unheard
@@ -60,7 +58,10 @@ def test_a_drive_whose_answers_are_not_in_step_is_never_accused(trembles: int) -
 
 @pytest.mark.parametrize(("hears", "share"), [(2, 0.0), (3, 0.0), (5, 0.4), (20, 0.85)])
 def test_of_a_drive_that_hears_each_nth_command_the_others_count(hears: int, share: float) -> None:
-    """Answers that are more than two commands old count, from startup and after a time without loss."""
+    """An answer counts as a loss if its command is more than two cycles old.
+
+    This holds from startup and after a time without loss.
+    """
     assert play(Hearing(), itertools.count(), hears) == pytest.approx(share, abs=0.1)
     hearing, commands = Hearing(), itertools.count()
     play(hearing, commands, 1)

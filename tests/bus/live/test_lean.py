@@ -123,7 +123,7 @@ def test_each_forged_frame_counts_as_repeated(can_id: int, number: int) -> None:
 def test_what_waits_before_the_next_sync_is_taken_if_it_is_seldom() -> None:
     """The loop does not wait for this frame, so on a busy bus it arrives after the end of the cycle.
 
-    The first one is used; a second one counts as repeated.
+    The first such frame is used. A second one counts as repeated.
     """
     rig, bus, nodes = lean_rig()
     nodes.edit = lambda number, frames: [frame for frame in frames if frame[0] != 0x1C0]

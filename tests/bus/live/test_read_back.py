@@ -1,7 +1,4 @@
-"""Values are read from the nodes in spare bus time and compared with the written values.
-
-A single deviating answer is not a fault.
-"""
+"""Test the read-back of written values from the nodes in spare bus time. A single deviating answer is not a fault."""
 
 from __future__ import annotations
 

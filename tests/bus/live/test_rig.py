@@ -159,7 +159,7 @@ def test_answers_that_come_one_by_one_until_the_deadline_are_all_taken() -> None
     frames = nodes.frames()
 
     def due() -> float:
-        """Return the arrival time of the next frame; frames arrive every 140 us."""
+        """Return the arrival time of the next frame. Frames arrive every 140 us."""
         return start + 140e-6 * (5 - len(frames))
 
     def one_by_one(timeout: float) -> tuple[int, bytes] | None:
@@ -245,9 +245,9 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
 
 
 def test_how_long_answers_are_waited_for_is_said_before_the_sleep() -> None:
-    """Before the sleep, the rig sets the end of the next wait for answers. It expects the previous cycle's duration.
+    """Before the sleep, the rig sets the time by which it expects the answers of the next cycle.
 
-    Before the first cycle the duration is unknown.
+    The answers are expected to take as long as in the previous cycle. Before the first cycle this is unknown.
     """
     rig, bus, _ = one_axis_rig()
     start = rig.wait(bus.clock.now + 0.001)

@@ -1,4 +1,4 @@
-"""Test the check before any torque that all nodes answer at the configured rate."""
+"""Test the startup check: all nodes must answer at the configured rate before any torque is sent."""
 
 from __future__ import annotations
 
