@@ -1,8 +1,7 @@
 """A pair of tendon-sheaths by direct integration of the capstan equation, without the package under test.
 
 Along each tendon, from the motor end, dT/dTheta = +-sigma mu T, and the strain is T/EA. Springs in series elongate by
-the
-local tension. The two tensions at the motor follow from the motor torque and the common path length.
+the local tension. The two tensions at the motor follow from the motor torque and the common path length.
 """
 
 from __future__ import annotations

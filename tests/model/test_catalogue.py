@@ -122,7 +122,7 @@ def test_logs_that_cannot_show_an_effect() -> None:
 
 
 def test_without_a_motor_angle_nothing_follows_it() -> None:
-    """There is no ripple, and presliding depends on the joint alone."""
+    """Torque ripple is not searched, and presliding depends on the joint alone."""
     blind = dataclasses.replace(SCALES, motor_step=math.nan)
     assert not CATALOGUE["torque_ripple"].search("torque_ripple", blind)
     labels = [v.label for v in CATALOGUE["presliding_hysteresis"].search("presliding_hysteresis", blind)]

@@ -37,7 +37,7 @@ def test_uniform_curvature(x: float) -> None:
 
 
 def test_joint_end_curvature_leaves_the_length() -> None:
-    """With all curvature at the joint end there is no friction before the end: alpha = beta = l_us."""
+    """With all curvature at the joint end, the tendon has no friction before the end: alpha = beta = l_us."""
     assert alpha_and_beta("joint_end", 0.6) == (1.0, 1.0)
 
 

@@ -140,7 +140,7 @@ def test_tension_dependence_gives_its_tangent() -> None:
 
 
 def test_angle_and_pretension_may_be_given() -> None:
-    """The values of an estimator can replace those of the file."""
+    """An estimator can replace the file's values."""
     assert sliding(ACTUATOR, 1.0, 0.5, 30.0) == pytest.approx(sliding(ACTUATOR.recalibrated(0.5, 30.0)), rel=1e-14)
 
 
@@ -160,7 +160,7 @@ def test_stiffness_of_the_reference_actuator() -> None:
 
 @pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
 def test_centre_of_the_bending(profile: str, centre: float) -> None:
-    """The centre s_c is that of the model's own profile."""
+    """The centre s_c follows from the model's own profile."""
     assert bending_centre(model_of(profile)) == pytest.approx(centre)
 
 
