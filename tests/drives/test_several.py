@@ -21,7 +21,7 @@ from tsa_ctrl.errors import UsageError
 
 Keys = dict[str, Any]
 NONE = {"present": False}
-QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # independent of the motor's last direction
+QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # compensation would depend on the last direction
 
 
 def files(folder: Path, *axes: tuple[Keys, Keys]) -> tuple[Path, Path]:
@@ -54,8 +54,8 @@ def pulls(result: Any, axis: int) -> float:
 def test_two_axes_of_one_device(tmp_path: Path) -> None:
     """Both axes of one node deliver torque.
 
-    The objects of the second axis are 0x800 higher and its PDOs 64 higher. Its identifiers come from the second half of
-    the node's PDO identifiers.
+    The objects of the second axis are 0x800 higher and its PDOs 64 higher. It uses PDO identifiers of the node that the
+    first axis leaves free.
     """
     device: Keys = {"node_id": 5}
     result = simulate_loop(*files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2})), 1.2)

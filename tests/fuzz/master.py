@@ -27,7 +27,7 @@ CYCLES = 700  # length of an episode
 AFTERWARDS = 60  # cycles of the episode after the first fault
 TOLERATED = 2  # cycles without all answers; the default of the configuration
 HEARTBEAT = 0.2 + 1e-3  # s; the default plus one period
-LENGTHS = {0x181: 8, 0x281: 7, 0x1A0: 4}  # lengths of the answers that each cycle requires
+LENGTHS = {0x181: 8, 0x281: 7, 0x1A0: 4}  # answers that each cycle requires, with their lengths in bytes
 FOLLOWING = 0x1000
 
 

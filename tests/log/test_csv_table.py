@@ -188,7 +188,7 @@ def test_a_small_table_is_the_same_with_and_without_duckdb(
 ) -> None:
     """The table has numbers in several notations, empty fields and spaces.
 
-    Small files are read without DuckDB.
+    Small files are read without DuckDB. Both readers give the same columns.
     """
     path = tmp_path / "table.csv"
     random = np.random.default_rng(3)

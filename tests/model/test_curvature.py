@@ -89,7 +89,7 @@ def test_centre_of_the_named_profiles(profile: str, centre: float) -> None:
 
 
 def test_centre_is_the_mean_place_of_the_bends() -> None:
-    """A tenth of the bending is at 0, 0.3 about 0.15, a tenth at 0.3, and half about 0.85."""
+    """A tenth of the wrap angle is at 0, 0.3 of it around 0.15, a tenth at 0.3, and half around 0.85."""
     assert Profile.of(S_BENT).centre == pytest.approx(0.1 * 0.0 + 0.3 * 0.15 + 0.1 * 0.3 + 0.5 * 0.85)
 
 

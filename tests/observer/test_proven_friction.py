@@ -1,8 +1,8 @@
 """Bounds of the friction torque from the sensors of an axis.
 
-The reference is an evenly bent sheath with its own equations. With the bends in the middle, the mean tension difference
-is the mean of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J. While the tendons slide,
-tau_J = r_J/r_M (tau_M - sigma h) (stretch.md, to first order in x).
+The reference is an evenly bent sheath with separate equations. With even curvature, the mean tension difference is the
+mean of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J. While the tendons slide, tau_J = r_J/r_M (tau_M - sigma h)
+(stretch.md, to first order in x).
 """
 
 from __future__ import annotations
