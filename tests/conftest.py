@@ -96,13 +96,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session")
 def vcan() -> str:
-    """Return the name of the interface that tools/vcan created or found; for tests marked `vcan`."""
+    """Return the name of the interface that tools/vcan created or found, for tests marked `vcan`."""
     return os.environ["TSA_VCAN"]
 
 
 @pytest.fixture(scope="session")
 def browser() -> str:
-    """Return the path of a Chromium; for tests marked `browser`."""
+    """Return the path of a Chromium, for tests marked `browser`."""
     path = _browser()
     assert path is not None
     return path

@@ -199,7 +199,7 @@ def run_trial(variation: Variation) -> Outcome:
 
 
 def _story(station: Station, wrong: list[str]) -> Story:
-    """Act on a running loop and check the reactions; each `yield` lets some cycles pass."""
+    """Act on a running loop and check the reactions. Each `yield` lets some cycles pass."""
 
     def pulls() -> bool:
         return station.torque > PULLS

@@ -13,7 +13,7 @@ STEPS = 300  # steps of the Runge-Kutta method of fourth order per piece: 1e-12 
 
 @dataclass(frozen=True)
 class Pair:
-    """A pair of tendons in SI units. `points`: (fraction of the length, fraction of the wrap angle) from the motor end."""
+    """A pair of tendons in SI units. `points` are (share of the length, share of the wrap angle) from the motor end."""
 
     points: tuple[tuple[float, float], ...]
     x: float  # mu Theta

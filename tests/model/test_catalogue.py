@@ -23,7 +23,7 @@ def test_order_of_the_table_is_the_order_of_composition() -> None:
 
 
 def test_effects_within_a_stage_keep_their_order() -> None:
-    """Gain precedes ripple and motor friction; bending precedes stiffness and relaxation."""
+    """Gain precedes ripple and motor friction. Bending precedes stiffness and relaxation."""
     names = list(CATALOGUE)
     chain = [
         ("torque_constant_error", "torque_ripple", "motor_side_friction"),

@@ -1,6 +1,6 @@
 """Judgement of causes on held-out logs.
 
-A cause that has no effect in the held-out logs is kept. A cause that has an effect there and increases the error is
+A cause that the held-out logs cannot reveal is kept. A cause that they can reveal and that increases the error is
 rejected.
 """
 
