@@ -83,8 +83,8 @@ print(json.dumps(found))
 def run(table: Path, folder: Path) -> dict[str, Any]:
     """Run the loop with this table of signals and return its outputs.
 
-    They contain the values of client and status at 0.4 s, and the rows of the log as CSV. They also contain the lists of
-    signals in the displays and the manual.
+    They contain the values of client and status at 0.4 s, and the rows of the log as CSV. They also contain the lists
+    of signals in the displays and the manual.
     """
     folder.mkdir()
     done = subprocess.run([sys.executable, "-c", RUN, table, folder], cwd=ROOT, capture_output=True, text=True)

@@ -78,7 +78,10 @@ def test_one_direction_of_the_elongation_proves_nothing() -> None:
 @pytest.mark.parametrize("radius", [0.99, 1.0, 1.01])
 @pytest.mark.parametrize("stiffness", [0.92, 1.0, 1.08])
 def test_both_directions_bound_the_friction(zero: float, radius: float, stiffness: float) -> None:
-    """The zero, the radii and the file's stiffness may be wrong. The bounds still contain and stay near the friction."""
+    """The zero, the radii and the file's stiffness may be wrong.
+
+    The bounds contain the friction torque and stay close to it.
+    """
     model = dataclasses.replace(MODEL, axial_stiffness=60e3 * stiffness)
     joint = Joint(model, zero=zero, radius=radius)
     for way in (0.6, -0.6, 0.6, -0.6, 0.6):
