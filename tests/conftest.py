@@ -1,4 +1,7 @@
-"""What the tests need of the machine: a vcan, a browser, measured data. Absent, a test skips with one line."""
+"""Requirements of the tests: a vcan, a browser and measured data.
+
+A test whose requirement is missing is skipped with a one-line reason.
+"""
 
 from __future__ import annotations
 
@@ -18,26 +21,27 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-CLAIMS = "TSA_CLAIMS"  # folder of two runs that share their tests: in it stands what one of them has begun
-GARBAGE = (100_000, 50, 100)  # objects, and rounds, after which garbage is looked for: it is tens of MB then
+CLAIMS = "TSA_CLAIMS"  # folder in which two concurrent runs claim the tests that they share
+GARBAGE = (100_000, 50, 100)  # thresholds of gc.set_threshold: garbage reaches tens of MB before a collection
 SIOCGIFFLAGS, IFF_UP = 0x8913, 0x1  # linux/sockios.h, linux/if.h
 
-gc.disable()  # until the tests are read
+gc.disable()  # until the tests are collected
 hypothesis.settings.register_profile("local", deadline=None)
 hypothesis.settings.register_profile("reproducible", deadline=None, derandomize=True, database=None)
 hypothesis.settings.load_profile("reproducible" if os.environ.get("CI") == "true" else "local")
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # under nohup; what a test starts would ignore it, too
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup ignores SIGINT, and children would inherit this
 
 
 @pytest.hookimpl(tryfirst=True)  # pytest-xdist reads the groups in the same hook
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What shares a worker of pytest-xdist, and its order.
+    """Assign tests to the workers of pytest-xdist and order them.
 
-    Tests that talk on a bus share one: two at once would hear each other. So do those that share a fixture of their
-    module: it is made once. Groups come first, the largest one at once, then what is slow: no worker ends alone.
-    Of two runs at once that share their tests (TSA_CLAIMS) each comes to the longest ones first, too.
+    Tests that use a bus share one worker, because two at once would receive each other's frames. Tests that share a
+    fixture of their module also share a worker, so that the fixture is created once. pytest-xdist starts with the
+    largest groups. Slow tests come next, so that no worker finishes long after the others. Two concurrent runs that
+    share their tests (TSA_CLAIMS) also start with the slow tests.
     """
     for item in items:
         if item.get_closest_marker("hil"):
@@ -45,15 +49,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         elif item.get_closest_marker("xdist_group") is None and _shares_a_fixture(item):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     if CLAIMS in os.environ:
-        items.reverse()  # the campaign, the longest one, is in one of the last files
+        items.reverse()  # the longest test, the campaign, is in one of the last files
     if hasattr(config, "workerinput") or CLAIMS in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Modules and tests that were read stay to the end: to look through them for garbage again and again is in vain.
+    """Exclude the collected modules and tests from garbage collection.
 
-    Nor is it looked for while they are read, and later less often than by default: a tenth of the processor's time.
+    They exist until the end of the session, so scanning them again is wasted time. The collector is off during test
+    collection. Afterwards it runs less often than by default, which would take about a tenth of the processor time.
     """
     gc.enable()
     gc.freeze()
@@ -66,12 +71,15 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtestloop(session: pytest.Session) -> bool | None:
-    """Of two runs at once, each on a vcan and a processor of its own, the one that comes first to a test runs it."""
+    """Run each test that the other of two concurrent runs has not claimed.
+
+    Each run has its own vcan and processor.
+    """
     if CLAIMS not in os.environ or session.testsfailed or session.config.option.collectonly:
         return None
     for item in session.items:
         if claimed(Path(os.environ[CLAIMS]), item.nodeid):
-            item.ihook.pytest_runtest_protocol(item=item, nextitem=None)  # which test is the next is not known yet
+            item.ihook.pytest_runtest_protocol(item=item, nextitem=None)  # the next test is not known yet
         if session.shouldstop:
             raise session.Interrupted(session.shouldstop)
     return True
@@ -88,13 +96,13 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session")
 def vcan() -> str:
-    """Name of the interface that tools/vcan made or found; for tests marked `vcan`."""
+    """Return the name of the interface that tools/vcan created or found, for tests marked `vcan`."""
     return os.environ["TSA_VCAN"]
 
 
 @pytest.fixture(scope="session")
 def browser() -> str:
-    """Path of a Chromium; for tests marked `browser`."""
+    """Return the path of a Chromium, for tests marked `browser`."""
     path = _browser()
     assert path is not None
     return path
@@ -102,7 +110,10 @@ def browser() -> str:
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """Folder of the measured data sets: TSA_DATA, else `shared/data` beside the project, else what was fetched."""
+    """Return the folder of the measured data sets.
+
+    It is TSA_DATA, else `shared/data` next to the project, else the folder of the downloaded data.
+    """
     from tsa_ctrl.published import catalogue
 
     places = [ROOT.parent / "shared" / "data", catalogue.folder()]
@@ -117,7 +128,7 @@ def data_dir() -> Path:
 
 
 def lack_of_vcan() -> str | None:
-    """Why there is no vcan for this test; None when there is one."""
+    """Return the reason why no vcan is available, or None if one is up."""
     name = os.environ.get("TSA_VCAN")
     if not name:
         return "no vcan: run under tools/vcan"
@@ -133,7 +144,7 @@ def lack_of_vcan() -> str | None:
 
 
 def claimed(folder: Path, name: str) -> bool:
-    """Whether this run is the first one to ask for the test `name`: `folder` is that of both."""
+    """Return True if this run is the first to claim the test `name` in the `folder` that both runs share."""
     try:
         (folder / hashlib.sha256(name.encode()).hexdigest()).mkdir()
     except FileExistsError:
@@ -142,7 +153,7 @@ def claimed(folder: Path, name: str) -> bool:
 
 
 def _shares_a_fixture(item: pytest.Item) -> bool:
-    """Whether it asks for a fixture that its module makes once."""
+    """Return True if the test uses a fixture with module scope."""
     if not isinstance(item, pytest.Function):
         return False
     found = (each for made in item._fixtureinfo.name2fixturedefs.values() for each in made)

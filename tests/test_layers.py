@@ -1,9 +1,9 @@
-"""The architecture, as a table of who may import whom, and what keeps it so: read from the source, nothing is run.
+"""Architecture rules: a table lists which modules each part of the package may import. Nothing is executed.
 
-A room is a folder of `tsa_ctrl` or a file beside the folders. A row says what a room may import; it may name a single
-file of another room, where the rest of that room is private. Rows import from rows above them alone, so
-the table reads from the ground up, and a row names nothing that the room does not use. Every import counts: at the top
-of a file, inside a function, under TYPE_CHECKING.
+A room is a folder of `tsa_ctrl` or a file next to the folders. A row of the table lists the rooms that a room may
+import. A row may also contain a single file of another room, if the rest of that room is private. A row contains only
+rows above it, so the table reads from the base modules upwards. A row contains only rooms that are in use. Every
+import counts: at the top of a file, inside a function, and under TYPE_CHECKING.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ import pytest
 from tests.conftest import ROOT
 
 PACKAGE = ROOT / "tsa_ctrl"
-pytestmark = pytest.mark.xdist_group("layers")  # who imports whom is read once, by one worker
+pytestmark = pytest.mark.xdist_group("layers")  # one worker reads the import graph once
 
 ROOMS: dict[str, str] = {
-    # the ground
+    # base modules
     "errors": "",
     "version": "",
     "settings": "errors",
     "outputs": "errors",
     "display": "",
     "system": "errors",
-    "signals": "",  # of an axis: the log, the status and the client have their fields from this table
-    # logs, sensors, the model: what both pipelines share
+    "signals": "",  # table that defines the fields of log, status and client
+    # logs, sensors and the model, which both pipelines share
     "log": "errors display version settings outputs system signals",
     "sensors": "errors system",
     "model": "errors settings system.compiling",
-    "observer": "errors model system.compiling",  # joint torque without its sensor
-    # the bus, from frames to SI
-    "bus": "",  # its door
+    "observer": "errors model system.compiling",  # estimates the joint torque without a sensor
+    # the bus, from frames to SI units
+    "bus": "",  # its __init__.py
     "bus.settings": "",
     "bus.wire": "errors system bus.settings",
     "bus.canopen": "errors",
     "bus.drive": "errors settings bus.settings bus.wire bus.canopen",
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
-    "monitor": "bus.canopen",  # the second channel: no clock, no input or output, nothing of the loop
-    # live: torque from a set-point, and what keeps it safe, which knows no law and no model
+    "monitor": "bus.canopen",  # the second safety channel: without clock, I/O and loop code
+    # live control: torque from a set-point. Safety imports neither the control law nor the model.
     "safety": "errors bus.settings bus.wire bus.canopen bus.drive.session bus.live",
     "control": "errors log.table model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
@@ -54,16 +54,16 @@ ROOMS: dict[str, str] = {
         "errors settings outputs system signals log sensors model observer bus monitor safety control config readiness "
         "ipc"
     ),
-    # offline: from logs to parameters and causes, without bus and loop
+    # offline: parameters and causes from logs, without bus and loop
     "identify": "errors display version settings outputs system signals log model observer",
-    # the machine that answers: independent of everything that computes
+    # the simulated machine, independent of control and identification
     "plant": "errors settings system.compiling log.table model.parameters model.routing model.catalogue bus.wire",
-    # both of them in one process, in time of their own
+    # daemon and plant in one process, in virtual time
     "virtual": (
         "errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety control config "
         "ipc daemon plant"
     ),
-    # for people
+    # user interfaces
     "published": "errors outputs",
     "doctor": "errors version system bus.settings bus.wire bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
@@ -84,15 +84,18 @@ ROOMS: dict[str, str] = {
     "__main__": "system cli",
 }
 
-# What is still to be mended. A line that is no longer true fails the test, so that it goes.
+# Known import cycles that must be removed. An entry that no longer exists fails the test.
 CIRCLES: tuple[frozenset[str], ...] = ()
-MOST_LINES = 700  # of a module: what is longer is two modules
-MEDIAN_LINES = (120, 200)  # of the package: neither a file for each function nor a few files for all
+MOST_LINES = 700  # of a module; split a longer one
+MEDIAN_LINES = (120, 200)  # of the modules: neither one file per function nor a few large files
 
 
 @cache
 def sources() -> dict[str, Path]:
-    """Every module of the package by its name without "tsa_ctrl."; a package has the name of its folder."""
+    """Return the path of every module of the package by its name without "tsa_ctrl.".
+
+    A package is listed under the name of its folder.
+    """
     return {
         name.removesuffix(".__init__"): path
         for path in PACKAGE.rglob("*.py")
@@ -101,7 +104,10 @@ def sources() -> dict[str, Path]:
 
 
 def imported(tree: ast.AST, known: frozenset[str]) -> Iterator[tuple[str, int]]:
-    """Modules of the package that a file imports, and the line; a name in a module is that module."""
+    """Yield the modules of the package that a file imports, with the line of the import.
+
+    A name that is imported from a module counts as an import of that module.
+    """
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"line {node.lineno}: a relative import; write the whole name"
@@ -116,7 +122,7 @@ def imported(tree: ast.AST, known: frozenset[str]) -> Iterator[tuple[str, int]]:
 
 
 def nearest(name: str, known: frozenset[str]) -> str:
-    """The module that a dotted name is, or is in."""
+    """Return the module that the dotted name refers to or lies in."""
     while name and name not in known:
         name = name.rpartition(".")[0]
     return name or "__init__"
@@ -129,7 +135,7 @@ def trees() -> dict[str, ast.Module]:
 
 @cache
 def graph() -> dict[str, dict[str, int]]:
-    """Who imports whom, with the line."""
+    """Return the imports of each module with the line of each import."""
     known = frozenset(sources())
     found = {}
     for name, tree in trees().items():
@@ -138,7 +144,7 @@ def graph() -> dict[str, dict[str, int]]:
 
 
 def room(module: str) -> str:
-    """The row of a module: the longest that it lies in."""
+    """Return the longest row name that contains the module."""
     parts = module.split(".")
     for length in range(len(parts), 0, -1):
         if ".".join(parts[:length]) in ROOMS:
@@ -147,12 +153,12 @@ def room(module: str) -> str:
 
 
 def entry(module: str, row: str) -> str | None:
-    """What in a row allows this module; None when nothing does."""
+    """Return the entry of a row that permits this module, or None."""
     return next((name for name in row.split() if module == name or module.startswith(f"{name}.")), None)
 
 
 def test_a_room_imports_only_what_its_row_names() -> None:
-    """The table is the drawing of the architecture."""
+    """Every import between rooms is permitted by the row of the importing room."""
     wrong = [
         f"tsa_ctrl/{sources()[module].relative_to(PACKAGE)}:{line}: {room(module)} imports {other}, allowed are: "
         f"{ROOMS[room(module)] or 'nothing'}"
@@ -164,7 +170,7 @@ def test_a_room_imports_only_what_its_row_names() -> None:
 
 
 def test_a_row_names_only_rows_above_it() -> None:
-    """Then no circle of rooms can be written down."""
+    """This order excludes cycles between rooms."""
     rows = list(ROOMS)
     for place, (name, row) in enumerate(ROOMS.items()):
         for other in row.split():
@@ -173,24 +179,24 @@ def test_a_row_names_only_rows_above_it() -> None:
 
 
 def test_a_row_names_nothing_that_is_not_used() -> None:
-    """What nobody needs any longer is struck out."""
+    """An entry that no import uses must be removed."""
     used = {(room(module), entry(other, ROOMS[room(module)])) for module, others in graph().items() for other in others}
     idle = [f"{name}: {other}" for name, row in ROOMS.items() for other in row.split() if (name, other) not in used]
     assert not idle
 
 
 def test_every_row_is_there() -> None:
-    """A room that is gone has no row."""
+    """The rows of the table are exactly the rooms of the package."""
     assert set(ROOMS) == {room(module) for module in graph()}
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:
-    """But for those that are known, which are struck out when they are mended."""
+    """Only the cycles listed in CIRCLES exist. A listed cycle that no longer exists fails the test."""
     assert set(circles(graph())) == set(CIRCLES)
 
 
 def circles(of: dict[str, dict[str, int]]) -> Iterator[frozenset[str]]:
-    """Groups of modules each of which is reached from each other one."""
+    """Yield the groups of modules in which each module reaches every other one."""
     reached = {name: reach(name, of) for name in of}
     seen: set[str] = set()
     for name in of:
@@ -222,7 +228,7 @@ def test_modules_are_neither_fragments_nor_collections() -> None:
 
 
 def imports_of(folder: str) -> Iterator[tuple[str, str]]:
-    """Path of a file below a folder of the project, and each dotted name that it imports."""
+    """Yield the path of each file below a folder of the project, and each dotted name that it imports."""
     for path in (ROOT / folder).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -236,13 +242,13 @@ def test_the_package_imports_neither_tests_nor_tools() -> None:
 
 
 def test_tests_import_tools_only_to_test_them() -> None:
-    """Tools stand on what tests know (tests/blind above all), not the other way round."""
+    """Tools may import test helpers such as tests/blind. Only tests/tools may import tools."""
     wrong = [(path, name) for path, name in imports_of("tests") if name.split(".")[0] == "tools"]
     assert not [found for found in wrong if not found[0].startswith("tests/tools/")]
 
 
 def test_tools_import_no_test() -> None:
-    """But what tests are made of: hidden effects, nodes, a browser."""
+    """Tools may import helpers of the tests (hidden effects, nodes, a browser) but no test module."""
     parts = [(path, name.split(".")) for path, name in imports_of("tools")]
     assert not [found for found in parts if found[1][0] == "tests" and any(p.startswith("test_") for p in found[1])]
 
@@ -253,7 +259,7 @@ def test_no_file_of_the_tools_is_too_long_to_be_read() -> None:
 
 
 def test_the_map_names_what_is_there() -> None:
-    """Every file in the map of the code, but for what is to be added (in capitals)."""
+    """Every file in the map of the code exists. Paths in capitals are excluded, because those files are to be added."""
     text = (PACKAGE / "README.md").read_text(encoding="utf-8")
     for path in re.findall(r"`([\w/]+\.\w+)`", text):
         if not re.search(r"[A-Z]{2}", path):

@@ -1,4 +1,8 @@
-"""What is read is never written over; what is written over is kept; two commands never write one folder."""
+"""Output files of commands.
+
+Commands never overwrite their input files, they keep a backup of a replaced file, and they reject a folder in which
+another command is writing.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Requirements of class "worn", the record of verify-safety, and bounds that are looser than shipped."""
+"""Requirements of class "worn", the record of verify-safety, and limits that are looser than shipped."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ HELD = {"knee": SignAndGain(date="2026-11-24T10:00:00+00:00", gain=1.01, sensor=
 
 
 def load(folder: Path, tuned: str = TUNED, **changes: Any) -> Configuration:
-    """Return the configuration of a rig in class "worn" that has everything but a record."""
+    """Return the configuration of a rig in class "worn" that lacks only the record of verify-safety."""
     file = merged({"safety": WORN}, changes.pop("file", {}))
     path, _ = write(folder, controller(file=file, **changes))
     (folder / "actuator.toml").write_text(ACTUATOR + tuned, encoding="utf-8")
@@ -51,7 +51,7 @@ def load(folder: Path, tuned: str = TUNED, **changes: Any) -> Configuration:
 
 
 def ready(folder: Path, **changes: Any) -> Configuration:
-    """Return the same with a record of everything."""
+    """Return the same configuration with a complete record."""
     configuration = load(folder, **changes)
     add_to_record(configuration, NODES, watchdogs="2026-11-24T10:00:00+00:00", held=HELD)
     return configuration
@@ -103,7 +103,7 @@ def test_both_load_cells_stand_in_for_the_torque_sensor(tmp_path: Path) -> None:
 
 
 def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
-    """The travel of the file belongs to no particular joint."""
+    """[safety] travel does not belong to a particular joint if the file has several axes."""
     tables = controller(file={"safety": WORN})
     hip = merged(tables["axis"][0], {"name": "hip", "drive": {"node_id": 2}, "torque_sensor": {"node_id": 65}})
     tables["axis"].append(merged(hip, {"encoder": {"node_id": 33}, "limits": {"travel": WORN["travel"]}}))
@@ -115,7 +115,7 @@ def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
 
 
 def test_everything_that_is_missing_is_one_message_of_one_line(tmp_path: Path) -> None:
-    """`tsa run` and `tsa run --check` reject the file before anything is sent."""
+    """`tsa run` and `tsa run --check` report all six missing items in one line."""
     path, _ = write(tmp_path, controller(torque_sensor=None, file={"safety": {"class": "worn"}}))
     (tmp_path / "actuator.toml").write_text(ACTUATOR, encoding="utf-8")
     words = ("lacks 6: ", "wearer_speed", "load cells", "travel", "serial number", "verify-safety", "--held")

@@ -1,4 +1,4 @@
-"""A file of another kind is called by its name, not by the first key that does not fit."""
+"""Errors in settings files: the wrong kind of file, unknown or misplaced keys, and numbers outside their bounds."""
 
 from __future__ import annotations
 
@@ -82,7 +82,10 @@ def test_a_suggestion_is_never_what_was_given() -> None:
 
 
 def bounds_of(kind: inspect.Type, found: dict[tuple[type, str, float], None]) -> None:
-    """Collect class and key of each number below a type of settings, with a value just outside of each bound."""
+    """Collect a value just outside each bound, for every number in a type of settings and its nested types.
+
+    A key of `found` consists of the class, the name of the number and the value.
+    """
     if isinstance(kind, inspect.StructType) and not any(cls is kind.cls for cls, *_ in found):
         for field in kind.fields:
             for part in (field.type, *getattr(field.type, "types", ())):
@@ -102,7 +105,7 @@ def bounds_of(kind: inspect.Type, found: dict[tuple[type, str, float], None]) ->
 
 
 def test_a_number_outside_its_bounds_is_one_line_with_key_and_value() -> None:
-    """Every number of the controller's, the plant's and a profile's file, just outside of each bound."""
+    """Each number of the controller, plant and profile files is set just outside each of its bounds."""
     found: dict[tuple[type, str, float], None] = {}
     for kind in (type(load_configuration(CONFIG / "controller.toml").file), PlantSettings, DriveProfile):
         bounds_of(inspect.type_info(kind), found)

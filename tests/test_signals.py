@@ -1,4 +1,4 @@
-"""The table of signals is the one place of a signal: log, status and client have what stands there, and only that."""
+"""One row in the table of signals adds a signal to the log, the status, the client and all displays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 from tests.conftest import ROOT
 from tsa_ctrl.signals import FIELD_NAMES
 
-# Public interfaces: the columns of a log in order, the keys of an axis in the status, an axis of a measurement.
+# Public interfaces: the columns of a log in order, and the fields of an axis in the status and in a measurement.
 LOG = """
 t tau_m tau_j omega_j q_j q_m omega_m theta t1 t3 temperature tau_j_des tau_m_cmd cycle lateness work pdo_age missed
 state sigma friction_term friction_angle pretension estimate_state limit_reason tau_j_stretch tau_j_stretch_low
@@ -81,7 +81,11 @@ print(json.dumps(found))
 
 
 def run(table: Path, folder: Path) -> dict[str, Any]:
-    """Run the loop with this table of signals; return what client and status show at 0.4 s, and the log as CSV."""
+    """Run the loop with this table of signals and return its outputs.
+
+    They contain the values of client and status at 0.4 s, and the rows of the log as CSV. They also contain the lists
+    of signals in the displays and the manual.
+    """
     folder.mkdir()
     done = subprocess.run([sys.executable, "-c", RUN, table, folder], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -92,7 +96,10 @@ def run(table: Path, folder: Path) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("foxglove") is None or find_spec("uvicorn") is None, reason="needs live and dashboard")
 def test_a_row_of_the_table_is_all_that_a_signal_needs(tmp_path: Path) -> None:
-    """A signal that the loop has computes: its rate of the set-point, pi 0.5 cos(pi t) N*m/s after the fade-in."""
+    """The added row exports the rate of the set-point, which the loop computes anyway.
+
+    After the fade-in the rate is 0.5 pi cos(pi t) N*m/s.
+    """
     source = ROOT / "tsa_ctrl" / "signals.py"
     with_row = tmp_path / "signals.py"
     text = source.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""tsa bench: from times to a rate, and the whole of it on a bus in this process."""
+"""Test `tsa bench`: the rate calculated from measured times, and the whole command on a bus in this process."""
 
 from __future__ import annotations
 
@@ -32,19 +32,22 @@ MEASURED = Measured(
 
 
 def test_the_slowest_thing_bounds_the_rate() -> None:
-    """At 30 % margin: a cycle of 0.5 ms allows 1400 Hz, answers after 0.3 ms in 60 % of the period the same."""
+    """With a margin of 30 %, a cycle of 0.5 ms limits the rate to 1400 Hz.
+
+    Answers after 0.3 ms, which must come within 60 % of the period, give the same limit.
+    """
     found = {bound.name: bound.rate for bound in bounds(MEASURED, 0.3, 0.6, 1488.0, 0.9)}
     assert found == pytest.approx({"cycle": 1400.0, "answers": 1400.0, "bit rate": 1488.0, "configuration": HIGHEST})
 
 
 def test_bounds_come_with_the_lowest_first() -> None:
-    """Whatever it is."""
+    """The first bound is the lowest one, of any kind."""
     assert bounds(MEASURED, 0.3, 0.6, 100.0, 0.9)[0].name == "bit rate"
     assert bounds(replace(MEASURED, busy=Times(0.1, 0.1, 0.1, 0.1)), 0.3, 0.6, 100.0, 0.9)[0].name == "cycle"
 
 
 def test_nothing_measured_allows_no_rate() -> None:
-    """Not a number is not a rate."""
+    """Times that are not a number give a rate of 0."""
     nothing = Times(math.nan, math.nan, math.nan, math.nan)
     lowest = bounds(replace(MEASURED, busy=nothing, command=nothing), 0.3, 0.6, 1488.0, 0.9)[0]
     assert rounded_down(lowest.rate) == 0.0
@@ -52,13 +55,13 @@ def test_nothing_measured_allows_no_rate() -> None:
 
 @given(st.floats(LOWEST, HIGHEST))
 def test_rounding_is_down_and_by_less_than_a_tenth(rate: float) -> None:
-    """Two digits."""
+    """Rates are rounded down by less than 10 %."""
     assert 0.9 * rate < rounded_down(rate) <= rate * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("rate", [9.999, 0.0, -1.0, math.nan])
 def test_below_what_can_be_configured_is_no_rate(rate: float) -> None:
-    """0: not even the lowest."""
+    """A rate below the lowest configurable one, or not a number, becomes 0."""
     assert rounded_down(rate) == 0.0
 
 
@@ -67,7 +70,7 @@ def test_below_what_can_be_configured_is_no_rate(rate: float) -> None:
     [({}, True), ({"lost": 1}, False), ({"late": 1}, False), ({"busy": Times(2e-4, 3e-4, 9e-4, 2e-3)}, False)],
 )
 def test_a_rate_holds_when_nothing_is_lost_or_late(change: dict[str, object], good: bool) -> None:
-    """And half of the margin is still free."""
+    """A rate passes without lost or late answers and if half of the margin stays free."""
     assert holds(replace(MEASURED, **change), 0.3) is good  # type: ignore[arg-type]
 
 
@@ -83,7 +86,10 @@ def bench(folder: Path, *edits: tuple[str, str]) -> Result:
 
 
 def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
-    """python-can's virtual bus, no rights, no nodes: the rate is below all bounds, however busy the machine is."""
+    """On python-can's virtual bus, without permissions and nodes, the rate does not exceed any bound.
+
+    This also holds on a busy machine.
+    """
     slow = (("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "))
     run = bench(tmp_path, ('interface = "socketcan"', 'interface = "virtual"'), *slow)
     assert run.exit_code == 0, run.output
@@ -96,7 +102,7 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
 
 
 def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 1, and what to do."""
+    """A missing bus gives exit code 1 and one line on stderr."""
     shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
     path = tmp_path / "controller.toml"
     path.write_text(path.read_text("utf-8").replace('channel = "vcan0"', 'channel = "can17"'), encoding="utf-8")
@@ -117,7 +123,10 @@ def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
 def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: can.Message, words: str
 ) -> None:
-    """Foreign nodes or another master give one line, and at most a question for the present nodes is sent."""
+    """With foreign nodes or another master on the bus, the command ends with a one-line error.
+
+    It sends at most one kind of frame, the SDO requests that look for the configured drive.
+    """
     path, channel = tmp_path / "controller.toml", words[:12]
     shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
     text = path.read_text(encoding="utf-8")

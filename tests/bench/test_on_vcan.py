@@ -29,7 +29,7 @@ def bench(rig: Rig) -> tuple[int, dict[str, Any], str]:
 
 
 def test_without_nodes_others_stand_in_and_the_rate_is_run(rig: Rig) -> None:
-    """The rate that is named was run without a loss."""
+    """Simulated nodes answer, and the reported rate was run without lost or late answers."""
     code, found, err = bench(rig)
     assert code == 0, err
     assert found["nodes"] == "simulated"
@@ -40,7 +40,7 @@ def test_without_nodes_others_stand_in_and_the_rate_is_run(rig: Rig) -> None:
 
 
 def test_real_nodes_are_measured_and_never_enabled(rig: Rig) -> None:
-    """The plant answers; its drive was off at every cycle."""
+    """The nodes of the plant answer, and their drive is never enabled."""
     rig.plant()
     code, found, err = bench(rig)
     assert code == 0, err

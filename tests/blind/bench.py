@@ -1,4 +1,4 @@
-"""A test bench: one rig and one or several runs of it, drawn at random by a recipe."""
+"""A test bench: a random rig with one or several runs, drawn according to a recipe."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Disturbance = Callable[["Bench", "Run", Array], Array]
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to excite the rig and what to record. None and an empty string mean a random choice."""
+    """The excitation of the rig and the recorded signals. None and an empty string mean a random choice."""
 
     motion: str = "rich"  # "rich", "one_way" or a kind of motion.KINDS
     torque: str = ""  # "independent", "levels", "one_sign", "loaded", "spring", "free", "weight", "one_load"
     amplitude: float | None = None  # rad
     speed: float | None = None  # rad/s, for plain motions
-    rounding: float = 0.0  # s, of the corners of a plain motion
+    rounding: float = 0.0  # s, rounding of the corners of a plain motion
     level: tuple[float, float] = (0.4, 0.85)  # peak motor torque as a share of the slack limit
     bending: str = "fixed"  # "fixed", "varied" (known, in column theta)
     temperature: str = ""  # "cycle", "warm_up", "none"
@@ -39,14 +39,14 @@ class Recipe:
     x: tuple[float, float] = (0.12, 0.9)
     sign_noise: float = 2.0  # largest torque error by wrong velocity signs, as a multiple of the torque noise
     velocity_noise: float | None = None  # rad/s RMS of a tachometer; None: a share of the peak speed
-    blind: bool = False  # the temperature moves but is not recorded
+    blind: bool = False  # the temperature changes but is not recorded
     bare: bool = False  # only the columns that the recipe requires
     short: bool = False  # the quick gate: 12 to 20 s, one run
 
 
 @dataclass
 class Run:
-    """One future log: the scene on the fine grid, and the samples of it that the log keeps."""
+    """One run: the scene on the fine grid and the subset of samples that the log contains."""
 
     scene: Scene
     every: int
@@ -71,7 +71,7 @@ class Run:
     def plain(self, rig: Rig, motor_angle: bool) -> Array:
         """Return the joint torque (N*m) without effects on the fine grid.
 
-        It is cached, because a disturbance is tried at several strengths.
+        The result is cached, because a disturbance is tested at several strengths.
         """
         if self._plain is None:
             self._plain = simulate(rig, self.scene, {}, motor_angle).joint_torque
@@ -87,7 +87,7 @@ class Run:
 
 @dataclass
 class Bench:
-    """The rig with its runs, and the properties of the instruments that all runs share."""
+    """The rig with its runs, and the properties of the instruments for all runs."""
 
     rig: Rig
     nominal: Rig
@@ -108,7 +108,7 @@ class Bench:
         return [run.simulate(self.rig, effects, self.motor_angle).joint_torque for run in self.runs]
 
     def ideal_as_seen(self, effects: Effects, log_effects: Effects) -> list[Array]:
-        """Return `ideal(effects)` with the direction of the logged velocity under `log_effects`."""
+        """Return `ideal(effects)` with sigma from the velocity as it is logged under `log_effects`."""
         torques = []
         for run in self.runs:
             sigma = memory.direction(self.seen_velocity(run, log_effects))
@@ -158,7 +158,7 @@ class Bench:
 def draw_bench(rng: np.random.Generator, recipe: Recipe, like: Bench | None = None) -> Bench:
     """Return a rig with its runs, without effects and noise.
 
-    `like`: take the rig and its nominal model from that bench.
+    If `like` is given, the rig and its nominal model are taken from that bench.
     """
     rig = draw_rig(rng, recipe.x) if like is None else like.rig
     nominal = draw_nominal(rng, rig) if like is None else like.nominal
@@ -269,7 +269,7 @@ def _draw_torque(
         return level * limit * torque_programme(rng, t)
     if kind == "one_sign":
         return level * limit * torque_programme(rng, t, sign=int(rng.choice([-1, 1])))
-    if kind == "one_load":  # so far from zero that friction never reverses the sign of the joint torque
+    if kind == "one_load":  # far from zero, so that friction never reverses the sign of the joint torque
         least = np.tanh(float(np.max(rig.mu * theta))) + 0.08
         share = np.abs(torque_programme(rng, t, sign=1))
         return float(rng.choice([-1.0, 1.0])) * limit * (least + max(level - least, 0.15) * share)

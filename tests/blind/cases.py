@@ -1,4 +1,4 @@
-"""Cases: logs with a hidden truth, drawn by family, name and seed. The same three arguments give the same case."""
+"""Create cases: logs with hidden effects. Family, name and seed determine a case completely."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .strength import NAMES, Strength, draw_strength, solve
 
 @dataclass
 class Truth:
-    """The hidden effects. Sizes are RMS in N·m after recalibration; noise is the RMS of the torque noise."""
+    """The hidden effects. Sizes are RMS values in N·m after recalibration. `noise` is the RMS of the torque noise."""
 
     effects: dict[str, dict[str, Any]]
     noise: float = 0.0
     sign_noise: float = 0.0  # RMS of the torque error by wrong signs of the recorded velocity
     size: float = 0.0
-    sizes: dict[str, float] = field(default_factory=dict)  # of each effect in the presence of the others
+    sizes: dict[str, float] = field(default_factory=dict)  # size of each effect in the presence of the others
     outside: str = ""  # kind of cause outside the catalogue
     twins: tuple[str, ...] = ()  # effects that no diagnosis can distinguish in this case, including the truth
     exact: bool = True  # False: the effects differ a little, so the true name alone is also right
@@ -35,7 +35,7 @@ class Truth:
 
 @dataclass
 class Case:
-    """Logs and the nominal model for a diagnosis, and the truth for its marking."""
+    """Logs and nominal model for a diagnosis, and the hidden truth to mark its result."""
 
     family: str
     name: str
@@ -44,7 +44,7 @@ class Case:
     model: str  # text of an actuator model file
     truth: Truth
     experiment: Case | None = None  # logs of the same rig that separate the indistinguishable effects
-    bench: Bench | None = field(default=None, repr=False)  # for the marking: the source of the logs
+    bench: Bench | None = field(default=None, repr=False)  # source of the logs, used for the marking
 
     @property
     def key(self) -> str:
@@ -113,9 +113,9 @@ POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
 
 
 def none_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
-    """Return a case without effect: wrong nominal values and noise.
+    """Return a case without effect. Its nominal values are wrong and its signals have noise.
 
-    `name`: "rich...", "plain" or an uninformative excitation. `like`: use the rig of that bench.
+    `name` is "rich...", "plain" or an uninformative excitation. If `like` is given, the rig of that bench is used.
     """
     rng = generator("none", name, seed)
     if name.startswith("rich"):
@@ -161,7 +161,7 @@ def hidden_direction_case(name: str, seed: int, short: bool = False) -> Case:
 def single_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
     """Return a case with one well excited effect that no other effect imitates within the noise.
 
-    Its size is one to six times the noise. `like`: use the rig of that bench.
+    Its size is one to six times the noise. If `like` is given, the rig of that bench is used.
     """
     for attempt in range(200):
         rng = generator("single", name, seed, attempt)
@@ -197,7 +197,7 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
         rng = generator("pair", name, seed, attempt)
         first, second = name.split("+") if name != "any" else _draw_pair(rng)
         needs = _needs_of_both(first, second)
-        if "x" in needs and needs["x"][0] >= needs["x"][1]:  # no rig shows both
+        if "x" in needs and needs["x"][0] >= needs["x"][1]:  # no rig can show both effects
             continue
         bench = draw_bench(rng, Recipe(**needs, short=short))
         ratio = log_uniform(rng, 1.25, 4.0)
@@ -273,7 +273,7 @@ def _needs_of_both(first: str, second: str) -> dict[str, Any]:
 
 
 def _strong(rng: np.random.Generator, name: str, bench: Bench, wanted: float) -> tuple[dict[str, Any], float]:
-    """Return parameters of `name` whose size is about `wanted` (N*m), and the size reached."""
+    """Return parameters of effect `name` with a size of about `wanted`, and the size reached (both N*m)."""
     return solve(draw_strength(rng, name, bench), wanted, lambda parameters: size(bench, {name: parameters}))
 
 

@@ -31,16 +31,16 @@ class Row:
     truth: str
     twins: tuple[str, ...]
     recipe: dict[str, Any]
-    absorbed: bool = False  # recalibration removes it: no cause need be found
+    absorbed: bool = False  # recalibration compensates it, so no cause has to be found
     exact: bool = True
-    # excitation of the experiment in addition to the truth's own needs; None: no experiment
+    # additional excitation for the experiment; None if there is no experiment
     parted_by: dict[str, Any] | None = None
     ratio: tuple[float, float] = (1.3, 4.0)
     draw: Callable[[np.random.Generator, Bench, float], dict[str, Any] | None] | None = None
 
 
 def _like_elongation(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """Return the gain error that gives the slope of an evenly bent sheath."""
+    """Return the gain error that results in the same slope as a sheath with even curvature."""
     rig = bench.rig
     spring = rig.axial_stiffness / rig.series_stiffness / rig.length if rig.series_stiffness else 0.0
     x = rig.x
@@ -60,14 +60,14 @@ def _positive_direction(rng: np.random.Generator, bench: Bench, wanted: float) -
 
 
 def _opposite_asymmetry(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """Return the asymmetry that load-dependent friction imitates. Its sign reduces the torque."""
+    """Return the sheath asymmetry that load-dependent friction imitates. Its sign reduces the torque."""
     sign = -float(np.sign(np.mean(np.concatenate(bench.ideal({})))))
     strength = Strength("", {}, "relative_difference", 0.1 * sign, 0.06 * sign / (0.5 * bench.rig.x))
     return _sized("sheath_asymmetry", strength, bench, wanted)
 
 
 def _weak_load_friction(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """Return a friction so weak that the noise hides its second order, in which the two effects differ."""
+    """Return a weak friction. The two effects differ only in its second order, which the noise hides."""
     return _sized("load_dependent_friction", Strength("", {}, "coefficient", 0.02, 0.05), bench, wanted)
 
 
@@ -90,7 +90,7 @@ def _hanging_weight(rng: np.random.Generator, bench: Bench, wanted: float) -> di
 
 
 def _within_recalibration(name: str, key: str) -> Callable[[np.random.Generator, Bench, float], dict[str, Any] | None]:
-    """Return a function that draws an effect as strong as recalibration can compensate completely."""
+    """Return a function that draws an effect that is weak enough for a complete compensation by recalibration."""
 
     def draw(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any] | None:
         strength = draw_strength(rng, name, bench)
@@ -104,7 +104,7 @@ def _within_recalibration(name: str, key: str) -> Callable[[np.random.Generator,
 
 
 def _cooling_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
-    """Return friction that falls as the rig warms up, as it would with a relaxing pretension."""
+    """Return friction that falls while the rig warms up, like the friction of a relaxing pretension."""
     strength = Strength("", {}, "temperature_coefficient", -0.005, -0.03)
     return _sized("thermal_friction_drift", strength, bench, wanted)
 
@@ -283,8 +283,9 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def drawn(rng: np.random.Generator, row: Row, short: bool) -> tuple[Bench, dict[str, dict[str, Any]], float] | None:
-    """Return a bench, the hidden effect of a row, and the torque noise (N*m); None if this random trial has no valid
-    case.
+    """Return a bench, the hidden effect of a row, and the torque noise (N*m).
+
+    Return None if this random trial has no valid case.
     """
     bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
     ratio = log_uniform(rng, *row.ratio)

@@ -1,4 +1,4 @@
-"""Cases that several tests share. One worker runs these tests and draws each case once."""
+"""Cached cases for several tests. One worker runs these tests and draws each case once."""
 
 from __future__ import annotations
 

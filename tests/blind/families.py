@@ -1,4 +1,4 @@
-"""The families of cases and a common function that makes a case of any of them."""
+"""The families of cases, and a function that creates a case of any family."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ _MAKERS: dict[str, Callable[[str, int, bool], Case]] = {
 
 
 def case(family: str, name: str, seed: int, short: bool = False) -> Case:
-    """Return one case; the same arguments give the same numbers.
+    """Return one case, which the arguments determine completely.
 
-    `short`: 12 to 20 s and one run, as in the quick gate.
+    If `short` is set, the case has one run of 12 to 20 s, as in the quick gate.
     """
     return _MAKERS[family](name, seed, short)
 

@@ -1,4 +1,4 @@
-"""Gain of an extended model on a motion that was not recorded, without the package's own simulation."""
+"""Calculate the gain of an extended model on a new motion, without the simulation of the package."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def fresh_gain(case: Case, causes: list[dict[str, Any]]) -> float | None:
 
 
 def _parameters(cause: dict[str, Any], hidden: dict[str, Any]) -> dict[str, Any]:
-    """Return the reported values, and the true values of parameters that the report does not mention."""
+    """Return the reported parameters, completed by the true values of parameters that the report does not contain."""
     out = dict(hidden)
     for key, quantity in cause["parameters"].items():
         out[key] = quantity["value"] if isinstance(quantity, dict) else quantity

@@ -1,4 +1,4 @@
-"""Drives with a gear and a joint torque sensor, without tendons: joint torque from motor torque, with hidden effects.
+"""Create logs of geared drives without tendons, with a joint torque sensor and hidden effects.
 
 The joint is moved from outside, so that motor torque and motion are independent. The module does not import the
 package under test. The base file does not contain the hidden cause.
@@ -34,7 +34,7 @@ NAMES = (
     "backlash",
     "transport_delay",
 )
-STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # effects that a locked joint shows
+STATIC = ("torque_saturation", "torque_constant_error", "torque_offset")  # effects that are visible on a locked joint
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,10 @@ def geared_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def held_case(name: str, seed: int) -> Case:
-    """Return a locked joint whose motor torque climbs stairs of both signs. It shows K_t, offset and saturation."""
+    """Return a case with a locked joint and a motor torque in steps of both signs.
+
+    It shows errors of the torque constant, an offset and saturation.
+    """
     for attempt in range(200):
         rng = generator("held", name, seed, attempt)
         rate, every = 500, 8
@@ -198,7 +201,7 @@ def _draw_effect(
 
 
 def _file(rng: np.random.Generator, drive: Drive, name: str) -> str:
-    """Return the nominal drive without the hidden effect; its losses differ by up to 20 %."""
+    """Return the text of the nominal model without the hidden effect. Its friction is wrong by up to 20 %."""
 
     def off(value: float) -> float:
         return float(value / (1.0 + rng.uniform(-0.2, 0.2)))

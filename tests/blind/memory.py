@@ -1,4 +1,4 @@
-"""Loops over samples that cannot be vectorised: direction with hold, presliding, backlash, lag."""
+"""Loops over samples for states with memory, which cannot be vectorised."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def bristle(displacement: Array, distance: float, start: float) -> Array:
 def slip_elements(displacement: Array, distance: float, count: int, start: float) -> Array:
     """Return the mean state of `count` elastic sliders, (n,).
 
-    The i-th saturates after distance * i / count from rest.
+    From rest, the i-th slider saturates after distance * i / count.
     """
     n = displacement.size
     out = np.empty(n)

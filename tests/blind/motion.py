@@ -1,4 +1,4 @@
-"""Random motions of the joint and random torque programmes, smooth enough to be differentiated."""
+"""Create random joint motions and torque programmes that are smooth enough to be differentiated."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Motion:
     omega: Array
     acceleration: Array
     kinds: tuple[str, ...]
-    speed: float  # peak, rad/s
+    speed: float  # peak speed, rad/s
 
 
 def grid(seconds: float, rate: float, before: float = 0.0) -> Array:
@@ -35,7 +35,7 @@ def rich_motion(
 ) -> Motion:
     """Return a motion of several pieces of different kind, speed and amplitude, with reversals at many speeds.
 
-    `rounding` as in `plain_motion`.
+    `rounding` has the same meaning as in `plain_motion`.
     """
     seconds = t[-1] - min(t[0], 0.0)
     count = int(np.clip(round(seconds / rng.uniform(5.0, 9.0)), 3, 8))
@@ -46,7 +46,7 @@ def rich_motion(
     pieces = []
     for share in np.minimum(shares, 1.0):
         reach = largest * (rng.uniform(0.35, 1.0) if amplitude is None else rng.uniform(0.8, 1.0))
-        reach = min(reach, 1.3 * share * fastest * seconds / count / 4.0)  # a slow piece still reverses
+        reach = min(reach, 1.3 * share * fastest * seconds / count / 4.0)  # so that a slow piece also reverses
         pieces.append((str(rng.choice(KINDS)), reach, share * fastest))
     return _assemble(rng, t, pieces, dwell, rounding)
 
@@ -89,7 +89,7 @@ def _assemble(
 def _ramp(t: Array, edge: float, fade: float, active: bool) -> Array:
     """Return a smooth step (n,) from 0 before the edge to 1 after it.
 
-    An inactive edge gives 1 everywhere if it is at the first sample, and else 0.
+    For an inactive edge, return 1 everywhere if it is at the first sample, and 0 otherwise.
     """
     if not active:
         return np.ones_like(t) if edge <= t[0] else np.zeros_like(t)
@@ -126,7 +126,7 @@ def _shape(rng: np.random.Generator, kind: str, t: Array, amplitude: float, spee
             forward = np.clip(cycle * (travel + hold) / travel, 0.0, 1.0)
             back = np.clip((cycle - 1.0) * (travel + hold) / travel, 0.0, 1.0)
             return amplitude * (2.0 * _soft(forward, 0.2) - 2.0 * _soft(back, 0.2) - 1.0)
-        case "walk":  # as a person moves a joint: to and fro without a period, with varying speed
+        case "walk":  # like a person: back and forth without a period, with varying speed
             return amplitude * wander(rng, t, 2.0 * np.pi * amplitude / speed)
         case "plateaus":  # from one angle to another, with a rest at each
             travel = 2.0 * amplitude / speed
@@ -145,7 +145,7 @@ def _soft(u: Array, share: float) -> Array:
 def torque_programme(rng: np.random.Generator, t: Array, sign: int = 0, slow: bool = False) -> Array:
     """Return a torque (n,) of peak 1 that is independent of the motion: sines, steps and held levels.
 
-    `sign` +1 or -1 keeps it on one side (0.1 to 1).
+    If `sign` is +1 or -1, the torque has this sign and a magnitude of 0.1 to 1.
     """
     step = t[1] - t[0]
     fastest = 0.4 if slow else rng.uniform(0.5, 2.5)

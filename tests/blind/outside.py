@@ -1,4 +1,4 @@
-"""Causes outside the catalogue, drawn such that most of each remains when the whole catalogue is fitted."""
+"""Create causes outside the catalogue. Most of each cause remains when the whole catalogue is fitted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Torque = Callable[[Bench, Run, Array], Array]
 
 @dataclass(frozen=True)
 class Stranger:
-    """A kind of cause: its effect on the joint torque as a function of its strength, and the required excitation."""
+    """A cause outside the catalogue: its joint torque as a function of its strength, and the required excitation."""
 
     describe: str
     draw: Callable[[np.random.Generator, Bench], Callable[[float], Torque]]
@@ -110,7 +110,7 @@ def _resonance(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torq
 
 
 def _kink(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """Return a kink where the tendon rubs: a bump of friction at one joint angle."""
+    """Return a kink of the sheath, which raises the friction near one joint angle."""
     q = np.concatenate([run.scene.q for run in bench.runs])
     place, width = np.quantile(q, rng.uniform(0.3, 0.7)), rng.uniform(0.04, 0.1) * np.ptp(q)
 
@@ -157,7 +157,7 @@ def _beating(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque
 
 
 def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """Return torque telegrams that are lost occasionally. The last value is held for a tenth of a second or more."""
+    """Return an occasional loss of torque messages. The last value is held for a tenth of a second or more."""
     seed = int(rng.integers(2**31))
 
     def at(strength: float) -> Torque:
@@ -176,7 +176,7 @@ def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]
 
 
 def _oval(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """Return an oval joint pulley, whose lever arm changes twice per turn."""
+    """Return an oval joint pulley, whose lever arm changes twice per revolution."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
     def at(strength: float) -> Torque:
@@ -245,12 +245,12 @@ OF_AN_INSTANT = (
 
 # Causes with the memory of a filter of the load, which a formula can represent as well
 OF_A_FILTER = ("viscoelastic_tendon", "sensor_resonance", "sensor_hysteresis")
-# Causes that depend on time: from one moment on, or with a frequency
+# Causes that depend on time: from a certain time on, or periodic
 OF_A_CLOCK = ("anchor_slip", "tension_beating")
 
 
 class CatalogueSpan:
-    """The linear space of the changes that the whole catalogue can imitate, about the rig without effects."""
+    """The linear space of torque changes that the catalogue can imitate, linearised about the rig without effects."""
 
     def __init__(self, bench: Bench) -> None:
         self.thin = Thinned(bench)

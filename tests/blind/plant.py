@@ -1,8 +1,8 @@
-"""The transmission from its four tensions, with hidden effects, on a fine time grid.
+"""Calculate the transmission with hidden effects from its four tensions on a fine time grid.
 
-No code is shared with the package under test. Each tendon is followed from the motor through its sheath to the
-joint, and the joint torque follows from the tensions at the joint. Names and parameters of effects are those of model
-files.
+No code is shared with the package under test. Each tendon is calculated from the motor through its sheath to the
+joint, and the joint torque follows from the tensions at the joint. Effects have the same names and parameters as in
+model files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # along the sheath: exac
 
 @dataclass
 class Scene:
-    """The true signals on one grid: time, joint motion, motor angle and torque, wrap angle, temperature (°C)."""
+    """The true signals on one time grid: joint motion, motor angle and torque, wrap angle and temperature (°C)."""
 
     t: Array
     q: Array
@@ -35,7 +35,7 @@ class Scene:
     theta: Array
     temperature: Array
     first: int = 0  # the log's first sample; earlier samples are history
-    sigma: Array | None = None  # direction of sliding if it is not the sign of omega
+    sigma: Array | None = None  # direction of sliding, if different from the sign of omega
     friction_scale: Array | None = None  # factors of mu and of the pretension for causes outside the catalogue
     pretension_scale: Array | None = None
 
@@ -60,9 +60,9 @@ def joint_torque(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool
 
 
 def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Tensions:
-    """Return the tensions and joint torque of the chain motor, tendons, joint and sensor.
+    """Return the tensions and the joint torque for the chain of motor, tendons, joint and sensor.
 
-    `motor_log_angle`: presliding follows the motor angle by default.
+    If `motor_log_angle` is set, presliding depends on the motor angle by default, otherwise on the joint angle.
     """
     sigma = sliding_state(scene, effects, motor_log_angle)
     torque = _motor_torque(scene, effects, sigma)
@@ -223,10 +223,10 @@ def _pull_only(t1: Array, t3: Array) -> tuple[Array, Array]:
 
 
 def _elongating(rig: Rig, torque: Array, pretension: Array, sigma_x: Array, profile: str) -> Tensions:
-    """Return the tensions with elongation: tension and strain fall along the sheath.
+    """Return the tensions with elongation, in which tension and strain fall along the sheath.
 
-    The two elongations share one path-length change. The strain is integrated numerically over the tendon (quadrature),
-    with the series springs at the motor end.
+    The pretension determines the sum of both elongations. The strain is integrated numerically along the tendon, and
+    the series springs are at the motor.
     """
     s = 0.5 * (_NODES + 1.0)
     bent = np.ones_like(s) if profile == "motor_end" else s

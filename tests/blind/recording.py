@@ -1,4 +1,4 @@
-"""Recording of the bench's instruments: logs with realistic noise, encoder counts and wrong velocity signs."""
+"""Create the logs of a bench with realistic noise, encoder counts and wrong velocity signs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Array = np.ndarray
 
 @dataclass
 class HiddenLog:
-    """A log as input of a diagnosis: columns by name, SI units."""
+    """A log as the input of a diagnosis: columns by name in SI units."""
 
     name: str
     columns: dict[str, Array]
@@ -33,7 +33,7 @@ def record(
     peak = max(float(np.max(np.abs(run.scene.tau_m))) for run in bench.runs)
     per_mille = 1e-3 * peak * rng.uniform(1.02, 1.6)
     motor_noise = noise * np.sqrt(motor_share) / gain
-    per_mille = min(per_mille, 2.0 * motor_noise)  # the resolution of the drive stays small compared with the noise
+    per_mille = min(per_mille, 2.0 * motor_noise)  # keeps the resolution of the drive small compared with the noise
     velocity_noise = bench.speed * np.exp(rng.uniform(np.log(3e-4), np.log(6e-3)))
     velocity_noise = bench.recipe.velocity_noise or velocity_noise
     smooth = int(rng.choice([1, 3, 5]))
@@ -67,7 +67,7 @@ def _velocity(
 ) -> tuple[Array, Array, Array]:
     """Return recorded velocity and angle, and the torque error by wrong velocity signs (N·m).
 
-    Velocity noise, encoder step and window are reduced until the RMS of that error is at most `limit`, up to 12 times.
+    Velocity noise, encoder step and window are reduced until the RMS error is at most `limit`, in up to 12 steps.
     """
     seen = bench.seen_velocity(run, effects)
     step = run.scene.t[1] - run.scene.t[0]

@@ -1,4 +1,4 @@
-"""A random tendon-sheath rig: its true values, and the wrong nominal values that a diagnosis gets."""
+"""Create a random tendon-sheath rig with its true values and the wrong nominal values for a diagnosis."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Rig:
-    """Two tendons between a motor and a joint pulley, SI units. `pretension` holds at `bending` without torque."""
+    """Two tendons between a motor and a joint pulley, SI units. `pretension` applies at `bending` without torque."""
 
     motor_radius: float
     joint_radius: float
@@ -28,7 +28,7 @@ class Rig:
 
     @property
     def tendon_stiffness(self) -> float:
-        """Return the tension per path-length change of one tendon and its series spring, N/m."""
+        """Return the stiffness of one tendon in series with its spring, N/m."""
         compliance = self.length / self.axial_stiffness
         if self.series_stiffness:
             compliance += 1.0 / self.series_stiffness
@@ -36,7 +36,7 @@ class Rig:
 
     @property
     def tension_per_bending(self) -> float:
-        """Return the change of pretension per bending angle, N/rad."""
+        """Return the change of pretension per wrap angle, N/rad."""
         return self.tendon_stiffness * (self.contact_offset + 0.5 * self.diameter)
 
     @property

@@ -1,6 +1,6 @@
-"""Plain drives with hidden effects. Their motor torque consists of inertia, Coulomb and viscous friction and an offset.
+"""Create logs of plain drives with inertia, Coulomb friction, viscous friction, an offset and hidden effects.
 
-The torque is balanced at the drive's own shaft. A term that the base file does not contain is a hidden cause.
+All torques act at the shaft of the drive. A term that the base file does not contain is a hidden cause.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NAMES = (
     "transport_delay",
 )
 
-# Base parameters whose absence from the file makes the corresponding effect a cause.
+# If one of these base parameters is missing in the file, the corresponding effect is a cause.
 ABSENT = {"torque_offset": "torque_offset", "viscous_friction": "viscous_friction", "inertia": "inertia"}
 
 
@@ -70,7 +70,7 @@ def torque(drive: Drive, motion: Motion, temperature: Array, effects: dict[str, 
             case "inertia":
                 out = out + e["inertia"] * motion.acceleration
             case "torque_offset":
-                out = out - e["offset"]  # this drive has no tau_J, whose offset enters with the opposite sign
+                out = out - e["offset"]  # the sign is opposite to an offset of tau_J, which this drive lacks
             case "gravity_load":
                 out = out + e["amplitude"] * np.sin(motion.q + e["phase"])
             case "joint_stiffness":
@@ -91,10 +91,9 @@ def rigid_case(name: str, seed: int, short: bool = False) -> Case:
         rate = int(rng.choice([250, 500, 1000]))
         every = 4000 // rate
         seconds = rng.uniform(14.0, 20.0) if short else rng.uniform(25.0, 60.0)
-        # The torque of a drive limits its jerk, so its corners are wider than those of a joint that is moved
-        # externally.
+        # The motor torque limits the jerk, so this motion has wider corners than a joint that is moved externally.
         t = grid(seconds, float(rate * every), before=0.25)
-        # at a small angle a weight resembles a spring
+        # at small angles a weight resembles a spring
         reach = rng.uniform(1.6 if name in ("gravity_load", "joint_stiffness") else 0.8, 3.0)
         motion = rich_motion(rng, t, reach, rounding=rng.uniform(0.035, 0.08))
         drive = _draw_drive(rng, motion, name)
@@ -150,9 +149,9 @@ def _base_columns(motion: Motion, name: str) -> Array:
 def _draw_effect(
     rng: np.random.Generator, name: str, drive: Drive, motion: Motion, scale: float, wanted: float, sample: float
 ) -> dict[str, Any]:
-    """Return parameters whose size is near `wanted` (N*m).
+    """Return parameters of an effect with a size near `wanted` (N*m).
 
-    Parameters without a strength are drawn from a typical range.
+    Parameters that do not set the size are drawn from a typical range.
     """
     speed, reach = motion.speed, 0.5 * float(np.ptp(motion.q))
     sign = float(rng.choice([-1.0, 1.0]))

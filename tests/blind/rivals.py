@@ -1,6 +1,6 @@
-"""The best imitation of a hidden effect by another effect in the same logs, and its remaining error.
+"""Find the effect that best imitates a hidden effect in the same logs, and the remaining error.
 
-A case has no unique answer if another effect imitates the hidden one within the noise.
+If another effect imitates the hidden one within the noise, a case has no unique answer.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ Array = np.ndarray
 
 SAMPLES = 6000  # of all runs together
 CORRELATED = 15.0  # samples of coloured noise that carry as much information as one sample of white noise
-CERTAIN = 7.0  # standard deviations by which the best imitation must miss
+CERTAIN = 7.0  # smallest error of the best imitation in standard deviations
 
 
 @dataclass(frozen=True)
 class Imitation:
-    """Columns by which effect `name` changes the joint torque.
+    """The changes of the joint torque by effect `name`, as columns of a linear fit.
 
-    `scaled`: the first column has a free factor, which is not below 0 if `positive`; otherwise its factor is 1.
-    Further columns have free factors.
+    If `scaled` is set, the first column has a free factor, which is at least 0 if `positive` is set. Otherwise its
+    factor is 1. All other columns have free factors.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Imitation:
 
 
 class Thinned:
-    """The bench's torques at a few thousand samples."""
+    """The torques of a bench, reduced to a few thousand samples."""
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench

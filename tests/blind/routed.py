@@ -1,7 +1,7 @@
-"""Logs of a sheath that other joints bend, and a model file whose `[routing]` is absent, wrong or right.
+"""Create logs of a sheath whose wrap angle depends on other joints. `[routing]` in the file may be wrong or absent.
 
-The angles of a hip and an ankle change the rig's wrap angle, and friction and pretension follow it by the four
-tensions of `plant`. No code is shared with the package under test.
+The angles of a hip and an ankle change the rig's wrap angle. Friction and pretension are calculated from it with the
+four tensions of `plant`. No code is shared with the package under test.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from .cases import Case, finish, generator, log_uniform
 from .motion import wander
 
 NAMES = ("absent", "wrong", "two", "right")
-SWING = (0.3, 0.8)  # rad, half range of a hip
-COUNTS = 2**16  # per turn, of the other joints' encoders
+SWING = (0.3, 0.8)  # rad, half range of the hip motion
+COUNTS = 2**16  # counts per revolution of the other joints' encoders
 
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains in rad of wrap angle per rad of a joint: those of the rig, and those of the model file."""
+    """True gains and gains of the model file, in rad of wrap angle per rad of a joint."""
 
     true: dict[str, float]
     file: dict[str, float]
 
     @property
     def missing(self) -> dict[str, float]:
-        """Return the gains that the file lacks."""
+        """Return the differences between the true gains and the gains of the file."""
         return {joint: gain - self.file.get(joint, 0.0) for joint, gain in self.true.items()}
 
 
 def routed_case(name: str, seed: int, short: bool = False) -> tuple[Case, Gains]:
-    """Return a case and its gains. `name`: no routing in the file, wrong gains, two joints, or the right gain."""
+    """Return a case and its gains. `name` selects no routing in the file, wrong gains, two joints or the right gain."""
     rng = generator("routed", name, seed)
     recipe = Recipe(bending="varied", level=(0.3, 0.6), x=(0.15, 0.6), joint_angle=True, sign_noise=1.0, short=short)
     bench = draw_bench(rng, recipe)

@@ -1,4 +1,4 @@
-"""Marks of a diagnosis, given the hidden effects, and the targets of the benchmark."""
+"""Calculate the marks of a diagnosis from the hidden effects. Define the targets of the benchmark."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .cases import Case
 from .outside import OF_A_CLOCK, OF_A_FILTER, OF_AN_INSTANT
 
 MOST_ALTERNATIVES = 2
-LEAST_DESCRIBED = 0.7  # of the residual: smallest share that a formula must explain to count as a description of it
+LEAST_DESCRIBED = 0.7  # smallest share of the residual that a formula must explain to describe it
 WHOLE = ("cycles_per_revolution", "elements")  # parameters without an interval
 
 
 @dataclass
 class Mark:
-    """The result of one diagnosis. None if a question does not apply to the family."""
+    """The marks of one diagnosis. A mark is None if it does not apply to the family."""
 
-    named: bool = False  # something is listed as a cause
+    named: bool = False  # at least one cause is listed
     unique: bool | None = None  # only the truth is listed, without alternatives
     within: bool | None = None  # one cause that includes the truth and has at most two alternatives
     wrong: bool = False  # a cause without alternatives that is not the truth
@@ -41,7 +41,7 @@ class Mark:
 
 
 def mark(case: Case, report: dict[str, Any], experiment: dict[str, Any] | None = None) -> Mark:
-    """Return the marks of a report (the contents of diagnosis.json) on a case, and of the report on its experiment."""
+    """Return the marks of the reports (contents of diagnosis.json) on a case and on its experiment."""
     causes = report["causes"]
     truth = set(case.truth.effects)
     out = Mark(named=bool(causes))
@@ -95,7 +95,7 @@ def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: 
 
 
 def _covered(cause: dict[str, Any], case: Case) -> dict[str, bool]:
-    """Return for each parameter whether its interval contains the hidden value; empty if a different law was fitted."""
+    """Return for each parameter: True if its interval contains the hidden value. Empty for a different law."""
     hidden = case.truth.effects[cause["effect"]]
     found = cause["parameters"]
     defaults = {"elements": 1, "displacement": "motor" if any("q_m" in log.columns for log in case.logs) else "joint"}
@@ -125,7 +125,7 @@ def _base_covered(errors: dict[str, Any], numbers: dict[str, float]) -> dict[str
 
 
 def _taken_by_the_formula(report: dict[str, Any], noise: float) -> float:
-    """Return the share of the held-out mean square above the noise (N*m RMS) that a formula explains; 0 without one."""
+    """Return the share of the held-out mean square above the noise (N*m RMS) that a formula explains, or 0."""
     formula = report.get("formula")
     if formula is None:
         return 0.0
@@ -134,7 +134,7 @@ def _taken_by_the_formula(report: dict[str, Any], noise: float) -> float:
 
 
 def interval(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval: the binomial shares that are consistent with `count` of `total`."""
+    """Return the Clopper-Pearson interval of the binomial share for `count` successes in `total` trials."""
     if total == 0:
         return 0.0, 1.0
     tail = 0.5 * (1.0 - level)
@@ -177,7 +177,7 @@ TARGETS = (
 
 
 def _described_of(names: Sequence[str]) -> Callable[[dict[str, Any]], bool | None]:
-    """Return a criterion: True if a formula explains most of the residual; None for a cause not in `names`."""
+    """Return a criterion that is True if a formula explains most of the residual, and None for other `names`."""
     return lambda result: bool(result["mark"]["described"]) if result["name"] in names else None
 
 

@@ -1,4 +1,4 @@
-"""Models of instruments: coloured noise, encoder counts, resolution of the torque."""
+"""Models of instruments: coloured noise, encoder counts and torque resolution."""
 
 from __future__ import annotations
 

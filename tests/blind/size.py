@@ -1,4 +1,4 @@
-"""Size of an effect: its residual after friction angle and pretension are fitted again."""
+"""Calculate the size of an effect: its residual after friction angle and pretension are fitted again."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .rig import Rig
 
 Array = np.ndarray
 
-UNCERTAINTY = 0.25  # factor minus 1, in both directions: largest deviation of recalibration from nominal
+UNCERTAINTY = 0.25  # largest relative change of a nominal value by recalibration, up and down
 ENOUGH = 5000  # number of samples that determine two values well enough
 
 
 @dataclass(frozen=True)
 class Channels:
-    """Input of the plain model for all runs, without noise: motor torque, wrap angle, and direction as recorded."""
+    """Noise-free input of the plain model for all runs: motor torque, wrap angle and recorded direction."""
 
     rig: Rig  # its x and pretension are not used
     tau_m: Array
@@ -31,8 +31,9 @@ class Channels:
         return Channels(self.rig, self.tau_m[::stride], self.theta[::stride], self.sigma[::stride])
 
     def plain(self, x: float, pretension: float) -> Array:
-        """Return the joint torque (N*m) of the plain model with friction angle x and pretension (N) at the rig's
-        bending.
+        """Return the joint torque (N*m) of the plain model.
+
+        Friction angle x and pretension (N) are the values at the rig's nominal wrap angle.
         """
         angle = x * self.theta / self.rig.bending
         half = self.tau_m / (2.0 * self.rig.motor_radius)
@@ -53,7 +54,7 @@ class Channels:
 def channels(bench: Bench, effects: Effects) -> Channels:
     """Return noise-free channels.
 
-    With a velocity lag among the effects, the direction is that of the lagged velocity.
+    If the effects contain a velocity lag, the direction is the sign of the lagged velocity.
     """
     sigma: list[Array] = []
     for run in bench.runs:
@@ -65,7 +66,7 @@ def channels(bench: Bench, effects: Effects) -> Channels:
 
 
 def recalibrated(nominal: Rig, seen: Channels, torque: Array) -> tuple[float, float, Array]:
-    """Return x, T_p and residual of the best plain model. Both lie within the uncertainty about nominal."""
+    """Return x, T_p and residual of the best plain model within the uncertainty of the nominal values."""
     low, high = 1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY
     bounds = low * nominal.pretension, high * nominal.pretension
     stride = max(1, torque.size // ENOUGH)
@@ -90,7 +91,7 @@ def size(bench: Bench, effects: Effects) -> float:
 def added_size(bench: Bench, effects: Effects, name: str) -> float:
     """Return the RMS (N·m) that effect `name` adds to the others.
 
-    Recalibration and all parameters of the other effects are fitted again, linearised about the truth.
+    Recalibration and all parameters of the other effects are fitted again in a model linearised about the truth.
     """
     others = {key: dict(value) for key, value in effects.items() if key != name}
     whole = np.concatenate(bench.ideal(effects))

@@ -1,12 +1,12 @@
-"""Logs of a light motor on soft tendons under a joint torque controller. No code of the package is imported.
+"""Create logs of a light motor on soft tendons under a joint torque controller, without code of the package.
 
 With e = r_M q_M - r_J q_J and the stiffness k of one tendon over its whole slack-free length:
 
     2 k e = tau_M / r_M - z x T_p,    tau_J = r_J (tau_M / r_M cosh(z x) - 2 T_p sinh(z x))
 
-z follows the path of the middle of the tendon, (r_M q_M + r_J q_J) / 2, since the reversal. Slip enters the sheath
-like a front: 20 elements slip after shares (i/20)^2 of one distance. While a constant motor torque waits for the
-friction to reverse, the motor does not follow the joint.
+z depends on the path of the tendon's middle, (r_M q_M + r_J q_J) / 2, since the reversal. Slip propagates into the
+sheath like a front: 20 elements slip after shares (i/20)^2 of one distance. At a constant motor torque, the motor does
+not follow the joint until the friction has reversed.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ RATE = 500.0
 FINER = 8
 R_M, R_J, X, T_P = 0.020, 0.025, 0.28, 43.0
 STIFFNESS = 4.0e4  # N/m of one tendon
-FRONT = 1.2e-4  # m, path of the tendon's middle until the whole tendon slips
+FRONT = 1.2e-4  # m, motion of the tendon's middle until the whole tendon slips
 ELEMENTS = 20
 SWITCH = 0.008  # s, time in which a controller reverses its compensation
 
 
 def record(seed: int, *, compensated: bool, seconds: float = 16.0) -> dict[str, np.ndarray]:
-    """Return the columns of one log. `compensated`: the motor torque contains the friction compensation."""
+    """Return the columns of one log. If `compensated` is set, the motor torque contains the friction compensation."""
     rng = np.random.default_rng(seed)
     step = 1.0 / (RATE * FINER)
     t = step * np.arange(int(seconds / step))
@@ -52,7 +52,7 @@ def record(seed: int, *, compensated: bool, seconds: float = 16.0) -> dict[str, 
 def _followed(tau_m: np.ndarray, q_j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the motor angle (rad) and z, (n,) each.
 
-    In each sample, bisection solves for z and the place of the tendon's middle together.
+    In each sample, z and the position of the tendon's middle are calculated together by bisection.
     """
     reach = FRONT * ((np.arange(ELEMENTS) + 1.0) / ELEMENTS) ** 2
     slip = np.full(ELEMENTS, np.sign(q_j[1] - q_j[0]))

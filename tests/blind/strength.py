@@ -46,7 +46,7 @@ class Strength:
 
     name: str
     parameters: dict[str, Any]
-    key: str = ""  # empty: the size cannot be set
+    key: str = ""  # empty if the size cannot be set
     start: float = 0.0
     cap: float = 0.0
 
@@ -55,7 +55,7 @@ class Strength:
 
 
 def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength:
-    """Return a random effect `name` for this bench. Sign and shape are final; the strength is not."""
+    """Return a random effect `name` for this bench. Sign and shape are final, and the strength is a start value."""
     tau, speed, reach = bench.scale, bench.speed, bench.reach
     limit = bench.rig.torque_limit
     sign = float(rng.choice([-1.0, 1.0]))

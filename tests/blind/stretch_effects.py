@@ -1,4 +1,4 @@
-"""Hidden effects that only the angles of both pulleys show, by definition. No code of the package is imported."""
+"""Hidden effects that are visible only in the angles of both pulleys, calculated without code of the package."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAMES = ("series_spring", "tendon_creep", "pulley_slip", "joint_play")
 def added(name: str, parameters: dict[str, Any], tensions: Tensions, t: Array, joint_radius: float) -> Array:
     """Return the amount (m) that the effect adds to r_M q_M - r_J q_J, (n,). t (s) is the time column of the log."""
     match name:
-        case "series_spring":  # half the difference of the lengths of both tendons' springs
+        case "series_spring":  # half the difference of both springs' elongations
             a, b = (
                 (tensions.t2, tensions.t4) if parameters.get("end", "motor") == "joint" else (tensions.t1, tensions.t3)
             )
@@ -25,7 +25,7 @@ def added(name: str, parameters: dict[str, Any], tensions: Tensions, t: Array, j
             return parameters["length"] * (1.0 - np.exp((t[0] - t) / parameters["time_constant"]))
         case "pulley_slip":
             return np.where(t >= parameters["time"], parameters["length"], 0.0)
-        case "joint_play":  # the pulley leads the joint by half of the gap in the direction in which it pulls
+        case "joint_play":  # the pulley leads the joint by half of the gap in the direction of its torque
             return joint_radius * 0.5 * parameters["gap"] * np.sign(tensions.t4 - tensions.t2)
     raise ValueError(f"unknown effect: {name}")
 

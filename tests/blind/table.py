@@ -1,4 +1,4 @@
-"""The table of targets: counts with binomial intervals, baseline strategies, and wrong answers."""
+"""Print the table of targets: counts with binomial intervals, baseline strategies and wrong answers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from scipy.stats import binom
 from .score import FURTHER, TARGETS, Target, counted, interval
 
 STRATEGIES = ("bic", "validation", "lasso", "stlsq")
-GAIN = (0.97, 0.9)  # required of the median and of the tenth percentile
-COVERED = (0.93, 0.97)  # required of 95 % intervals
+GAIN = (0.97, 0.9)  # required median and tenth percentile of the gain
+COVERED = (0.93, 0.97)  # required coverage of 95 % intervals
 SIGNIFICANT = 0.02  # a gate with few cases fails only if chance does not explain the count
 
 Result = dict[str, Any]
@@ -35,7 +35,7 @@ def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> Non
 
 
 def failed(results: Sequence[Result]) -> list[str]:
-    """Return the targets that these results miss by more than chance, and print each of them."""
+    """Return the targets that these results miss significantly, and print each of them."""
     out = []
     for target in TARGETS:
         count, total = counted(target, results)
@@ -61,7 +61,7 @@ def _line(target: Target, results: Sequence[Result]) -> None:
 
 
 def _row(text: str, target: str, found: str, spread: str, met: str, theirs: Sequence[str] = ("-",) * 4) -> None:
-    """Print a row of the table. The manual separates its columns by the blanks, so no column may be empty."""
+    """Print a row of the table. The columns are separated by blanks, so no column may be empty."""
     print(
         f"{text:62s}  {target:>14s}  {found:>16s}  {spread:>24s}  {met:>14s}"
         + "".join(f"  {each:>10s}" for each in theirs)

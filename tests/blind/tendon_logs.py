@@ -1,4 +1,4 @@
-"""Synthetic logs from the elongation equilibrium of two tendons. No code of the package is imported.
+"""Create synthetic logs from the elongation equilibrium of two tendons, without code of the package.
 
 Per sample: T3 - T1 = tau_M / r_M and delta_a + delta_b = 2 Delta l. delta integrates the local strain T(s)/EA over
 the sheath on a fine grid. T2 and T4 follow from the capstan equation at its end. The samples are computed at four
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 GRID = 400  # strain samples along the sheath
-LEAST_PRETENSION = 0.2  # of the rig's pretension: a tendon must not go slack while its sheath straightens
+LEAST_PRETENSION = 0.2  # share of the rig's pretension, so that no tendon goes slack while its sheath straightens
 OVERSAMPLING = 4
 PROFILES = ("joint_end", "uniform", "motor_end")
 
@@ -31,7 +31,7 @@ class Rig:
     half_width: float  # p + d/2, m
 
     def truth(self) -> dict[str, float]:
-        """Return slope, half loop (N*m), friction angle and pretension (N) in closed form for the three profiles."""
+        """Return slope, friction torque (N*m), friction angle and pretension (N) from the formula of the profile."""
         x = self.mu * self.theta
         ratio, loop = self.r_j / self.r_m, 2.0 * self.pretension * self.r_j
         slope, half = {
@@ -75,7 +75,10 @@ def record(
     rig: Rig, rng: np.random.Generator, *, seconds: float = 40.0, rate: float = 500.0, tensioner: float = 0.0,
     theta_swing: float = 0.0, tensions: bool = False, noise: float | None = None,
 ) -> dict[str, np.ndarray]:  # fmt: skip
-    """Return one log. `tensioner`: N added to the pretension; `theta_swing`: rad, slow sine of the bending angle."""
+    """Return one log.
+
+    `tensioner` (N) is added to the pretension. `theta_swing` (rad) is the amplitude of a slow sine of the wrap angle.
+    """
     n = int(seconds * rate) * OVERSAMPLING
     t = np.arange(n) / (rate * OVERSAMPLING)
     omega = _motion(t, rng)

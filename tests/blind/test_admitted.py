@@ -1,4 +1,4 @@
-"""The package admits every random log: units, kinematics and signs are those of a sound rig."""
+"""Test that the package accepts every random log, with the units, kinematics and signs of a healthy rig."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from . import FAMILIES
 from .drawn import drawn, together
 
 pytestmark = together
-# Families whose logs the gate diagnoses: for each, the first name is enough here
+# Families of the gate. The first name of each is sufficient here.
 ASKED = ("none", "single", "pair", "outside", "confounded")
-SEEDS = {"single": 1}  # seeds that other tests also use; 0 for the other families
+SEEDS = {"single": 1}  # the same seeds as in other tests; 0 for the other families
 
 
 @pytest.mark.slow

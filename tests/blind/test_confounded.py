@@ -1,4 +1,4 @@
-"""The effects of a row are indistinguishable in the given log, and the experiment's log shows the hidden effect."""
+"""Test that the effects of a row are indistinguishable in its log, and that its experiment shows the effect."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .size import UNCERTAINTY
 
 pytestmark = together
 
-# Parameters of an imitating effect as a function of free numbers of order one; torque and speed scale of the bench.
+# Parameters of an imitating effect as functions of free numbers of order one, scaled by the bench.
 FREE: dict[str, Any] = {
     "torque_constant_error": lambda b, p: {"relative_error": 0.1 * p[0]},
     "joint_stiffness": lambda b, p: {"stiffness": b.scale * p[0], "rest_angle": 0.1 * p[1]},
@@ -70,7 +70,7 @@ def _fit(bench: Bench, torque: np.ndarray, parameters: Any, twin: str) -> float:
 
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.exact])
 def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
-    """At some strength of the imitating effect, the residual is small compared with the noise."""
+    """The best imitation leaves a residual below a tenth of the noise."""
     hidden = drawn("confounded", name, 0)
     twin = next(other for other in hidden.truth.twins if other not in hidden.truth.effects)
     assert leftover(hidden, twin) < 0.1 * hidden.truth.noise
@@ -78,7 +78,7 @@ def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_the_experiment_shows_the_hidden_effect(name: str) -> None:
-    """In the experiment's log, the effect is larger than the noise."""
+    """In the experiment's log, the size of the effect is at least 1.3 times the noise."""
     hidden = drawn("confounded", name, 0)
     if hidden.experiment is None:
         assert ROWS[name].parted_by is None

@@ -1,12 +1,13 @@
-"""Check the diagnosis on a small blind benchmark; `tools/run bench/diagnose` is the large one.
+"""Check the diagnosis on a small blind benchmark. `tools/run bench/diagnose` runs the large one.
 
 The random trials are fixed, so that a count changes only with the code. The limits follow from the targets and the
 number of cases.
 
-Each change is tested on one case of each effect, a third of the causes outside the catalogue, two logs of each kind
-without an effect, and three pairs (`EACH_CHANGE`). The table gives, for a share of right answers that falls from the
-target to the second figure, the probability in per cent that the test fails
-(`test_a_diagnosis_that_got_worse_fails` computes it):
+Each change of the code is tested on the cases of `EACH_CHANGE`: one case of each effect, a third of the causes outside
+the catalogue, two logs of each kind without an effect, and three pairs.
+
+In the table, the share of right answers falls from the target to the second figure. The last column contains the
+probability in per cent that the test then fails (calculated by `test_a_diagnosis_that_got_worse_fails`):
 
     one effect named alone          0.95 -> 0.7    97
     within two alternatives         0.99 -> 0.8    97
@@ -39,7 +40,7 @@ from .naive import name_effects
 from .score import Mark, mark
 
 SEED = 5000  # seed of the first random trial; these seeds were not used in development
-UNLIKELY = 0.02  # a count is a failure if its probability under the target share is smaller
+UNLIKELY = 0.02  # a count fails if its probability under the target share is smaller
 
 
 class Sample(NamedTuple):
@@ -49,7 +50,7 @@ class Sample(NamedTuple):
     single: int
     outside: tuple[str, ...]
     pairs: int
-    # probability of a count; the trials are fixed, so a sound diagnosis fails either never or in every run
+    # threshold of the probability; the trials are fixed, so each version always passes or always fails
     unlikely: float
 
     @property
@@ -68,7 +69,7 @@ others = pytest.mark.xdist_group("gate none")
 
 
 def ask(hidden: Case) -> dict[str, Any]:
-    """Return the contents of diagnosis.json."""
+    """Diagnose the logs of a case and return the contents of diagnosis.json."""
     logs = {log.name: log.columns for log in hidden.logs}
     report: dict[str, Any] = json.loads(diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal")).to_json())
     return report
@@ -85,7 +86,7 @@ class Answer(NamedTuple):
 
 @cache
 def asked(family: str, name: str, seed: int) -> Answer:
-    """Return the answer to a case. It is cached, so each case is drawn and diagnosed once; its logs are not kept."""
+    """Return the answer to a case. The answer is cached, so that each case is diagnosed only once."""
     hidden = case(family, name, seed, short=True)
     report = ask(hidden)
     experiment = None if hidden.experiment is None else ask(hidden.experiment)
@@ -93,7 +94,7 @@ def asked(family: str, name: str, seed: int) -> Answer:
 
 
 def answers(family: str, count: int, names: tuple[str, ...] = ()) -> list[tuple[str, Mark, str]]:
-    """Return case, mark and verdict of `count` cases of a family. Its names (or the given ones) are used in turn."""
+    """Return key, marks and verdict for `count` cases of a family, using its names or the given ones in turn."""
     names = names or FAMILIES[family]
     found = [asked(family, names[i % len(names)], SEED + i // len(names)) for i in range(count)]
     return [(each.key, each.marks, each.report["verdict"]) for each in found]
@@ -124,7 +125,11 @@ def test_no_structure_is_claimed_where_nothing_is_hidden(of: Sample) -> None:
 @sampled
 @pytest.mark.parametrize("number", ["slope", "half_loop_torque"])
 def test_what_logs_know_of_the_base_has_an_interval_that_holds_it(of: Sample, number: str) -> None:
-    """Logs of one configuration determine these two numbers, but not x or T_p, independently of the file's x."""
+    """The intervals of slope and friction torque contain the true values with the required frequency.
+
+    Logs of one configuration determine these two numbers independently of the file's x, but they do not determine x
+    or T_p.
+    """
     held = [marks.covered[number] for _, marks, _ in answers("none", of.none) if number in marks.covered]
     assert len(held) >= of.none // 2
     assert likely(sum(held), len(held), 0.95, of.unlikely)
@@ -209,9 +214,9 @@ def test_twins_are_a_group_and_an_experiment_is_named(row: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # tests the gate, not the diagnosis
+@pytest.mark.soak  # tests the gate and not the diagnosis
 def test_a_strategy_that_always_names_something_does_not_pass() -> None:
-    """The first requirement of the gate, applied to a baseline strategy on the same logs."""
+    """On logs without an effect, the BIC baseline strategy reports an effect, so it would fail the gate."""
     drawn = [case("none", name, SEED, short=True) for name in FAMILIES["none"][:4]]
     assert any(name_effects(hidden.logs, hidden.model)["bic"] for hidden in drawn)
 
@@ -235,6 +240,6 @@ def test_too_few_right_answers_are_a_failure(count: int, share: float) -> None:
     ],
 )
 def test_a_diagnosis_that_got_worse_fails(total: int, target: float, worse: float, told: float) -> None:
-    """The probability is the one in the docstring of this module."""
+    """The probability that the gate detects a worse diagnosis equals the value in the table of this module."""
     failures = [count for count in range(total + 1) if not likely(count, total, target, EACH_CHANGE.unlikely)]
     assert int(100.0 * float(np.sum(binom.pmf(failures, total, worse)))) == round(100.0 * told)

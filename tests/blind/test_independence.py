@@ -1,4 +1,4 @@
-"""The generator is independent: no code of the package under test makes or marks a log."""
+"""Test that the generator is independent: no code of the package under test creates or marks a log."""
 
 from __future__ import annotations
 

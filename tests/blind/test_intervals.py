@@ -1,4 +1,4 @@
-"""Intervals in difficult cases: values that depend on single moments, and motor torques that compensate friction."""
+"""Test intervals in difficult cases: parameters that depend on few samples, and compensated friction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from .test_gate import EACH_CHANGE, SEED, asked, likely
 
 none = pytest.mark.xdist_group("gate none")
 single = pytest.mark.xdist_group("gate single")
-AND_SOAK = pytest.mark.soak  # each change: the cases of the gate, and an interval that is too wide shows in one log
+# Each change only runs the cases of the gate. One log is sufficient to detect an interval that is too wide.
+AND_SOAK = pytest.mark.soak
 
 
 @pytest.mark.slow
@@ -28,7 +29,7 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
     ("effect", "parameter"),
     [("velocity_lag", "time_constant"), ("backlash", "gap"), ("transport_delay", "delay")],
 )
-@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=AND_SOAK)])  # one of three may be outside
+@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=AND_SOAK)])  # one of three intervals may miss the value
 def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str, draws: int) -> None:
     inside = []
     for seed in range(SEED, SEED + draws):

@@ -1,4 +1,4 @@
-"""The states with memory agree with their closed forms."""
+"""Test that the states with memory agree with their closed forms."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from . import memory
 
 
 def test_bristle_relaxes_exponentially_over_distance() -> None:
-    """Dahl: from -1, z = 1 - 2 exp(-s / q_p), regardless of the step sizes."""
+    """The Dahl state that starts at -1 is z = 1 - 2 exp(-s / q_p), for any step sizes."""
     s = np.sort(np.random.default_rng(0).uniform(0.0, 0.5, 400))
     s[0] = 0.0
     np.testing.assert_allclose(memory.bristle(s, 0.07, -1.0), 1.0 - 2.0 * np.exp(-s / 0.07), atol=1e-12)
 
 
 def test_bristle_turns_with_the_motion() -> None:
-    """Motion forward by a and back by b: the closed forms are joined at the reversal."""
+    """For a motion forward by a and back by b, the state agrees with the closed forms joined at the reversal."""
     a, b, q_p = 0.1, 0.04, 0.05
     s = np.concatenate([np.linspace(0.0, a, 50), np.linspace(a, a - b, 50)])
     top = 1.0 - np.exp(-a / q_p)
@@ -25,27 +25,27 @@ def test_bristle_turns_with_the_motion() -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_slip_elements_saturate_one_after_the_other(count: int) -> None:
-    """From rest, element i saturates after q_p i / N, so the virgin curve is the mean of clipped ramps."""
+    """From rest, element i saturates after q_p i / N, so the mean state is the mean of clipped ramps."""
     s = np.linspace(0.0, 0.12, 1000)
     expected = np.mean([np.minimum(s / (0.1 * (i + 1) / count), 1.0) for i in range(count)], axis=0)
     np.testing.assert_allclose(memory.slip_elements(s, 0.1, count, 0.0), expected, atol=1e-12)
 
 
 def test_presliding_does_not_depend_on_time() -> None:
-    """The same path at a tenth of the speed gives the same states, because only displacement counts."""
+    """The same path at a tenth of the speed results in the same states."""
     path = 0.3 * np.sin(np.linspace(0.0, 20.0, 501))
     slow = np.repeat(path, 10)
     np.testing.assert_allclose(memory.bristle(slow, 0.05, 0.0)[::10], memory.bristle(path, 0.05, 0.0), atol=1e-12)
 
 
 def test_direction_holds_at_standstill() -> None:
-    """At zero velocity the last sign holds; before the first motion the first sign holds."""
+    """At zero velocity the last sign is kept. Before the first motion, the first sign is used."""
     omega = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 2.0, 0.0, -0.1])
     np.testing.assert_array_equal(memory.direction(omega), [-1, -1, -1, -1, -1, 1, 1, -1])
 
 
 def test_play_opens_after_each_reversal() -> None:
-    """There is no torque until the joint has moved by the gap from its reversal. The return direction is tested."""
+    """After a reversal, `engaged` is 0 until the joint has moved by the gap."""
     q = np.concatenate([np.linspace(0.0, 1.0, 1001), np.linspace(1.0, 0.0, 1001)[1:]])
     sigma = memory.direction(np.gradient(q))
     open_ = memory.engaged(q, sigma, 0.1005, 0) == 0.0

@@ -1,4 +1,4 @@
-"""The baseline strategies work: they find a plain effect, and they report effects where there are none."""
+"""Test that the baseline strategies find a clear effect, and that they report effects in logs without one."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .cases import Case
 from .naive import Bank, best_validation, feature_bank, forward_bic, lasso, thresholded
 
 Strategy = Callable[[Bank], list[int]]
-COMPILED = pytest.mark.soak  # takes half a second, and eight seconds for the compilation in a new clone
+COMPILED = pytest.mark.soak  # takes half a second, but eight seconds with compilation in a new clone
 
 
 def bank(seed: int, signal: float) -> Bank:
-    """Return twelve random features; the fourth and the eighth carry the signal, with white noise of 1."""
+    """Return a bank of twelve random features. The residual contains two of them and white noise of RMS 1."""
     rng = np.random.default_rng(seed)
     columns = rng.standard_normal((3000, 12))
     residual = signal * (columns[:, 3] - 0.7 * columns[:, 7]) + rng.standard_normal(3000)
@@ -31,7 +31,7 @@ def test_finds_the_features_that_carry_the_signal(strategy: Strategy) -> None:
 
 @pytest.mark.parametrize("strategy", [forward_bic, thresholded])
 def test_keeps_nothing_of_white_noise(strategy: Strategy) -> None:
-    """With the white noise that they assume, both strategies are correct. Measured noise is not white."""
+    """For white noise, as they assume, both strategies report no feature. Measured noise is not white."""
     assert strategy(bank(1, 0.0)) == []
 
 
@@ -57,7 +57,10 @@ def test_bic_names_the_hidden_effect_among_others() -> None:
 
 
 def test_bic_accuses_logs_without_effect() -> None:
-    """Coloured noise looks like structure to a criterion that assumes white noise."""
+    """BIC reports an effect in at least three of five logs without one.
+
+    BIC assumes white noise, and the noise of the logs is coloured.
+    """
     accused = 0
     for seed in range(5):
         drawn = case("none", "rich", seed, short=True)

@@ -1,4 +1,4 @@
-"""The hidden plant agrees with the tensions that it is built from and with the reference values of the catalogue."""
+"""Test that the hidden plant agrees with its tensions and with the reference values of the catalogue."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def scene(rng: np.random.Generator, rig: Rig, level: float = 0.8) -> Scene:
 
 @pytest.mark.parametrize("reference", VECTORS["cases"], ids=lambda c: "+".join(c["effects"]) or "plain")
 def test_agrees_with_the_reference_values(reference: dict[str, Any]) -> None:
-    """Every memoryless effect agrees to 1e-9 N·m, alone and in combination."""
+    """Each reference case of effects without memory agrees with its expected torque, alone and in combination."""
     for state, expected in zip(VECTORS["states"], reference["expected"], strict=True):
         one = {key: np.array([value]) for key, value in state.items()}
         effects = dict(reference["effects"])
@@ -89,7 +89,7 @@ def test_motor_side_tensions_carry_the_motor_torque(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_plain_rig_follows_the_closed_form(seed: int) -> None:
-    """The four tensions give tau_J = r_J (tau_M / r_M cosh x - 2 T_p sigma sinh x)."""
+    """Without effects, the torque is tau_J = r_J (tau_M / r_M cosh x - 2 T_p sigma sinh x)."""
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng)
     moved = scene(rng, rig)
@@ -114,7 +114,7 @@ LOSSES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", LOSSES)
 @pytest.mark.parametrize("seed", range(4))
 def test_friction_never_creates_power(name: str, seed: int) -> None:
-    """In every sample, the motor supplies at least the power that the joint delivers while both tendons pull."""
+    """In every sample, the motor supplies at least the power that the joint delivers."""
     rng = np.random.default_rng(seed)
     rig = draw_rig(rng)
     moved = scene(rng, rig)
@@ -127,7 +127,7 @@ def test_friction_never_creates_power(name: str, seed: int) -> None:
 @pytest.mark.parametrize("profile", ["uniform", "motor_end"])
 @pytest.mark.parametrize("spring", [None, 2e4])
 def test_elongations_share_the_path_length_change(profile: str, spring: float | None) -> None:
-    """The elongations of both tendons, summed along the sheath with their springs, equal the path of the tensioner."""
+    """The sum of both elongations, including the springs, equals the path of the tensioner."""
     rng = np.random.default_rng(3)
     rig = Rig(0.02, 0.025, 6e4, 1.2, 0.6e-3, 0.4e-3, 0.2, 2.6, 45.0, spring)
     moved = scene(rng, rig)
@@ -166,7 +166,7 @@ def test_delay_shifts_the_torque() -> None:
     [("exponential", 1.0 - 0.3 * (1.0 - np.exp(-1.0)), 1.0 - 0.3 * (1.0 - np.exp(-9.0))), ("logarithmic", None, 0.7)],
 )
 def test_relaxation_follows_its_law(law: str, after_one: float | None, after_nine: float) -> None:
-    """The pretension after one and after nine time constants follows the law; log10(1 + 9) = 1."""
+    """The pretension after one and nine time constants agrees with the relaxation law. Note that log10(1 + 9) = 1."""
     rng = np.random.default_rng(2)
     moved = scene(rng, RIG, level=0.2)
     effect = {"relaxed_fraction": 0.3, "time_constant": 1.0, "law": law}
@@ -177,7 +177,7 @@ def test_relaxation_follows_its_law(law: str, after_one: float | None, after_nin
 
 
 def test_motion_derivatives_belong_together() -> None:
-    """Velocity and acceleration integrate back to the angle."""
+    """The integral of the velocity is the angle, and the integral of the acceleration is the velocity."""
     motion = rich_motion(np.random.default_rng(5), grid(20.0, 4000.0))
     step = motion.t[1] - motion.t[0]
     back = motion.q[0] + np.concatenate([[0.0], np.cumsum(0.5 * (motion.omega[1:] + motion.omega[:-1])) * step])

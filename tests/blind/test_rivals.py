@@ -1,4 +1,4 @@
-"""Nearly indistinguishable effects are detected, so that the random cases have one right answer."""
+"""Test that nearly indistinguishable effects are detected, so that each random case has one right answer."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_a_late_sensor_is_not_unique_when_the_noise_is_large() -> None:
     assert not is_unique(bench, effects, 100.0 * left)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])  # longer draws
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])  # more trials
 def test_drawn_single_effects_are_unique(seed: int) -> None:
     drawn = case("single", "elongation_coupling", seed, short=True)
     assert drawn.bench is not None

@@ -1,4 +1,4 @@
-"""Marks follow the rules for causes, groups and rejections."""
+"""Test the marks for causes, groups and rejections."""
 
 from __future__ import annotations
 
@@ -83,7 +83,10 @@ def test_a_stranger_is_noticed_or_explained_away() -> None:
 
 @pytest.mark.parametrize(("after", "described"), [(0.35, True), (0.7, False)])
 def test_a_formula_describes_a_stranger_when_it_takes_most_of_what_is_left(after: float, described: bool) -> None:
-    """The mean square is 1, and 0.04 of it is noise. The formula explains a share of 0.92 or 0.53 of the rest."""
+    """A formula describes a cause if it explains at least 70 % of the residual above the noise.
+
+    The mean square is 1, of which 0.04 is noise. The formula explains 91 or 53 % of the rest.
+    """
     stranger = hidden("outside", outside="sheath_kink", noise=0.2)
     formula = {"rms": {"before": 1.0, "after": after, "unit": "N*m", "held_out": True}}
     assert mark(stranger, said(verdict="unexplained", formula=formula)).described is described
@@ -134,7 +137,7 @@ def test_base_numbers_are_checked_on_logs_without_effect() -> None:
 
 @pytest.mark.parametrize(("count", "total", "low", "high"), [(0, 400, 0.0, 0.00918), (95, 100, 0.8872, 0.9836)])
 def test_binomial_intervals_are_exact(count: int, total: int, low: float, high: float) -> None:
-    """The values are the tabulated limits of Clopper and Pearson."""
+    """The intervals agree with the tabulated limits of Clopper and Pearson."""
     assert interval(count, total) == pytest.approx((low, high), abs=2e-4)
 
 

@@ -1,4 +1,4 @@
-"""Instruments add the specified errors and no lag."""
+"""Test that the instrument models add the specified errors and no lag."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_encoder_is_off_by_half_a_count() -> None:
 
 
 def test_differenced_velocity_is_centred() -> None:
-    """The sign of a differentiated sine changes within one sample of the change of the sine's velocity."""
+    """The velocity from encoder counts has no lag: its sign changes within one sample of the true reversal."""
     step = 2.5e-4
     t = np.arange(0.0, 2.0, step)
     omega = sensors.differenced(np.sin(2.0 * np.pi * t), step, 0.01)

@@ -1,4 +1,4 @@
-"""The tendon elongation of the blind rigs by an independent calculation, and the logs with both angles."""
+"""Compare the tendon elongation of the blind rigs with an independent calculation, and test logs with both angles."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Confounded cases with the angles of both pulleys in the log: additional information from the tendon elongation.
+"""Create confounded cases whose logs contain the angles of both pulleys and thus the tendon elongation.
 
-The elongation follows from the four tensions of `plant`: the tension is integrated along each tendon, whose sheath
-bends at the joint, evenly or at the motor. The model file states where the sheath bends (within its [uncertainty]),
-unless the profile is the hidden effect. No code is shared with the package under test.
+The elongation is calculated from the four tensions of `plant` by integration along each tendon. The curvature of its
+sheath is at the joint, even or at the motor. The model file states this profile (within its [uncertainty]), unless the
+profile is the hidden effect. No code is shared with the package under test.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from .rig import Rig
 Array = np.ndarray
 SHAPES = ("joint", "even", "motor")
 _PROFILES = {"even": "uniform", "motor": "motor_end"}
-_COURSE = np.linspace(0.0, 1.0, 201)  # along the sheath; the strain is integrated by trapezia
-_AT_JOINT = "bending_centre = 0.99\n"  # as near to 1 as a file may state
-NOTHING = "nothing"  # a log of a rig that agrees with its file
+_COURSE = np.linspace(0.0, 1.0, 201)  # positions along the sheath for the trapezoidal integral of the strain
+_AT_JOINT = "bending_centre = 0.99\n"  # the largest value that a file may state
+NOTHING = "nothing"  # no hidden effect: the rig agrees with its file
 BESIDE = (*stretch_effects.NAMES, NOTHING)  # rows without a competing effect in the torque
 _ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # these effects are, or exclude, another profile
 
 
 def names() -> tuple[str, ...]:
-    """Return ROW:SHAPE for all possible combinations."""
+    """Return the names "ROW:SHAPE" of all possible combinations."""
     out = [f"{name}:joint" for name in ROWS]
     for shape in _PROFILES:
         out += [f"{name}:{shape}" for name, row in ROWS.items() if not _ONLY_AT_JOINT & set(row.twins)]
@@ -41,8 +41,8 @@ def names() -> tuple[str, ...]:
 def stretch(rig: Rig, tensions: Tensions, shape: str) -> Array:
     """Return r_M q_M - r_J q_J (m), (n,).
 
-    It is half the difference of elongations. If a tendon is slack, it is the other's elongation beyond that of the
-    pretension.
+    It is half the difference of both elongations. If one tendon is slack, it is the other tendon's elongation minus
+    the elongation by the pretension.
     """
     share = {"joint": 0.0 * _COURSE, "even": _COURSE, "motor": 0.0 * _COURSE + 1.0}[shape]
     spring = 1.0 / rig.series_stiffness if rig.series_stiffness else 0.0
@@ -51,7 +51,7 @@ def stretch(rig: Rig, tensions: Tensions, shape: str) -> Array:
         for near, far in ((tensions.t1, tensions.t2), (tensions.t3, tensions.t4))
     )
     half = 0.5 * (b - a)
-    path = rig.pretension / rig.tendon_stiffness  # elongation of each without torque, at the rig's bending
+    path = rig.pretension / rig.tendon_stiffness  # elongation of each tendon without torque, at the rig's wrap angle
     return np.where(tensions.t1 <= 0.0, b - path, np.where(tensions.t3 <= 0.0, path - a, half))
 
 
@@ -137,7 +137,7 @@ def _beside_the_torque(label: str, shape: str, seed: int, short: bool) -> Case:
 
 
 def _told_the_shape(case: Case, shape: str) -> Case:
-    """Return the case with a model file that states where the sheath bends."""
+    """Return the case with a model file that states the curvature profile."""
     if shape in _PROFILES:
         case.model += f'\n[effects.elongation_coupling]\ncurvature_profile = "{_PROFILES[shape]}"\n'
     else:

@@ -1,4 +1,4 @@
-"""A bus in memory, which keeps sent frames and queues frames to receive. The test moves its clock."""
+"""A bus in memory that stores sent frames and queues frames to be received. The test advances its clock."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tsa_ctrl.bus.wire.bus import BusFault, Counters, Frame
 
 
 class FakeClock:
-    """Monotonic time that a test moves."""
+    """A monotonic clock that the test advances."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -21,7 +21,8 @@ class FakeClock:
 class FakeBus:
     """Implements `tsa_ctrl.bus.wire.bus.Bus`.
 
-    `answer` is called with each sent frame and returns the next received frames. A wait without frames moves the clock.
+    `answer` is called with each sent frame and returns the next received frames.
+    A wait without frames advances the clock.
     """
 
     def __init__(

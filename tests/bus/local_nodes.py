@@ -1,6 +1,6 @@
 """Nodes with an SDO server on python-can's in-process bus (canopen's LocalNode), for tests of the bring-up.
 
-Their dictionaries are written here, number by number, and not taken from the package.
+Their object dictionaries are literal numbers and use no code of the package.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Dictionary = dict[tuple[int, int], tuple[int, int]]  # (index, subindex) -> (dat
 
 
 def _pdo(index: int, cob_id: int, entries: int = 8) -> Dictionary:
-    """Communication and mapping parameters of one PDO."""
+    """Return the communication and mapping parameters of one PDO."""
     mapping = index + 0x200
     return {
         (index, 0): (U8, 5),
@@ -55,7 +55,7 @@ def _base(node_id: int, device_type: int, product: int) -> Dictionary:
 
 
 def drive(node_id: int = 1) -> Dictionary:
-    """A CiA 402 drive with 1 N*m, in mN*m, in "switch on disabled"."""
+    """Return a CiA 402 drive in "switch on disabled" with a rated torque of 1 N*m, in units of mN*m."""
     return {
         **_base(node_id, 0x00020192, 0x0402),
         **_pdo(0x1400, 0x200 + node_id),
@@ -78,7 +78,7 @@ def drive(node_id: int = 1) -> Dictionary:
         (0x6076, 0): (U32, 1000),
         (0x6080, 0): (U32, 10000),
         (0x60A9, 0): (U32, 0x00B44700),
-        (0x60B2, 0): (I16, 120),  # per mille of the rated torque, left there by another tool
+        (0x60B2, 0): (I16, 120),  # per mille of the rated torque, previously written by another tool
         (0x60E0, 0): (U16, 400),
         (0x60C2, 0): (U8, 2),
         (0x60C2, 1): (U8, 2),
@@ -88,7 +88,7 @@ def drive(node_id: int = 1) -> Dictionary:
 
 
 def encoder(node_id: int = 32) -> Dictionary:
-    """A CiA 406 encoder with 2^20 counts per revolution."""
+    """Return a CiA 406 encoder with 2^20 counts per revolution."""
     return {
         **_base(node_id, 0x00020196, 0x0406),
         **_pdo(0x1800, 0x40000180 + node_id),
@@ -98,12 +98,15 @@ def encoder(node_id: int = 32) -> Dictionary:
 
 
 def torque_sensor(node_id: int = 64) -> Dictionary:
-    """A CiA 404 transducer."""
+    """Return a CiA 404 torque sensor."""
     return {**_base(node_id, 0x00020194, 0x0404), **_pdo(0x1800, 0x40000180 + node_id)}
 
 
 class Bench:
-    """Nodes on a separate bus, and the master's end of that bus. `sent`: every received NMT command."""
+    """Nodes on a separate bus, and the master's end of that bus.
+
+    `written` lists all SDO writes and `commands` all received NMT commands.
+    """
 
     def __init__(self, dictionaries: dict[int, Dictionary]) -> None:
         channel = f"bench-{next(_channels)}"
@@ -111,7 +114,7 @@ class Bench:
         self.network = canopen.Network()
         self.network.NOTIFIER_CYCLE = 0.02
         self.network.connect(interface="virtual", channel=channel)
-        self.written: list[tuple[int, int, int, bytes]] = []  # node, index, subindex, data: in order
+        self.written: list[tuple[int, int, int, bytes]] = []  # (node, index, subindex, data) in order of arrival
         self.commands: list[bytes] = []
         self.nodes = {node_id: self._add(node_id, entries) for node_id, entries in dictionaries.items()}
         self.network.subscribe(0, self._on_nmt)
@@ -139,7 +142,7 @@ class Bench:
         return node
 
     def get(self, node_id: int, index: int, subindex: int = 0) -> int:
-        """The raw unsigned value that a node holds."""
+        """Return the raw unsigned value of an object in a node."""
         return int.from_bytes(self.nodes[node_id].get_data(index, subindex), "little")
 
     def _on_write(self, node_id: int, index: int, subindex: int, data: bytes) -> None:
@@ -160,19 +163,22 @@ class Bench:
 
     def close(self) -> None:
         assert self.network.notifier is not None
-        self.network.notifier.stop()  # nobody starts a heartbeat any more
+        self.network.notifier.stop()  # no heartbeat is started after this
         for node in self.nodes.values():
             task = node.nmt._send_task
             node.nmt.stop_heartbeat()
             if task is not None:
-                task._task.thread.join()  # it may still be about to send
+                task._task.thread.join()  # the thread may still have a heartbeat to send
         self.network.disconnect()
         self.bus.close()
 
 
 @contextmanager
 def bench(**changes: Dictionary) -> Iterator[Bench]:
-    """Drive 1, encoder 32 and torque sensor 64; `drive`, `encoder`, `torque_sensor` change or add objects."""
+    """Yield drive 1, encoder 32 and torque sensor 64.
+
+    The arguments `drive`, `encoder` and `torque_sensor` change or add objects.
+    """
     nodes = {1: drive(), 32: encoder(), 64: torque_sensor()}
     for node_id, name in ((1, "drive"), (32, "encoder"), (64, "torque_sensor")):
         nodes[node_id].update(changes.get(name, {}))

@@ -1,4 +1,4 @@
-"""Hand-made nodes for the fake bus: literal bytes, none of the package's encoders."""
+"""Simple nodes for the fake bus. Their frames are literal bytes, without the encoders of the package."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ READY = 0x1231
 
 
 class Responder:
-    """Drive 1, encoder 32, torque sensor 64: answers each SYNC with the values set here, in device units."""
+    """Drive 1, encoder 32 and torque sensor 64, which answer each SYNC with the values set here in device units."""
 
     def __init__(self) -> None:
         self.statusword = OPERATION_ENABLED
@@ -43,7 +43,7 @@ class Responder:
 
 
 def axis_nodes(**drive: object) -> AxisNodes:
-    """Axis "knee" with drive 1, encoder 32 and torque sensor 64."""
+    """Return axis "knee" with drive 1, encoder 32 and torque sensor 64."""
     return AxisNodes(
         name="knee",
         drive=DriveSettings(node_id=1, **drive),  # type: ignore[arg-type]
@@ -53,7 +53,7 @@ def axis_nodes(**drive: object) -> AxisNodes:
 
 
 def one_axis_rig(responder: Responder | None = None, **drive: object) -> tuple[Rig, FakeBus, Responder]:
-    """A started rig of one axis on a fake bus, with the nodes that answer it."""
+    """Return a started rig of one axis, its fake bus and the nodes that answer on it."""
     nodes = responder or Responder()
     bus = FakeBus(FakeClock(), nodes)
     rig = Rig(bus, BusSettings(), [axis_nodes(**drive)], [DriveProfile()], bus.clock)
@@ -62,7 +62,7 @@ def one_axis_rig(responder: Responder | None = None, **drive: object) -> tuple[R
 
 
 def cycle(rig: Rig, bus: FakeBus, period: float = 0.001) -> None:
-    """One SYNC and its answers, ending a period later."""
+    """Run one cycle: send SYNC, collect the answers, and advance the clock by one period."""
     start = bus.clock.now
     rig.sync()
     rig.collect(start + 0.6 * period)

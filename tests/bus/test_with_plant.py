@@ -1,4 +1,4 @@
-"""The master against the simulated drive, encoder and torque sensor, in virtual time."""
+"""Test the master with the simulated drive, encoder and torque sensor in virtual time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PERIOD = 0.004  # s
 
 
 class Plant:
-    """The plant on the other end of the wire, which is silent while its nodes have no power."""
+    """The plant on the other end of the bus. It sends nothing while its nodes are off."""
 
     def __init__(self, folder: Path) -> None:
         self.wire = Wire(bitrate=1e6)

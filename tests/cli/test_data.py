@@ -1,4 +1,4 @@
-"""`tsa data fetch`: what comes is checked byte for byte, and what does not come is one line."""
+"""Test `tsa data fetch`: downloads are verified byte for byte, and a failed download is a one-line error."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Quiet(http.server.SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def home(tmp_path: Path) -> Iterator[tuple[str, Path]]:
-    """A server with a folder of files."""
+    """Yield the address of a local HTTP server and the folder that it serves."""
     folder = tmp_path / "home"
     folder.mkdir()
     handler = functools.partial(Quiet, directory=str(folder))
@@ -63,7 +63,7 @@ def test_a_set_is_fetched_converted_and_kept(home: tuple[str, Path], tmp_path: P
     assert (done.written, done.kept) == (1, 0)
     assert gzip.decompress((done.folder / "steady/p099.csv.gz").read_bytes()).decode() == BECOMES
     assert "MIT" in (done.folder / "SOURCE.txt").read_text()
-    again = fetch(ONE, tmp_path / "out", "http://127.0.0.1:9")  # nothing is asked for
+    again = fetch(ONE, tmp_path / "out", "http://127.0.0.1:9")  # sends no request
     assert (again.written, again.kept) == (0, 1)
     (done.folder / "steady/p099.csv.gz").write_bytes(b"torn")
     assert fetch(ONE, tmp_path / "out", address).written == 1
@@ -122,7 +122,7 @@ def test_every_set_has_logs_a_licence_and_a_model_that_is_read(name: str, tmp_pa
 
 
 def test_counts_of_the_cable_tool_become_radians_and_newton_metres() -> None:
-    """The first row of a trial, and the counts that its README states."""
+    """The input is the first row of a trial, with the count scales that its README states."""
     raw = b"%header\n0.000,1364,412,0.0500,189,-220,0.1000,-0.0315,-5888,1365.33\n"
     assert cable_tool(raw, "x").splitlines()[1] == "0.000,-1.046175,0.016402,0.296881,0.008758"
 

@@ -1,4 +1,4 @@
-"""`tsa init` writes valid files, and never overwrites a file."""
+"""Test that `tsa init` writes valid files and never overwrites a file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_an_empty_model_is_one_line_for_other_commands_too(tmp_path: Path) -> No
 
 
 def filled(folder: Path) -> Path:
-    """A rig's files with every empty value filled in; returns the controller's."""
+    """Write the files of a rig, fill in every empty value, and return the path of the controller file."""
     run("init", "--rig", str(folder))
     shutil.copy(SHIPPED / "actuator.toml", folder)
     path = folder / "controller.toml"
@@ -73,7 +73,7 @@ def filled(folder: Path) -> Path:
 
 def test_a_filled_rig_cannot_move_anything(tmp_path: Path) -> None:
     (axis,) = load_configuration(filled(tmp_path / "rig")).file.axes
-    assert axis.limits.torque == pytest.approx(0.3)  # a tenth of the rated torque, behind the gear
+    assert axis.limits.torque == pytest.approx(0.3)  # a tenth of the rated torque, at the gear output
     assert axis.law.compensation == 0.0
     play = SetPoint(axis.setpoint, 1e-3, tmp_path)
     assert {play.update(0.01 * step) for step in range(300)} == {0.0}
@@ -128,7 +128,7 @@ def test_every_key_that_a_set_changes_stands_in_the_shipped_file(changes: dict[s
 
 
 def test_a_leg_has_three_joints_on_one_bus(tmp_path: Path) -> None:
-    """Valid, with the routing in the actuator files and every key of the first joint explained."""
+    """The files are valid. The actuator files contain the routing, and only the first joint's keys are explained."""
     assert run("init", "--leg", str(tmp_path / "leg")) == 0
     configuration = load_configuration(tmp_path / "leg/controller.toml")
     check_drives(configuration)

@@ -1,4 +1,4 @@
-"""Test the display while `tsa tune` moves a rig; the daemon is a run in virtual time."""
+"""Test the display while `tsa tune` moves a rig. The daemon runs in virtual time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Test what all commands share: help with an example, one-line errors, completion in the user's shell."""
+"""Test the common properties of all commands: help with an example, one-line errors, and shell completion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LISTED = cli.list_commands(click.Context(cli))
 
 
 def commands() -> list[str]:
-    """Every verb, and every verb below a verb."""
+    """Return all commands, with a group replaced by its subcommands."""
     found: list[str] = []
     for verb in LISTED:
         command = cli.get_command(click.Context(cli), verb)
@@ -119,7 +119,7 @@ def test_help_and_completion_load_nothing_that_is_slow_to_load(verb: str) -> Non
     "module", ["daemon.run", "daemon.monitor_process", "ipc.server", "ipc.client", "log.process", "log.writer"]
 )
 def test_no_process_of_a_run_loads_what_draws_reports_or_fits(module: str) -> None:
-    """numba itself loads the top of scipy."""
+    """No process imports a library for plots, reports or fits. numba imports the package `scipy` without submodules."""
     heavy = ("matplotlib", "duckdb", "jinja2", "pyarrow", "rich", "scipy.linalg", "scipy.optimize", "scipy.stats")
     code = f"import sys, tsa_ctrl.{module}; print([name for name in {heavy!r} if name in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -160,7 +160,7 @@ entry()
 
 
 def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
-    """The code before `entry` in the script `tsa`, in which an interrupt prints a traceback."""
+    """An interrupt before `entry` of the script `tsa` prints a traceback, so few modules are imported until then."""
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tsa_ctrl.__main__; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-SE", "-c", code], capture_output=True, text=True, check=True)
     assert {"typing", "tempfile", "shutil", "click", "tsa_ctrl.cli"}.isdisjoint(loaded.stdout.split())
@@ -168,7 +168,7 @@ def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
 
 @pytest.mark.parametrize("cause", list(Cause), ids=lambda cause: cause.id)
 def test_help_of_a_fault_gives_its_remedy(cause: Cause) -> None:
-    """Found by the id of the JSON status as well as by the words of the page."""
+    """The fault is found by its id in the JSON status and by its title, in any letter case."""
     for topic in (cause.id, cause.title, cause.title.upper()):
         result = CliRunner().invoke(cli, ["help", topic], catch_exceptions=False)
         assert cause.remedy in " ".join(result.output.split())

@@ -1,4 +1,4 @@
-"""A loop without a bus around a joint whose wrap angle increases during the run.
+"""Run a control loop without a bus around a joint whose wrap angle increases during the run.
 
 The joint shares no code with the loop: T2 = T1 e^x, T4 = T3 e^-x with x = sigma mu Theta, T3 - T1 = tau_M / r_M,
 T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2).
@@ -25,7 +25,7 @@ MU, THETA, PRETENSION = 0.10, 2.6, 45.0
 
 @dataclass(frozen=True)
 class Change:
-    """An increase of the wrap angle by `share`, from `at` s on and within `within` s."""
+    """A linear increase of the wrap angle by `share` that begins at `at` s and takes `within` s."""
 
     share: float = 0.4
     at: float = 10.0
@@ -38,7 +38,7 @@ class Change:
 def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return time (s), joint torque error (N*m) and estimated friction angle of each cycle, (n,) each.
 
-    `use`: the law uses the estimate. The joint is moved from outside. Noise and quantisation are realistic.
+    The joint is moved from outside, with realistic noise and quantisation. If `use` is set, the law uses the estimate.
     """
     model = actuator()
     settings = EstimatorSettings(kind="sensor", use=use)

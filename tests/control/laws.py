@@ -1,4 +1,4 @@
-"""A separate control law with its motion, direction and plan, without a configuration."""
+"""Build a control law with its motion, direction and plan from settings, without a configuration."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 
 PERIOD = 1e-3
-COUNT = 2.0 * math.pi / (1 << 20)  # rad, of a joint encoder
+COUNT = 2.0 * math.pi / (1 << 20)  # rad, one count of a joint encoder
 
 
 def plan(model: TendonSheath, **changes: Any) -> Plan:
-    """Return the plan at 1 kHz with rpdo = "sync" and limits that do not act."""
+    """Return the plan at 1 kHz with rpdo = "sync" and limits that are never reached."""
     limits = Limits(rate=1e4, torque=10.0)
     limits = limits._replace(**{key: changes.pop(key) for key in Limits._fields if key in changes})
     given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "limits": limits}
@@ -28,7 +28,7 @@ def plan(model: TendonSheath, **changes: Any) -> Plan:
 def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) -> Law:
     """Return a law.
 
-    `settings` are those of [axis.law], `encoder` (default True), and `unsure` of a torque sensor (N*m).
+    `settings` are keys of [axis.law], `encoder` (default True) and `unsure`, the uncertainty of a torque sensor (N*m).
     """
     has_encoder = settings.pop("encoder", True)
     unsure = settings.pop("unsure", math.inf)

@@ -1,4 +1,4 @@
-"""Synthetic data of a sliding joint from its four tensions, independent of the package."""
+"""Calculate synthetic data of a sliding joint from its four tensions, without code of the package."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Sliding:
     pretension: float
     seconds: float
     load: float = 0.8  # N*m, amplitude at the joint
-    offset: float = 0.0  # N*m, of the sensor
-    noise: float = 5e-3  # N*m
+    offset: float = 0.0  # N*m, offset of the torque sensor
+    noise: float = 5e-3  # N*m, noise of both torques
     seed: int = 7
 
     def samples(self) -> Iterator[tuple[float, float, float, float]]:
@@ -51,7 +51,7 @@ class Sliding:
             sigma = max(-1.0, min(1.0, omega / 0.05))
             tau_j = self.load * math.sin(2.0 * math.pi * 0.23 * t + 0.4)
             x = sigma * self.x
-            # T2 = T1 e^x, T4 = T3 e^-x, T3 - T1 = tau_M/r_M, T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2), for tau_M
+            # T2 = T1 e^x, T4 = T3 e^-x, T3 - T1 = tau_M/r_M, T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2), solved for tau_M
             tau_m = R_M * (tau_j / R_J + self.pretension * (math.exp(x) - math.exp(-x))) / math.cosh(x)
             tau_m = round((tau_m + random.normal(0.0, self.noise)) * 1e3) * 1e-3
             yield sigma, omega, tau_m, tau_j + self.offset + random.normal(0.0, self.noise)

@@ -1,4 +1,4 @@
-"""One axis: common start, stop and reset of its parts."""
+"""Test one axis: the common start, stop and reset of its parts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def use(axis: ControlAxis, friction_angle: float, pretension: float) -> None:
 
 
 def test_a_new_axis_wants_nothing_and_did_nothing(axis: ControlAxis) -> None:
-    """A shutdown or a log record before the first cycle reads these terms."""
+    """The terms of a new axis are 0. A shutdown or a log record before the first cycle reads them."""
     assert (wanted(axis), axis.ramp) == (Request.DISABLE, 1.0)
     terms = axis.terms
     assert (terms.tau_j_des, terms.tau_m_cmd, terms.reason, terms.permitted) == (0.0, 0.0, Reason.DISABLED, False)
@@ -52,7 +52,7 @@ def test_at_rest_is_disabled_or_in_fault(axis: ControlAxis, phase: Phase) -> Non
 
 
 def test_a_stop_turns_any_request_into_a_disable(axis: ControlAxis) -> None:
-    """A stop ends a pending reset. A running ramp continues to its end."""
+    """A stop cancels a pending reset. An enabled axis stays enabled for the ramp, unless torque is not permitted."""
     axis.request = Request.RESET
     axis.stop()
     assert wanted(axis) is Request.DISABLE
@@ -64,7 +64,7 @@ def test_a_stop_turns_any_request_into_a_disable(axis: ControlAxis) -> None:
 
 
 def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
-    """It keeps an enable that waits for the drive, and a reset that was requested after the stop."""
+    """A release keeps an enable that waits for the drive, and a reset that was requested after the stop."""
     axis.enable()
     axis.release()
     assert wanted(axis) is Request.ENABLE
@@ -76,7 +76,7 @@ def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
 
 @pytest.mark.parametrize("again", [False, True])
 def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, again: bool) -> None:
-    """The ramp falls from one period below 1 to exactly 0 at every stop, and the drive is disabled only at 0."""
+    """At each stop the ramp falls linearly with time to exactly 0. The drive is disabled only at 0."""
     if again:
         axis.enable()
         axis.stop()
@@ -93,7 +93,7 @@ def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, aga
 
 
 def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
-    """A cycle after the end of the ramp finds 0, never a negative share."""
+    """In a cycle after the end of the ramp, the ramp factor is 0 and not negative."""
     axis.enable()
     axis.stop()
     axis.since_enable(16.0)
@@ -102,7 +102,7 @@ def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
 
 
 def test_every_enable_begins_without_the_ramp_of_the_last_stop(axis: ControlAxis) -> None:
-    """The share is 1 from the first permitted cycle on."""
+    """After a release, the ramp factor of the next enable is 1."""
     axis.enable()
     assert axis.since_enable(10.0) == 0.0
     assert axis.since_enable(10.5) == 0.5
@@ -118,7 +118,7 @@ def test_every_enable_begins_without_the_ramp_of_the_last_stop(axis: ControlAxis
 
 
 def test_without_an_encoder_the_joint_is_where_the_motor_says(axis: ControlAxis) -> None:
-    """Angle and velocity are those of the motor, converted by the pulley radii."""
+    """Joint angle and velocity are the motor values, converted with the pulley radii."""
     axis.image.q_j, axis.image.omega_j, axis.image.q_m, axis.image.omega_m = 0.1, 0.2, 2.0, 3.0
     assert axis.joint() == (0.1, 0.2)
     axis._has_encoder = False
@@ -151,7 +151,7 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
 def test_a_set_point_counts_from_when_its_client_wanted_it(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, time: float, t: float
 ) -> None:
-    """The time is relative to the enable at 10 s, in the cycle of 12.25 s.
+    """The time of a set-point is relative to the enable at 10 s. The cycle is at 12.25 s.
 
     A future time becomes the time of the cycle, and -inf stays -inf.
     """
@@ -165,7 +165,7 @@ def test_a_set_point_counts_from_when_its_client_wanted_it(
 
 
 class Calls(list[tuple[Any, ...]]):
-    """The calls of an axis to its parts after a command, in order."""
+    """The calls of an axis to its parts after a torque command, in order."""
 
     def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: Finding | None = None) -> None:
         super().__init__()
@@ -186,7 +186,7 @@ class Calls(list[tuple[Any, ...]]):
 
 
 def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each part gets the command that was sent and the measurements."""
+    """Each part gets the command that was sent, and the measured values."""
     axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0})
     calls = Calls(axis, monkeypatch)
     monkeypatch.setattr(type(axis.direction), "follows", True)
@@ -217,7 +217,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
 def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The law uses the new values when the cycle ends."""
+    """A new estimate is passed to the law at the end of the cycle."""
     Calls(axis, monkeypatch)
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
@@ -232,7 +232,7 @@ def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
 
 
 def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Stale measurements are not compared, and the estimator must not admit them."""
+    """Stale measurements are not checked for plausibility, and the estimator does not admit them."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.image.fresh = False
     axis.follow(2.0)
@@ -242,7 +242,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
 
 
 def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Theta and the instruments are still read for the log. All other parts are reset."""
+    """Without permission for torque, only the wrap angle and the instruments are read. No part is updated."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.terms.permitted, axis.terms.reason = False, Reason.OVER_SPEED
     axis.follow(2.0)
@@ -253,7 +253,7 @@ def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest
 
 
 def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fault has the finding's text and the time of the cycle."""
+    """A finding of the plausibility check becomes a fault with its text and the time of the cycle."""
     finding = Finding(Cause.MOVED_APART, "a tendon is torn")
     Calls(axis, monkeypatch, wrong=finding)
     axis.follow(2.0)
@@ -265,7 +265,7 @@ def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pyte
 def test_over_speed_and_what_is_not_finite_trip(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, reason: Reason
 ) -> None:
-    """The other reasons only modify the torque."""
+    """Only these two limit reasons cause a fault. The others only reduce the torque."""
     Calls(axis, monkeypatch)
     axis.terms.reason = reason
     axis.follow(2.0)
@@ -278,7 +278,7 @@ def test_over_speed_and_what_is_not_finite_trip(
 def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, part: int, change: float, noticed: bool
 ) -> None:
-    """It holds for each parameter and both signs. Each value is passed once."""
+    """A change of more than 0.1 % of either parameter is passed to the law once, and a smaller change is not."""
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     use(axis, 0.2, 40.0)
@@ -292,7 +292,7 @@ def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
 
 
 def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The model file's values are used, and they are not passed again while they are in force."""
+    """If the estimate may not be used, the law keeps the values of the model file or gets them once."""
     told: list[tuple[float, ...]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda *parameters: told.append(parameters[:2]))
     nominal = (axis.model.friction_angle, axis.model.pretension)
@@ -308,7 +308,7 @@ def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch:
 def test_periods_without_a_cycle_count_for_the_guard_from_the_enable_on(
     axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Thousands of cycles skipped before the torque was permitted put no energy into the joint."""
+    """Only periods that are skipped between enable and release count, because others put no energy into the joint."""
     told: list[int] = []
     monkeypatch.setattr(axis.guard, "pass_over", told.append)
     axis.pass_over(7)

@@ -1,4 +1,4 @@
-"""Torques at the tendons from torques measured behind a joint whose formula has memory."""
+"""Test the tendon torque calculated from a torque measured behind a joint whose formula has memory."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
 
 
 def test_the_estimator_follows_it_through_cycles_that_it_does_not_learn_from() -> None:
-    """The half loop of a swinging joint is that of its tendons, although the estimate uses only steady sliding."""
+    """The estimated friction torque equals the one of a joint without the formula.
+
+    The formula is evaluated in every cycle, although the estimator only uses cycles of steady sliding.
+    """
     model = ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}})
     estimators = [
         KalmanEstimator(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)

@@ -1,4 +1,4 @@
-"""Allowed share of the friction compensation, given the uncertainty of the friction."""
+"""Test the permitted share of the friction compensation for an uncertain friction."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def calibrated(folder: Path, low: float, high: float) -> TendonSheath:
 
 
 def test_a_bending_of_ten_per_cent_costs_28() -> None:
-    """x decreases by 10 % and the pretension (45 N) by 35 N/rad: 0.9 * (45 - 0.26 * 35) / 45."""
+    """If x is 10 % lower, the pretension of 45 N falls by 0.26 rad * 35 N/rad. This permits 0.9 * (45 - 9.1) / 45."""
     expected = 0.9 * (45.0 - 0.26 * 35.0) / 45.0
     assert bending_share(UNIFORM, 0.1) == pytest.approx(expected, rel=1e-6)
     bound = of(UNIFORM, bending_range=0.1)
@@ -40,9 +40,9 @@ def test_a_bending_that_is_followed_costs_nothing() -> None:
 
 
 def test_the_calibrations_interval_bounds(tmp_path: Path) -> None:
-    """The file's half loop is 0.585 N*m.
+    """The file's friction torque is 0.585 N*m.
 
-    An interval of 0.5 to 0.7 N*m allows 85 %, whether or not sensors see the friction.
+    A calibrated interval of 0.5 to 0.7 N*m permits 85 %, with and without sensors that observe the friction.
     """
     half_loop = 2.0 * 45.0 * 0.025 * 0.26
     model = calibrated(tmp_path, 0.5, 0.7)
@@ -67,7 +67,10 @@ def test_a_recalibrated_model_forgets_the_interval_of_the_old_one(tmp_path: Path
 
 
 def test_what_was_never_calibrated_is_bounded_where_nothing_sees_it() -> None:
-    """With an [uncertainty] of 0.25 each, the true friction may be only 64 % of the file's."""
+    """With an [uncertainty] of 0.25 for both parameters, the true friction may be only 64 % of the file's value.
+
+    The share is limited to this value if no sensor observes the friction.
+    """
     bound = of(UNIFORM)
     assert bound.seen == 1.0
     assert bound.unseen == pytest.approx(0.64)

@@ -1,4 +1,4 @@
-"""Allowed share of the friction compensation: the proven friction, and an energy credit."""
+"""Test the limit of the friction compensation by the proven friction and an energy credit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GEARING = 1.25
 
 
 class Proof:
-    """Bounds of the proven friction that a test sets."""
+    """Bounds of the proven friction, set by the test."""
 
     def __init__(self, usable: bool = True) -> None:
         self.usable = usable
@@ -32,7 +32,7 @@ def limit(proof: Proof, capacity: float = 0.4, seen: float = 0.95) -> Compensati
 def move(
     chosen: CompensationLimit, way: float, *, set_point: float = 0.0, rate: float = 0.0, speed: float = 1.0
 ) -> float:
-    """Move the joint by `way` with the allowed term, and return the energy that the term supplies to the joint (J)."""
+    """Move the joint by `way` (rad) with the permitted term, and return the energy that the term supplies (J)."""
     given, sigma = 0.0, math.copysign(1.0, way)
     for _ in range(round(abs(way) / speed / PERIOD)):
         term = chosen.share * FRICTION
@@ -57,9 +57,9 @@ def test_an_unproven_term_gives_no_more_than_the_credit(capacity: float) -> None
 
 @pytest.mark.parametrize("sigma", [1.0, -1.0])
 def test_a_joint_torque_sensor_measures_what_the_term_gives(sigma: float) -> None:
-    """With more friction than in the file, the joint moves slowly and receives less than the set-point.
+    """A moving joint that receives less torque than the set-point uses no credit.
 
-    This does not use the credit.
+    A joint that receives more torque than the set-point spends its credit.
     """
     chosen = limit(Proof(), 0.1)
     for tau_j, withdrawn in ((0.4, False), (0.8, True)):
@@ -70,7 +70,7 @@ def test_a_joint_torque_sensor_measures_what_the_term_gives(sigma: float) -> Non
 
 
 def test_random_motions_never_get_more_than_their_fills() -> None:
-    """For any motion, the term supplies one credit, and another for each motion without the term after a rest."""
+    """In random motions, the term never supplies more energy than one credit for each time that it was filled."""
     random = np.random.default_rng(5)
     chosen = limit(Proof(), 0.1)
     given, fills = 0.0, 1
@@ -136,7 +136,7 @@ def test_a_hand_that_moves_the_resting_joint_brings_it_back() -> None:
 
 
 def test_the_turning_points_of_a_swing_are_no_rest() -> None:
-    """A pendulum rests there for less than half a second and then moves on without the term."""
+    """At its turning points a pendulum stops for less than half a second, so an empty credit is not filled."""
     chosen = empty()
     for way in (0.3, -0.25, 0.2, -0.15):
         move(chosen, way)
@@ -170,7 +170,10 @@ def test_a_set_point_that_has_changed_has_a_credit_of_its_own(set_point: float) 
 
 @pytest.mark.parametrize("way", [0.6, 0.9])
 def test_a_partly_spent_credit_is_filled_by_a_changed_set_point_too(way: float) -> None:
-    """Otherwise a joint that stops on a small remainder would rest forever, and its friction would stay unproven."""
+    """A changed set-point fills a partly spent credit, but a rest under a constant set-point does not.
+
+    Otherwise a joint with a small remaining credit could stay at rest, and its friction would stay unproven.
+    """
     chosen = limit(Proof())
     move(chosen, way, set_point=0.3)
     left = chosen.credit.share
@@ -192,7 +195,7 @@ def test_a_changing_set_point_suspends_the_account_where_nothing_can_be_proven()
 
 
 def test_the_peaks_of_a_sine_never_empty_the_credit_of_a_blind_axis() -> None:
-    """A hand moves the joint continuously, and at each peak the set-point is constant for some milliseconds."""
+    """A hand moves the joint continuously. The share is not reduced by the short times of a constant set-point."""
     blind = limit(Proof(usable=False), 0.1)
     for n in range(30_000):
         phase = math.pi * n * PERIOD
@@ -202,7 +205,10 @@ def test_the_peaks_of_a_sine_never_empty_the_credit_of_a_blind_axis() -> None:
 
 
 def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> None:
-    """The friction may have grown, and a smaller term would never show it. At a constant set-point the bound stays."""
+    """An upper bound ages while the set-point changes, because the friction may have increased meanwhile.
+
+    At a constant set-point the bound stays.
+    """
     proof = Proof()
     proof.low = proof.high = 0.3 * FRICTION
     chosen = limit(proof)
@@ -217,7 +223,7 @@ def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> Non
 
 
 def test_what_the_guard_has_found_holds_until_the_next_reading() -> None:
-    """It ages like an upper bound, and a sensor reading replaces it."""
+    """A friction found by the guard ages like an upper bound, and a sensor reading replaces it."""
     proof = Proof()
     chosen = limit(proof)
     rest(chosen, 0.2)
@@ -255,7 +261,7 @@ def test_a_credit_is_not_filled_beyond_its_size() -> None:
 
 
 def test_the_desired_share_is_of_the_measured_friction() -> None:
-    """With 70 % of the file's friction and c = 0.9, the term is 0.9 times the 70 %."""
+    """If 70 % of the file's friction is measured and c is 0.9, the share is 0.9 * 70 %."""
     proof = Proof()
     proof.low, proof.high = 0.68 * FRICTION, 0.72 * FRICTION
     chosen = limit(proof)
@@ -264,7 +270,7 @@ def test_the_desired_share_is_of_the_measured_friction() -> None:
 
 
 def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
-    """The bounds from the elongation differ by some per cent, and the credit covers the difference for a while."""
+    """If the bounds of the proven friction differ by some per cent, the end of the credit is not reported."""
     proof = Proof()
     proof.low, proof.high = 0.9 * FRICTION, 1.1 * FRICTION
     chosen = limit(proof)
@@ -281,20 +287,23 @@ def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
 def test_a_file_that_is_not_of_this_joint_has_the_smaller_credit_until_the_friction_confirms_it(
     trusted: bool, proven: float, given: float
 ) -> None:
-    """The uncertainty of the file allows 60 % of its friction. At this value the proven friction confirms the file."""
+    """An unconfirmed file has the small credit of 0.1 J.
+
+    A proven friction above 60 % of the file's value confirms the file, and the credit becomes 0.4 J.
+    """
     proof = Proof()
     chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
     chosen.trusted = trusted
     chosen.reset()
     proof.low, proof.reads = proven * FRICTION, proven > 0.0
     chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 1.0)
-    proof.low, proof.reads = 0.0, False  # the sensor fails: nothing is proven from here on
+    proof.low, proof.reads = 0.0, False  # the sensor fails, so no friction is proven from here on
     assert 0.9 * given < move(chosen, 2.0) < 1.05 * given
     assert chosen.credit.withdrawn
 
 
 def test_a_confirmed_file_is_doubted_again_after_the_next_bring_up() -> None:
-    """The nodes may then belong to another joint."""
+    """After a new bring-up the nodes may belong to another joint, so the credit is small again."""
     proof = Proof()
     chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
     proof.low, proof.reads = FRICTION, True

@@ -1,4 +1,4 @@
-"""One cycle of all axes on simulated nodes."""
+"""Test one cycle of all axes on simulated nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def machine(tmp_path: Path) -> Iterator[Machine]:
 
 
 def test_nothing_of_the_law_is_asked_without_permission(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A law that fails cannot disturb an axis without torque."""
+    """Without permission for torque, the law is not called, so an error in it has no effect."""
 
     def asked(*arguments: float) -> float:
         raise AssertionError("asked")
@@ -32,7 +32,7 @@ def test_nothing_of_the_law_is_asked_without_permission(machine: Machine, monkey
 
 
 def test_a_drive_that_obeys_hears_no_nmt(machine: Machine) -> None:
-    """No NMT command is sent from the first cycle to the last."""
+    """If the drive follows its commands, no NMT command is sent during the whole run."""
     machine.run(seconds=0.5)
     assert any(machine.drive.torques)
     assert all(can_id != 0x000 for can_id, _ in machine.bus.sent)

@@ -1,4 +1,4 @@
-"""Damping of the motor's oscillation on its tendons by a delayed torque, and its gain margin."""
+"""Test the damping of the motor's oscillation on its tendons by a delayed torque, and its gain margin."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_swing_dies(inertia: float, delay: int) -> None:
 
 
 def test_not_foretold_the_same_gain_drives_it() -> None:
-    """Reason for the prediction: 0.05 N*m*s/rad at one period of delay is unstable without it."""
+    """A gain of 0.05 N*m*s/rad with one period of delay is stable only if the motion is predicted."""
     plain, foretold = swing(0.05, 1e-4, 1, foretold=False), swing(0.05, 1e-4, 1)
     assert np.abs(plain[-50:]).max() > 10.0 * np.abs(plain[:20]).max()
     assert np.abs(foretold[-50:]).max() < 0.05 * np.abs(foretold[:20]).max()
@@ -60,7 +60,7 @@ def test_not_foretold_the_same_gain_drives_it() -> None:
 @pytest.mark.parametrize("delay", [1, 2, 3])
 @pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
 def test_margin_is_where_the_swing_begins_to_grow(inertia: float, delay: int) -> None:
-    """Below the margin, every stiffness in its range is stable. One tenth above it, one of them is not."""
+    """At 0.9 times the margin, all three stiffnesses are stable. At 1.1 times the margin, at least one is unstable."""
     total = (delay + 0.5) * PERIOD + LAG
     gain = SHARE * math.sqrt(K * inertia)
     margin = gain_margin(gain, inertia, K, total, PERIOD)
@@ -104,7 +104,7 @@ def test_a_zero_of_the_encoders_and_a_missing_value_do_no_harm() -> None:
 
 
 def test_the_guard_takes_its_share_of_it() -> None:
-    """The guard reduces the torque to a half or to zero."""
+    """The torque is proportional to the share that the guard permits."""
     whole, half, none = (Damping(0.02, 600.0, 2e-3, GEARING, PERIOD) for _ in range(3))
     half.share, none.share = 0.5, 0.0
     for n in range(20):
@@ -117,7 +117,7 @@ def test_the_guard_takes_its_share_of_it() -> None:
 
 @pytest.mark.parametrize("cut", [0.5, 0.0])
 def test_a_plan_that_a_limit_cut_asks_for_no_torque(cut: float) -> None:
-    """The motor moves only as far as the reduced torque takes it, two periods late."""
+    """If a limit reduces the torque, the plan is reduced as well, so the damping torque stays small."""
     corrected, uncorrected = (Damping(0.02, 632.0, 2.0 * PERIOD, GEARING, PERIOD) for _ in range(2))
     torques = []
     for n in range(100):

@@ -1,4 +1,4 @@
-"""Direction of the tendon's slip: the joint by its speed, the elongation by its travel, else the last direction."""
+"""Test the slip direction of the tendon, determined from joint speed, elongation or the last direction."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tsa_ctrl.control.settings import DirectionSettings
 PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad
 LEAD = 6e-3  # s
-REACH = 2e-4  # m of tendon per N*m: 1.2 m, 60 kN, even curvature
+REACH = 2e-4  # m of elongation per N*m for 1.2 m, 60 kN and even curvature
 R_J = 0.025
 
 
@@ -33,7 +33,7 @@ class Joint:
 
 
 def brought_to_rest(joint: Joint, sign: float, seconds: float = 1.0) -> float:
-    """Move the joint by 0.8 rad with a raised-cosine velocity, and return its final angle (rad), an edge of a count."""
+    """Move the joint by 0.8 rad with a raised-cosine velocity. Return its final angle (rad), the edge of a count."""
     end = joint.count * math.ceil(0.8 / joint.count)
     for n in range(round(seconds / PERIOD) + 1):
         y = n * PERIOD / seconds
@@ -49,14 +49,14 @@ def test_nothing_slips_before_anything_has_moved() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_torque_that_is_all_ahead_when_it_is_first_seen_has_a_direction(sign: float) -> None:
-    """The set-point is constant before a reversal would end. Nothing changes any more, but the torque began from 0."""
+    """A constant set-point determines the direction, because the torque started from 0."""
     joint = Joint()
     assert {joint.step(0.3, sign * 0.5) for _ in range(1000)} == {sign}
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_joints_motion_decides_and_is_kept_at_rest(sign: float) -> None:
-    """During motion sigma is the sign of the velocity. After the motion it stays until something else happens."""
+    """During a motion sigma is the sign of the velocity. It stays the same after the motion."""
     joint = Joint()
     angle = brought_to_rest(joint, sign)
     assert {joint.step(angle) for _ in range(5000)} == {sign}
@@ -66,7 +66,10 @@ def test_the_joints_motion_decides_and_is_kept_at_rest(sign: float) -> None:
 def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bends(
     give: float, turned_at: float
 ) -> None:
-    """The joint reverses slowly at 0.5 s. 10 N*m/s elongate the tendon like 80 mrad/s of the joint."""
+    """The joint reverses slowly at 0.5 s while the torque grows by 10 N*m/s.
+
+    The torque elongates the tendon like a joint speed of 80 mrad/s, which delays the reversal by 16 ms.
+    """
     joint = Joint(give=give)
     sigmas = [joint.step(2.5 * (0.25 - (n * PERIOD - 0.5) ** 2), 0.01 * n, 10.0) for n in range(1000)]
     assert PERIOD * sigmas.index(-1.0) == pytest.approx(turned_at - LEAD, abs=2.5e-3)
@@ -74,7 +77,7 @@ def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bend
 
 @pytest.mark.parametrize("way", [0.0, 0.02])
 def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None:
-    """It cannot be distinguished from a reversal in time. If the reversal travel is known, sigma returns quickly."""
+    """At first a sudden stop looks like a reversal. If the reversal travel is known, sigma returns."""
     joint = Joint(way=way)
     for n in range(300):
         joint.step(1.0 * n * PERIOD)
@@ -86,18 +89,21 @@ def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None
 
 @pytest.mark.parametrize(("share", "turns"), [(0.02, False), (0.5, True)])
 def test_a_joint_that_trembles_at_rest_has_turned_nothing(share: float, turns: bool) -> None:
-    """A hand pushes it back by a share of the travel in which its tendons reverse, and holds it there."""
+    """A hand pushes the joint back by a share of its reversal travel and holds it there.
+
+    sigma returns after a share of 0.02 and stays reversed after 0.5.
+    """
     way = 0.02  # rad
     joint = Joint(way=way)
     for _ in range(50):
-        joint.step(0.3, 0.5)  # a torque that begins; the whole of it is the set-point
+        joint.step(0.3, 0.5)  # the set-point is constant from the start
     found = [joint.step(0.3 - share * way * min(n / 25, 1.0), 0.5) for n in range(1000)]
     assert -1.0 in found
     assert set(found[200:]) == {-1.0 if turns else 1.0}
 
 
 def test_what_is_wanted_before_the_tendons_have_turned_has_not_arrived() -> None:
-    """The joint trembles when a torque is first requested, and the torque still begins from zero."""
+    """The joint trembles when a torque is first requested. sigma ends in the direction of this torque."""
     joint = Joint(way=0.02)
     for n in range(30):
         joint.step(0.3 + 2e-4 * math.sin(0.2 * n))
@@ -107,7 +113,7 @@ def test_what_is_wanted_before_the_tendons_have_turned_has_not_arrived() -> None
 
 
 def test_a_reversal_is_led() -> None:
-    """sigma reverses before the joint by the lead and reports the age of the reversal."""
+    """sigma reverses before the joint by the lead, and the age of the reversal is reported."""
     joint = Joint()
     found = {}
     for n in range(2000):
@@ -123,7 +129,7 @@ def test_a_reversal_is_led() -> None:
 @pytest.mark.parametrize("frequency", [2.0, 0.5, 0.05, 0.005])
 @pytest.mark.parametrize("amplitude", [0.5, 0.05])
 def test_a_held_joint_turns_with_the_torque_however_slow_and_small(frequency: float, amplitude: float) -> None:
-    """The direction follows the travel, not the rate, within the play beyond each extreme of the desired torque."""
+    """The direction of a locked joint reverses within `play` after each extreme of the desired torque, at any rate."""
     joint = Joint()
     steps = round(2.0 / frequency / PERIOD)
     play = DirectionSettings().play / (REACH * amplitude)
@@ -185,12 +191,12 @@ def test_without_torque_the_direction_stays_and_the_next_torque_starts_anew() ->
     assert {joint.step(0.0) for _ in range(10)} == {1.0}
     assert joint.step(0.0, 0.5) == 1.0
     joint.direction.forget()
-    assert joint.step(0.0, -0.4) == -1.0  # from zero, not from the 0.5 before
+    assert joint.step(0.0, -0.4) == -1.0  # counted from zero and not from the previous 0.5
     assert joint.step(0.0, -0.3) == 1.0
 
 
 def test_is_odd() -> None:
-    """The mirrored motion and torque give the mirrored direction."""
+    """The mirrored motion and torque result in the mirrored direction."""
     one, other = Joint(), Joint()
     random = np.random.default_rng(3)
     for angle, wanted in zip(random.normal(0.0, 0.01, 500), random.normal(0.0, 0.1, 500), strict=True):
@@ -208,14 +214,14 @@ class Told(Motion):
         self.noise = noise
 
 
-PLAY = 2.0**-20  # m; these are whole powers of two, so that equal values are equal to the last bit
+PLAY = 2.0**-20  # m; all of these are powers of two, so that calculations are exact
 TO_M = 2.0**-12  # m per N*m
 RADIUS = 2.0**-5  # m
-TURN = PLAY / TO_M  # N*m that reverse the elongation by the play
+TURN = PLAY / TO_M  # N*m that change the elongation by the play
 
 
 class By:
-    """Direction, zone 0.0625 rad/s, of a joint with prescribed speed, acceleration and angle."""
+    """The direction of a joint with prescribed speed, acceleration and angle. The zone is 0.0625 rad/s."""
 
     def __init__(self, lead: float = 0.0, give: float | None = None, **more: float) -> None:
         self.motion = Told()
@@ -265,7 +271,7 @@ def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, tu
     by(speed, turning=turning)
     assert by.direction.age == pytest.approx(age)
     by(speed, turning=turning)
-    assert by.direction.age == 0.0  # only for this reversal
+    assert by.direction.age == 0.0  # the age applies to this reversal only
     by(-speed, turning=-turning)
     by.direction.reset()
     assert by.direction.age == 0.0
@@ -287,9 +293,9 @@ def test_what_stretches_while_the_joint_moves_is_what_does_so_at_rest_unless_it_
 def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: float) -> None:
     by = By()
     assert by(way, way * 1.0) == way
-    assert by(0.0, way * (1.0 - TURN)) == way  # from the torque during the motion of the joint: by the play only
+    assert by(0.0, way * (1.0 - TURN)) == way  # reduced by exactly the play since the joint moved
     assert by(0.0, way * (1.0 - 1.5 * TURN)) == -way
-    assert by(0.0, way * (1.0 + 0.5 * TURN)) == -way  # the play is now behind it
+    assert by(0.0, way * (1.0 + 0.5 * TURN)) == -way  # beyond the play in the other direction
     assert by(0.0, way * (1.0 + 0.75 * TURN)) == way
     rested = By()
     assert rested(0.0, way * TURN) == 0.0
@@ -300,7 +306,7 @@ def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: float) -> None:
-    """The travel is 0.4 rad. The limit is 20 mrad, after a rest of more than 5 ms."""
+    """With a reversal travel of 0.4 rad, a motion of less than a twentieth (20 mrad) is not a reversal after a rest."""
     for gone, back in ((0.0199, True), (0.02, False), (0.0201, False)):
         by = By(way=0.4)
         by(way)
@@ -311,7 +317,7 @@ def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: f
         sigmas = [by(0.0, angle=0.1 - gone) for _ in range(10)]
         told = sigmas.index(way) if way in sigmas else None
         assert told == (5 if back else None), gone
-    alone = By()  # its reversal travel is not known
+    alone = By()  # without a known reversal travel
     alone(way)
     alone(way, angle=1.0)
     alone(-way, angle=1.0)
@@ -333,22 +339,22 @@ def test_the_first_motion_however_little_has_nothing_before_it() -> None:
 
 
 def test_a_joint_that_trembles_keeps_the_direction_before_and_the_torques_place() -> None:
-    """After a motion there and back within the travel, the next reversal counts from there.
+    """After a motion back and forth within the reversal travel, the previous direction remains.
 
-    The meanwhile desired torque is not taken as delivered.
+    The torque that was desired meanwhile does not count as delivered, and the next reversal counts from the new angle.
     """
     by = By(way=0.4)
     by(1.0, 1.0)
     by(-1.0, 1.0, angle=0.1)
     by(-1.0, 1.0 + 8.0 * TURN, angle=0.09)  # part of a possible reversal
-    by(1.0, 1.0 + 8.0 * TURN, angle=0.095)  # back again, as before
+    by(1.0, 1.0 + 8.0 * TURN, angle=0.095)  # moves in the first direction again
     assert {by(0.0, 1.0 + 8.0 * TURN, angle=0.096) for _ in range(10)} == {1.0}
     assert by(-1.0, 1.0, angle=0.0961) == -1.0
     assert {by(0.0, angle=0.0961) for _ in range(10)} == {-1.0, 1.0}
 
 
 def turns_of(frequency: float, amplitude: float, seconds: float = 2.0) -> list[tuple[float, bool]]:
-    """Return the times (s) of the reversals of an oscillating joint, and for each whether it follows the joint."""
+    """Return the time (s) of each reversal of an oscillating joint, and True if it follows the joint's motion."""
     joint, found, last = Joint(way=9.4e-3), [], 0.0
     for n in range(round(seconds / PERIOD)):
         sigma = joint.step(0.3 + amplitude * math.sin(2.0 * math.pi * frequency * n * PERIOD))
@@ -369,9 +375,9 @@ def test_turns_no_faster_than_a_hand_trembles_are_said_to_follow_the_joint(frequ
 
 
 def test_turns_faster_than_a_tremor_are_the_joints_play() -> None:
-    """A friction term that throws the joint across its backlash must not follow it.
+    """Fast small oscillations count as backlash, so that the friction term does not excite them.
 
-    A wider motion reverses as before.
+    Slower and wider motions still cause reversals.
     """
     assert len(turns_of(30.0, 2e-3)) <= QUICK + 1
     assert len(turns_of(4.0, 2e-3)) >= 13
@@ -400,7 +406,10 @@ def test_a_turn_that_no_joint_made_follows_none_and_an_old_one_not_any_longer() 
 
 
 def test_a_turn_follows_the_joint_from_a_tremors_time_after_the_last_and_for_as_long() -> None:
-    """The period is half of that time, so that the limit is met to the last bit."""
+    """A reversal follows the joint if no other one came within the tremor time before it.
+
+    `follows` then stays True for the tremor time. The period is half of this time, so that the limit is met exactly.
+    """
     motion = Told()
     direction = Direction(DirectionSettings(), motion, 0.0, TO_M, RADIUS, 0.5 * TREMOR)
     told = []
@@ -427,9 +436,9 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
 
 
 def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
-    """Return a joint that moved in direction `way` and has come to rest.
+    """Return a joint at rest after a motion in direction `way`.
 
-    The torque sensor agreed with the law meanwhile.
+    During the motion, the torque sensor agreed with the law.
     """
     by = By(give=0.0, unsure=UNSURE if by_sensor else math.inf)
     for _ in range(1000):
@@ -440,7 +449,7 @@ def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
 
 
 def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) -> float:
-    """Return the direction after some cycles at rest, with the sensor `excess` N*m above the desired torque."""
+    """Return the direction after `cycles` at rest with a sensor torque `excess` N*m above the desired torque."""
     sigma = math.nan
     for _ in range(cycles):
         by.direction.measure(excess, turning)
@@ -450,9 +459,9 @@ def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) ->
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_the_torque_sensor_decides_at_rest_if_all_bends_are_at_the_joint(way: float) -> None:
-    """More torque than desired shows that the tendons stick.
+    """A measured torque above the desired one reverses sigma if the excess is larger than the uncertainty.
 
-    It counts beyond the uncertainty and only in this direction.
+    A torque below the desired one and a missing value have no effect.
     """
     assert measured(at_rest_by(True, way), 0.1 * way) == -way
     assert measured(at_rest_by(True, way), 0.03 * way) == way
@@ -481,7 +490,7 @@ def test_the_joints_motion_overrules_the_torque_sensor() -> None:
 
 
 def test_the_sensor_reverses_a_joint_within_its_play() -> None:
-    """A slow motion back is taken for backlash until the sensor shows an excess torque."""
+    """A slow motion back counts as backlash until the sensor shows an excess torque."""
     joint = Joint()
     joint.direction = Direction(DirectionSettings(), joint.motion, LEAD, REACH, R_J, PERIOD, unsure=UNSURE)
     for n in range(1000):
@@ -511,7 +520,10 @@ def ramped(excess: float, speed: float = 0.0) -> float:
 
 @pytest.mark.parametrize("speed", [0.0, -0.125])
 def test_a_growing_torque_reverses_nothing_while_the_sensor_shows_enough(speed: float) -> None:
-    """It holds at rest, and while the joint creeps back more slowly than the tendon elongates."""
+    """A growing torque changes sigma unless the sensor already measures an excess torque.
+
+    This holds at rest and while the joint moves back more slowly than the tendon elongates.
+    """
     assert ramped(0.0, speed) == 1.0
     assert ramped(-0.2, speed) == 1.0
     assert ramped(0.2, speed) == -1.0

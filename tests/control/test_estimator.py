@@ -1,4 +1,4 @@
-"""Online estimators: known parameters are recovered, and insufficient or false data do not change them."""
+"""Test that online estimators recover known parameters, and that insufficient or false data do not change them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_follows_a_change_of_bending(kind: str, change: float) -> None:
     [(Attribution.FRICTION, 1.2 * X, PRETENSION), (Attribution.PRETENSION, X, 1.2 * PRETENSION)],
 )
 def test_attributes_the_change_as_told(attribute: Attribution, x: float, pretension: float) -> None:
-    """The product is split by the assumption in the configuration: the other parameter stays nominal."""
+    """The change is attributed to the configured parameter, and the other one stays nominal."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor", attribute=attribute), PERIOD)
     feed(estimator, Sliding(x, pretension, seconds=10.0))
     assert estimator.friction_angle == pytest.approx(x, rel=0.03)
@@ -56,7 +56,7 @@ def test_attributes_the_change_as_told(attribute: Attribution, x: float, pretens
 
 
 def test_sensor_offset_is_not_taken_for_friction() -> None:
-    """A constant offset of the torque sensor is attributed to the offset, not to the half loop."""
+    """A constant offset of the torque sensor is estimated as an offset and does not change the friction."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(X, PRETENSION, seconds=10.0, offset=0.05))
     assert estimator.offset == pytest.approx(0.05, abs=0.01)
@@ -102,9 +102,11 @@ def locked_joint(friction: float, amplitude: float, spread: float, seconds: floa
 
     Parallel plays represent parts of the sheath that slide one after the other.
 
-    `friction`: N*m at the joint, half the loop once all of them slide. `amplitude`: N*m of the motor. `spread`:
-    relative
-    deviation of the plays from their mean.
+    Args:
+        friction: friction torque at the joint once all plays slide, N*m
+        amplitude: amplitude of the motor torque, N*m
+        spread: relative deviation of the plays from their mean
+        seconds: duration, s
     """
     rng = np.random.default_rng()
     slope = R_J / R_M * math.cosh(X)
@@ -151,7 +153,7 @@ def test_stuck_sensor_is_invalid(stuck: float) -> None:
 
 
 def test_missing_sensor_value_does_not_poison() -> None:
-    """The estimator tolerates nan from the sensor for half a second."""
+    """The estimate stays correct if the sensor value is nan for half a second."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for n, (sigma, omega, tau_m, tau_j) in enumerate(Sliding(X, PRETENSION, seconds=16.0).samples()):
         estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan if 2000 < n < 2500 else tau_j, True))
@@ -161,7 +163,7 @@ def test_missing_sensor_value_does_not_poison() -> None:
 
 @pytest.mark.parametrize("kind", ["sensor", "motor"])
 def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
-    """No parameter moves faster than the rate. The friction angle stays within its bounds for random samples."""
+    """For random samples, no parameter changes faster than the rate, and the friction angle stays within its bounds."""
     settings = EstimatorSettings(kind=kind, rate=0.3, bounds=0.4)  # type: ignore[arg-type]
     estimator = KalmanEstimator(MODEL, settings, PERIOD)
     random = np.random.default_rng(6)
@@ -179,7 +181,7 @@ def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
 
 
 def test_reset_returns_to_nominal_at_once() -> None:
-    """Every disable resets the estimate to nominal values."""
+    """A reset restores the nominal values immediately."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=10.0))
     estimator.reset()
@@ -200,7 +202,10 @@ def test_map_follows_bending_by_its_equations() -> None:
 
 
 def test_map_approaches_a_jump_at_its_rate_and_follows_the_motion_meanwhile() -> None:
-    """A client's command, or the first value after a gap, is approached at 0.2 of the nominal value per second."""
+    """A jump of the wrap angle is approached at 0.2 of the nominal value per second, and a small motion is followed.
+
+    A jump occurs at a command of a client or at the first value after a gap.
+    """
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map", rate=0.2), PERIOD)
     theta, step = MODEL.bending_angle, 0.2 * MODEL.bending_angle * PERIOD
     for value, behind in ((theta, 0.0), (theta + 0.5, 0.5 - step), (theta + 0.53, 0.5 - 2.0 * step)):
@@ -214,7 +219,10 @@ def test_map_approaches_a_jump_at_its_rate_and_follows_the_motion_meanwhile() ->
 
 @pytest.mark.parametrize("theta", [1.7, 10.0, 1e6])
 def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
-    """`theta` is a multiple of the model file's wrap angle. x and T_p stop at their largest allowed values."""
+    """x and T_p stop at their largest permitted values, and the state is then invalid.
+
+    `theta` is a multiple of the model file's wrap angle.
+    """
     settings = EstimatorSettings(kind="map", rate=10.0, bounds=0.6)
     estimator, most = ConfigurationMap(MODEL, settings, PERIOD), ConfigurationMap(MODEL, settings, PERIOD)
     for _ in range(2000):
@@ -236,7 +244,7 @@ def test_map_without_bending_angle_is_invalid_and_frozen(theta: float) -> None:
 
 
 def test_fixed_keeps_what_the_user_set() -> None:
-    """A disable keeps a value that the user set."""
+    """A reset keeps a value that the user has set."""
     estimator = Fixed(MODEL)
     estimator.friction_angle = 0.3
     estimator.reset()
@@ -247,7 +255,7 @@ def test_fixed_keeps_what_the_user_set() -> None:
 @pytest.mark.parametrize("at_motor", [True, False])
 @pytest.mark.parametrize("factor", [0.75, 1.0, 1.3])
 def test_split_inverts_its_half_loop(attribute: Attribution, at_motor: bool, factor: float) -> None:
-    """The parameters found for a half loop give that half loop."""
+    """The parameters calculated for a friction torque result in this friction torque."""
     split = Split(MODEL, attribute, at_motor, bounds=0.5)
     wanted = split.nominal * factor
     angle, pretension, inside = split.solve(wanted)
@@ -259,7 +267,10 @@ def test_split_inverts_its_half_loop(attribute: Attribution, at_motor: bool, fac
 @pytest.mark.parametrize("at_motor", [True, False])
 @pytest.mark.parametrize("points", [((0.0, 0.0), (1.0, 1.0)), ((0.0, 1.0), (1.0, 1.0)), S_BENT], ids=str)
 def test_split_knows_where_the_sheath_bends(points: Points, at_motor: bool) -> None:
-    """The half loop of a sheath with much more friction, by the capstan equation, gives its friction angle."""
+    """For a sheath with much more friction, the friction angle is calculated correctly with its curvature profile.
+
+    The friction torque comes from the capstan equation.
+    """
     bent = MODEL.recalibrated(0.8).with_effects({"elongation_coupling": {"curvature_profile": points}})
     pair = Pair(points, 1.0, axial_stiffness=6e3)
     at_rest = pair.joint_torque(0.0, 1.0)
@@ -272,7 +283,7 @@ def test_split_knows_where_the_sheath_bends(points: Points, at_motor: bool) -> N
 
 @pytest.mark.parametrize("half_loop", [-1.0, 0.0, 1e3])
 def test_split_says_when_the_bounds_do_not_reach(half_loop: float) -> None:
-    """Beyond the bounds, the value at the bound is returned and reported."""
+    """For a friction torque beyond the bounds, the parameters stay within them and `inside` is False."""
     angle, pretension, inside = Split(MODEL, Attribution.BENDING, False, bounds=0.3).solve(half_loop)
     assert not inside
     assert X / 1.3 - 1e-9 <= angle <= X * 1.3 + 1e-9
@@ -305,7 +316,7 @@ def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, fl
 
 @pytest.mark.parametrize("names", [("viscous_friction",), ("motor_side_friction",), ("gravity_load",)])
 def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ...]) -> None:
-    """The friction of the joint and of the motor lies outside the sheath. The sheath's x is recovered."""
+    """With friction or a load outside the sheath that the model contains, x of the sheath is recovered."""
     model, samples = with_effects(*names)
     estimator = KalmanEstimator(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
@@ -315,7 +326,7 @@ def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ..
 
 
 def test_kind_motor_knows_what_the_joint_takes() -> None:
-    """Its known load acts behind the joint. The viscous friction of the joint is added to it through the tendons."""
+    """With the kind "motor", the viscous friction of the joint does not change the estimated x of the sheath."""
     model = dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": FRICTION}})
     settings = EstimatorSettings(kind="motor", attribute=Attribution.FRICTION)
     estimator = KalmanEstimator(model, settings, PERIOD)

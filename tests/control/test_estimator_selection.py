@@ -1,4 +1,4 @@
-"""Default estimator of an axis without a configured kind, and the reasons against the kind "stretch"."""
+"""Test the default estimator of an axis without a configured kind, and the reasons against the kind "stretch"."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_a_joint_torque_sensor_comes_first_where_the_model_allows_it() -> None:
 
 
 def test_what_the_file_says_counts() -> None:
-    """A configured kind is kept, but used only if `use` is set. `use = false` alone is respected as well."""
+    """A configured kind is kept, and it is used only if `use` is set. The default kind also respects `use = false`."""
     named, _ = chosen(EstimatorSettings(kind="stretch"), KNOWN, True, False, False)
     assert named.use is False
     unused, _ = chosen(EstimatorSettings(use=False), KNOWN, True, False, False)

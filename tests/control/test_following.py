@@ -1,4 +1,4 @@
-"""The wrap angle increases by 40 % while the loop runs. The estimate follows, and the torque error stays small."""
+"""Test that the estimate follows a wrap angle that increases by 40 %, and that the torque error stays small."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A late cycle measures a joint that has moved on. This must not look like a reversal."""
+"""Test that a late cycle, in which the joint has moved further than expected, causes no reversal."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from tests.control.laws import COUNT, PERIOD, law
 from tests.control.sliding import actuator
 from tsa_ctrl.control.law import Law
 
-SPEED = 3.0  # rad/s, of a knee during gait
+SPEED = 3.0  # rad/s, speed of a knee during gait
 STALL = 100  # number of the late cycle
 
 
 def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
-    """Return the smallest `turn.force` after one late cycle of a joint that moves at SPEED."""
+    """Return the smallest `turn.force` around one late cycle of a joint that moves at SPEED.
+
+    The law gets the lateness if `told` is set.
+    """
     lowest, number = 1.0, 0
     while number < STALL + 60:
         late = lateness if number == STALL else 0.0
@@ -33,7 +36,10 @@ def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
 
 @pytest.mark.parametrize(("lateness", "skipped"), [(0.4e-3, 0), (0.9e-3, 0), (2.9e-3, 3), (9.5e-3, 10)])
 def test_a_late_cycle_does_not_turn_the_friction_term(lateness: float, skipped: int) -> None:
-    """Regression test: without the lateness, the term was reversed for 10 ms, by 0.8 N*m at the joint of the demo."""
+    """The friction term is not reversed if the law gets the lateness.
+
+    Regression test: the term was reversed for 10 ms, by 0.8 N*m at the joint of the demo.
+    """
     made = law(actuator(), motor_inertia=1e-4)
     assert lowest_force(made, lateness, skipped, told=True) > 0.99
 

@@ -1,4 +1,4 @@
-"""The feedforward law: ideal torque plus friction term with compensation, fade-in, reversals and limits."""
+"""Test the feedforward law: ideal torque, friction term, fade-in, reversals and limits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.steady_sliding import motor_stiffness, sliding
 
 RATIO = 0.8
-SHAPES = {  # as profile of the model, and as (share of length, share of bending) for the capstan equation
+SHAPES = {  # profile name or points (share of length, share of wrap angle) for the capstan equation
     "motor_end": ((0.0, 1.0), (1.0, 1.0)),
     "uniform": ((1.0, 1.0),),
     "joint_end": ((1.0, 0.0), (1.0, 1.0)),
@@ -39,7 +39,7 @@ class Friction:
     def __init__(self, size: float = 0.5) -> None:
         self.size = size
         self.resets = 0
-        self.limit = 5.0, 5.0  # N*m, below and above 0
+        self.limit = 5.0, 5.0  # N*m, limits below and above 0
 
     def update(
         self,
@@ -101,7 +101,7 @@ def test_adds_the_compensated_share() -> None:
 
 
 def test_fades_in_after_the_enable() -> None:
-    """The friction term grows linearly to its share within the fade-in, and starts again after a reset."""
+    """The friction term grows linearly to its full value within the fade-in, and starts again after a reset."""
     law = law_of(compensation=1.0, fade_in=0.1)
     joint = Joint(law)
     for _ in range(100):  # the joint moves before torque is permitted
@@ -115,7 +115,7 @@ def test_fades_in_after_the_enable() -> None:
 
 
 def test_without_a_direction_there_is_no_friction_term() -> None:
-    """Nothing has moved, and the set-point does not change."""
+    """If the joint has not moved and the set-point has not changed, the command is the ideal torque only."""
     law = law_of()
     for _ in range(100):
         law.observe(0.3, math.nan, True, math.nan, 0.0)
@@ -123,7 +123,7 @@ def test_without_a_direction_there_is_no_friction_term() -> None:
 
 
 def test_a_reversal_turns_the_term_within_the_turn() -> None:
-    """The reversal takes its duration and about one period for its detection. It is monotonic."""
+    """The reversal of the term is monotonic and takes its configured duration, within one period."""
     law = law_of(compensation=1.0, turn=0.010)
     joint = Joint(law)
     joint.settled()
@@ -136,7 +136,7 @@ def test_a_reversal_turns_the_term_within_the_turn() -> None:
 
 
 def test_ideal_part_is_not_slewed() -> None:
-    """The slew limit applies to the friction term, so a set-point passes at once."""
+    """The slew limit applies only to the friction term, so the ideal torque follows the set-point immediately."""
     law = law_of(0.0, slew=1.0)
     law.observe(0.0, math.nan, True, 2.0, 0.0)
     assert law.update(2.0, math.nan, math.nan, 0.0, 1.0) == pytest.approx(1.6)
@@ -149,7 +149,7 @@ def test_slew_bounds_the_friction_term() -> None:
 
 
 def test_back_off_scales_the_term() -> None:
-    """The guard against overcompensation multiplies the compensation factor."""
+    """The back-off factor of the overcompensation guard scales the friction term."""
     assert Joint(law_of(compensation=1.0)).settled(back_off=0.5) == pytest.approx(0.25)
 
 
@@ -173,7 +173,7 @@ def test_what_stands_is_settled_and_what_moves_is_not() -> None:
 
 
 def test_continues_from_what_was_applied() -> None:
-    """A term that the limiter reduced continues from the reduced value, without a jump when the limit ends."""
+    """A friction term that the limiter has reduced continues from the reduced value, with the slew limit."""
     joint = Joint(law_of(compensation=1.0, slew=50.0))
     joint.settled()
     joint.law.applied(0.2)
@@ -182,7 +182,7 @@ def test_continues_from_what_was_applied() -> None:
 
 @pytest.mark.parametrize(("applied", "left"), [(0.5, 0.5), (0.7, 0.5), (-0.1, 0.0), (0.0, 0.0)])
 def test_applied_torque_only_shrinks_the_term(applied: float, left: float) -> None:
-    """A larger torque than commanded, or one of opposite sign, never reverses or increases the term."""
+    """An applied torque that is larger than the command or of opposite sign never increases or reverses the term."""
     joint = Joint(law_of(compensation=1.0))
     joint.settled()
     joint.law.applied(applied)
@@ -190,7 +190,7 @@ def test_applied_torque_only_shrinks_the_term(applied: float, left: float) -> No
 
 
 def test_reset_resets_the_inverse() -> None:
-    """A disable resets the memory of the model as well."""
+    """A reset of the law also resets the inverse model."""
     friction = Friction()
     law = make(actuator(), friction)
     before = friction.resets
@@ -220,7 +220,7 @@ def test_inverts_the_capstan_equation_wherever_both_tendons_pull(x: float, shape
     points = SHAPES[shape]
     pair = Pair(points, x, axial_stiffness=6e3)
     t1, t3 = pair.motor_tensions(0.0, way)
-    per_torque = pair.motor_tensions(1.0, way)[1] - t3  # N per N*m; T1 changes by this minus 1/r_M
+    per_torque = pair.motor_tensions(1.0, way)[1] - t3  # N per N*m; the change of T1 is smaller by 1/r_M
     bound = t1 / (1.0 / pair.motor_radius - per_torque) if load > 0.0 else t3 / per_torque
     wanted = pair.joint_torque(load * bound, way)
     profile = "uniform" if shape == "uniform" else [[0.0, 0.0], *(list(point) for point in points)]
@@ -234,7 +234,10 @@ def test_inverts_the_capstan_equation_wherever_both_tendons_pull(x: float, shape
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_reports_a_set_point_whose_exact_inverse_is_clipped(sign: float) -> None:
-    """The ideal torque is inside the domain, 1.92 of 2.04 N*m, but not the torque that also overcomes friction."""
+    """The ideal torque of 1.92 N*m is within the domain of 2.04 N*m, but with the friction term it exceeds the domain.
+
+    The command is limited to the domain, and `beyond` is set.
+    """
     joint = Joint(make(UNIFORM, Feedforward(UNIFORM, PERIOD), fade_in=0.0, compensation=1.0), sign)
     tau_m = joint.settled(sign * 2.4)
     assert joint.law.beyond
@@ -244,7 +247,7 @@ def test_reports_a_set_point_whose_exact_inverse_is_clipped(sign: float) -> None
 
 
 def test_a_pretension_that_is_nearly_gone_is_told() -> None:
-    """It is reported with the next update of the half loop."""
+    """With 20 % of the pretension, `near_slack` is set and the domain is smaller."""
     law = make(UNIFORM, Feedforward(UNIFORM, PERIOD))
     law.set_parameters(UNIFORM.friction_angle, 0.2 * UNIFORM.pretension)
     law.observe(0.0, math.nan, True, 0.0, 0.0)
@@ -256,14 +259,14 @@ def test_a_pretension_that_is_nearly_gone_is_told() -> None:
 
 
 def test_what_is_not_finite_reaches_the_limiter() -> None:
-    """The law passes values that are not finite to the limiter, the last stage before the bus."""
+    """For a set-point that is not a number, the law returns nan, which the limiter handles."""
     law = law_of()
     law.observe(0.0, math.nan, True, math.nan, 0.0)
     assert math.isnan(law.update(math.nan, 0.0, 0.0, 0.0, 1.0))
 
 
 class TestTheMotorsOwnMotion:
-    """The torque for the motor's inertia, where the inertia is known."""
+    """Tests of the torque for the motor's inertia with a known inertia."""
 
     INERTIA = 1e-4
 
@@ -285,9 +288,9 @@ class TestTheMotorsOwnMotion:
         assert any("motor_inertia" in note for note in law.notes)
 
     def test_a_turn_moves_the_motor_by_its_stretch_and_leaves_it_at_rest(self) -> None:
-        """The first integral of J theta'' over the reversal is 0, the second s_c 2 h/K, or h/K for even curvature.
+        """After a reversal the motor is at rest and has moved by s_c 2 h/K, which is h/K for even curvature.
 
-        The tolerance covers the beginning of a reversal within a period.
+        h is the friction torque and K the stiffness. The tolerance covers a start of the reversal within a period.
         """
         planned, _ = self.turn(motor_inertia=self.INERTIA)
         carried = self.INERTIA / RATIO * np.array(self.accelerations())
@@ -298,7 +301,7 @@ class TestTheMotorsOwnMotion:
         assert angle[-1] == pytest.approx(way, rel=0.08)
 
     def test_its_swing_is_known_while_the_term_turns(self) -> None:
-        """It is J_M/2 (omega_M - r_J/r_M omega_J)^2 during the reversal and 0 before and after it."""
+        """The kinetic energy is J_M/2 (omega_M - r_J/r_M omega_J)^2 during the reversal, and 0 before and after it."""
         law = make(UNIFORM, fade_in=0.0, motor_inertia=self.INERTIA, damping=0.0)
         joint = Joint(law, 1.0)
         joint.settled()
@@ -314,7 +317,7 @@ class TestTheMotorsOwnMotion:
         assert sum(found) * PERIOD == pytest.approx(law.plan.turn, abs=2.0 * PERIOD)
 
     def accelerations(self) -> list[float]:
-        """Return the accelerations of the joint that the law determines, from the same motion without a reversal."""
+        """Return the joint accelerations that the law determines for the same motion without a friction term."""
         law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
         joint = Joint(law, 1.0)
         joint.settled()
@@ -326,7 +329,7 @@ class TestTheMotorsOwnMotion:
         return found
 
     def test_the_motor_is_carried_with_the_joint(self) -> None:
-        """The torque is J_M r_J/r_M alpha_J, also without compensation."""
+        """The torque to accelerate the motor with the joint is J_M r_J/r_M alpha_J, also without compensation."""
         law = make(UNIFORM, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
         for n in range(200):
             law.observe(20.0 * (n * PERIOD) ** 2, math.nan, True, 0.0, 0.0)
@@ -335,7 +338,10 @@ class TestTheMotorsOwnMotion:
 
 
 def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
-    """The motor's own motion during a reversal is not a motion of the joint, so there is one reversal and none back."""
+    """Without a joint encoder, the motor angle replaces the joint angle.
+
+    The motor's additional motion during a reversal causes no second reversal.
+    """
     law = make(UNIFORM, encoder=False, fade_in=0.0, compensation=1.0)
     stretch = sliding(UNIFORM).motor_half_loop / motor_stiffness(UNIFORM)
     sigmas = []
@@ -352,7 +358,10 @@ def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
 
 @pytest.mark.parametrize("every", [2, 5])
 def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
-    """Regression test: if every second cycle was skipped, the joint's speed was taken for twice its value."""
+    """If the law gets the number of skipped periods, its velocity is correct.
+
+    Regression test: if every second cycle was skipped, the velocity was twice its value.
+    """
     moving, counting = law_of(), law_of()
     for n in range(0, 600, every):
         q = 0.3 * math.sin(2.0 * math.pi * n * PERIOD)
@@ -366,7 +375,10 @@ def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_a_sensor_that_misses_torque_at_rest_raises_the_term_in_steps(friction: float) -> None:
-    """Tendons at rest stick after a reversal. A model without friction has no term and causes no division by zero."""
+    """A torque sensor that measures an excess torque at rest changes the friction term in small steps.
+
+    A model without friction has no term, and no division by zero occurs.
+    """
     model = actuator()
     model = model.recalibrated(friction * model.friction_angle, model.pretension)
     made = make(model, fade_in=0.0, compensation=1.0, settle=0.0, unsure=0.04)

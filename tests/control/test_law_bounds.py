@@ -1,4 +1,4 @@
-"""The law term by term: each of its parts is prescribed, so the output is known exactly."""
+"""Test the terms of the law with prescribed parts, so that the exact output is known."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Turned(Turn):
 
 
 class Fronts(Slip):
-    """Prescribed slip fronts; the elongation equals that of sliding tendons."""
+    """Prescribed slip fronts. The elongation equals the one of sliding tendons."""
 
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
@@ -147,7 +147,7 @@ class Inverse(Friction):
 
 
 class Parts:
-    """A law with all parts prescribed."""
+    """A law whose parts are all prescribed."""
 
     def __init__(self, encoder: bool | None = True, size: float = 0.5, **settings: Any) -> None:
         own = {name: settings.pop(name) for name in ("inertia", "damping") if name in settings}
@@ -212,7 +212,7 @@ def test_a_new_law_has_given_nothing() -> None:
 
 
 def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The slip fronts are made as planned as well, with radii in m and the period in s."""
+    """Reversal, damping and slip fronts are built with the values of the plan, the radii (m) and the period (s)."""
     seen: dict[str, tuple[object, ...]] = {}
 
     def keep(name: str, real: type) -> Any:
@@ -310,7 +310,10 @@ def test_the_torque_of_the_fronts_belongs_to_the_friction_term() -> None:
 
 
 def test_the_motor_is_moved_by_what_the_tendons_stretch() -> None:
-    """It follows the friction term by the share of the reversed tendons, and the ideal torque by 1/25 rad per N*m."""
+    """The planned motor motion contains the elongation by the ideal torque (1/25 rad per N*m) and by the friction term.
+
+    The back-off factor of the guard scales only the part of the friction term.
+    """
     parts = Parts(inertia=2e-4)
     parts.motion.acceleration = 16.0
     parts.turn.force = parts.turn.stretch = 0.5
@@ -352,7 +355,7 @@ def test_a_reset_forgets_all_but_the_joints_motion() -> None:
     assert (parts.way.forgot, parts.inverse.resets) == (forgot + 1, resets + 1)
     assert (parts.fronts.resets, parts.damper.resets) == (fronts + 1, damped + 1)
     parts.ask(0.5)
-    # a tenth of the fade-in; nothing is settled, and the client is not silent
+    # after a tenth of the fade-in, without settling and with an active client
     assert parts.law.friction_term == pytest.approx(0.05)
     parts.inverse.size = 0.25
     parts.law.reset()
@@ -378,7 +381,7 @@ def test_the_half_loop_is_looked_at_every_64_cycles() -> None:
         assert parts.law.half_loop == parts.inverse.size - 0.125
         parts.law.follow(0.0)
         assert parts.law.half_loop == parts.inverse.size
-    assert parts.law.near_slack  # a quarter of its initial value
+    assert parts.law.near_slack  # pretension is a quarter of its initial value
 
 
 @pytest.mark.parametrize(("share", "near"), [(0.3, False), (0.29, True), (0.31, False)])
@@ -392,9 +395,9 @@ def test_three_tenths_of_the_pretension_are_near_slack(share: float, near: bool)
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_what_settles_a_joint(way: float) -> None:
-    """It settles under a constant set-point and with hardly any motion.
+    """The term is settled only under a nearly constant set-point and almost without motion.
 
-    After n periods the share is 1 - (1 - 1/300)^n. It decays with 5/300 per period.
+    After n periods the settled share is 1 - (1 - 1/300)^n. During motion it decays by 5/300 per period.
     """
     for velocity, rate, rests in (
         (0.499, 0.0199, True), (0.5, 0.0, False), (0.501, 0.0, False), (0.0, 0.02, False), (0.0, 0.0201, False),
@@ -445,9 +448,10 @@ def test_a_motor_swings_against_its_joint_while_the_term_turns() -> None:
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
-    """The columns are the applied torque (N*m), the remaining friction term and the remaining share of the elongation.
+    """If a limit reduces the command, friction term and elongation are reduced to the remaining values.
 
-    The command consists of 0.8 and 0.5 N*m and of a planned 0.0625 N*m.
+    The command consists of 0.8 N*m ideal torque, 0.5 N*m friction term and 0.0625 N*m damping torque. The rows contain
+    the applied torque (N*m), the remaining friction term (N*m) and the remaining share of the elongation.
     """
     for applied, term, share in (
         (1.3625, 0.5, 1.0), (1.4, 0.5, 1.0), (1.2625, 0.4, 1.2 / 1.3), (0.8625, 0.0, 0.8 / 1.3),
@@ -464,7 +468,10 @@ def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_term_against_the_ideal_part_shrinks_by_what_the_limiter_added(way: float) -> None:
-    """The command is 0.8 - 0.5 N*m. A smaller torque reduces the elongation, a larger one the friction term."""
+    """The command is 0.8 N*m ideal torque minus 0.5 N*m friction term.
+
+    A smaller applied torque reduces the elongation, and a larger one reduces the friction term.
+    """
     parts = Parts()
     parts.turn.force = -way
     assert parts.ask(way) == pytest.approx(way * 0.3)
@@ -507,7 +514,7 @@ def test_the_joint_is_followed_by_its_encoder() -> None:
 def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     rest: float, turning: bool, ahead: float, begins: bool
 ) -> None:
-    """The joint must have rested for more than 0.1 s with a set-point.
+    """Slip fronts begin at a reversal if the joint has rested for more than 0.1 s and there is a set-point.
 
     Otherwise the tendons slide along their whole length.
     """
@@ -522,9 +529,9 @@ def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
 
 
 def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn() -> None:
-    """The elongation is subtracted and the angle is converted to the joint.
+    """Without a joint encoder, the joint angle is the motor angle minus the elongation, converted with the radii.
 
-    For two memories (10 ms) after a reversal the motor is ignored.
+    For 10 ms after a reversal (twice the memory of the motion), the motor angle is ignored.
     """
     parts = Parts(encoder=False, inertia=2e-4)
     parts.ask(1.0)

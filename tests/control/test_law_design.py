@@ -1,4 +1,4 @@
-"""Design of the law from model, bus and motor: durations, leads and gains, and the notes on its limits."""
+"""Test the design of the law from model, bus and motor: durations, leads and gains, and the notes on limits."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_without_an_inertia_it_is_slow_and_said() -> None:
 
 
 def test_the_limits_of_the_drive_make_it_longer() -> None:
-    """The limits are the friction term's rate and the torque for the motor's inertia."""
+    """The reversal takes longer if the torque rate or the torque for the motor's inertia would exceed its limit."""
     model = bent("uniform")
     slow = plan(model, inertia=INERTIA, rate=150.0)
     assert slow.turn > 8e-3
@@ -63,7 +63,10 @@ def test_the_limits_of_the_drive_make_it_longer() -> None:
 def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_limiter_lets_it(
     inertia: float, longer: bool
 ) -> None:
-    """The rate of the inertia torque, which acts in both directions, is at most three times the limiter's rate."""
+    """With all curvature at the joint, the rate of the inertia torque is at most three times the limiter's rate.
+
+    A heavy motor therefore needs a longer reversal.
+    """
     model = bent("joint_end")
     found = plan(model, inertia=inertia, rate=200.0, torque=10.0)
     half_loop = sliding(model).motor_half_loop
@@ -85,10 +88,13 @@ def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_
 def test_a_turn_never_needs_more_than_the_motor_speed_that_is_allowed(
     x: float, place: float, softness: float, speed: float, given_turn: float | None, inertia: float | None
 ) -> None:
-    """The check uses the largest step of the planned motion, for soft and stiff tendons and the whole half loop."""
+    """The largest step of the planned motion stays below 60 % of the motor speed limit.
+
+    This is tested for soft and stiff tendons and the full friction torque.
+    """
     model = dataclasses.replace(bent(((0.0, 0.0), (place, 0.0), (1.0, 1.0))), friction_coefficient=x / 2.6)
     model = dataclasses.replace(model, axial_stiffness=model.axial_stiffness / softness)
-    amplitude = sliding(model).motor_half_loop / motor_stiffness(model)  # rad of the motor, with all bends at the joint
+    amplitude = sliding(model).motor_half_loop / motor_stiffness(model)  # rad of the motor, all curvature at the joint
     found = plan(model, speed=speed, turn=given_turn, inertia=inertia)
     turn = Turn(found.front, found.turn, PERIOD)
     turn.reset(-1.0)
@@ -160,7 +166,7 @@ def test_no_margin_no_damping_and_that_is_said() -> None:
 
 
 def test_a_velocity_that_is_late_costs_margin() -> None:
-    """The delay of the drive's own filter is added to the command delay."""
+    """The delay of the drive's velocity filter is added to the command delay, which reduces the damping gain."""
     prompt, late = (plan(bent("uniform"), inertia=3e-5, delay=4e-3, late=late) for late in (0.0, 4e-3))
     assert late.damping < prompt.damping
 
@@ -183,7 +189,10 @@ def test_without_a_joint_encoder_nothing_is_foretold_or_damped() -> None:
 
 
 def test_reach_is_half_of_a_tendons_compliance_where_nothing_else_is_known() -> None:
-    """d/(2 r_J EA) with d = l/2 is the minimum. A smaller value would let a trembling torque reverse the tendon."""
+    """The minimum of the reach is d/(2 r_J EA) with d = l/2.
+
+    With a smaller value, a trembling torque would cause reversals.
+    """
     even = 0.5 * ACTUATOR.unstrained_length / ACTUATOR.axial_stiffness / (2.0 * ACTUATOR.joint_pulley_radius)
     assert plan(bent("uniform")).reach == plan(bent("joint_end")).reach == pytest.approx(even)
     assert plan(bent("motor_end")).reach == pytest.approx(2.0 * even)
@@ -199,7 +208,7 @@ def test_a_moving_joint_slips_by_no_stretch_that_lies_behind_all_bends() -> None
 
 @pytest.mark.parametrize(("lag", "extra"), [(None, 0.0), (3e-3, 0.0), (5e-3, 1.8e-3)])
 def test_what_the_loops_own_filter_makes_late_is_not_led(lag: float | None, extra: float) -> None:
-    """The law determines the joint's motion from angles, whereas the velocity in a log passed the filter."""
+    """The lead includes only the part of the velocity lag that exceeds the delay of the loop's own filter."""
     model = bent("uniform")
     late = model if lag is None else model.with_effects({**model.effects, "velocity_lag": {"time_constant": lag}})
     assert plan(late, filtered=3.2e-3).lead == pytest.approx(plan(model).lead + extra)

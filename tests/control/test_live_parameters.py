@@ -1,4 +1,4 @@
-"""Parameters that may be changed while the loop runs, and their bounds."""
+"""Test the parameters that may be changed while the loop runs, and their bounds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def machine_of(folder: Path, kind: str) -> Machine:
 
 @pytest.fixture(params=KINDS)
 def parameters(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Parameter, ...]]:
-    """Return the parameters of an axis with each kind of estimator."""
+    """Yield the parameters of an axis, for each kind of estimator."""
     machine = machine_of(tmp_path, request.param)
     yield parameters_of(machine.axis)
     machine.close()
@@ -46,7 +46,7 @@ def test_every_parameter_that_can_be_set_has_finite_bounds(parameters: tuple[Par
 
 
 def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -> None:
-    """Values that are not finite are rejected, and so is every value of a parameter without bounds."""
+    """Values that are not finite or outside the bounds are rejected, and any value of a parameter without bounds."""
     tuner = Tuner(parameters, 1e-3)
     before = [parameter.value for parameter in parameters]
     for index, parameter in enumerate(parameters):
@@ -67,7 +67,7 @@ def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> 
     for index, parameter in enumerate(parameters):
         if parameter.name == "direction_zone":  # never narrower than the encoder's noise
             continue
-        for value in (parameter.high, parameter.low):  # in this order: no value raises back_off
+        for value in (parameter.high, parameter.low):  # in this order, because back_off cannot be raised
             if value is not None:
                 tuner.set(index, value)
                 tuner.update()
@@ -75,7 +75,7 @@ def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> 
 
 
 def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
-    """The limit falls to zero within a quarter of a second, in steps that the torque can follow."""
+    """The torque limit falls to zero in small steps that take between 0.2 and 0.26 s."""
     index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
     tuner, before = Tuner(parameters, 1e-3), limit.value
     tuner.set(index, 0.0)
@@ -89,13 +89,14 @@ def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, .
 
 
 def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -> None:
-    """The upper bound of both is the file's value."""
+    """The upper bound of the torque limit and the rate limit is the file's value."""
     by_name = {parameter.name: parameter for parameter in parameters}
     for name in ("torque_limit", "rate_limit"):
         assert by_name[name].high == by_name[name].value
 
 
-# name: bounds and rate (unit/s); None: set by another kind. x = 0.26, T_p0 = 45 N, 2 N*m and 200 N*m/s in the file
+# (low, high, rate per s) by name; the bounds are None if the parameter cannot be set. The file has x = 0.26,
+# T_p0 = 45 N, a torque limit of 2 N*m and a rate limit of 200 N*m/s.
 ALWAYS = {
     "compensation": (0.0, 1.2, 0.5),
     "slew": (1.0, 10_000.0, math.inf),
@@ -142,9 +143,9 @@ def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> No
 def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     tmp_path: Path, name: str, factor: float
 ) -> None:
-    """Less friction is compensated less.
+    """A client can lower the friction torque that the law compensates, but not raise it above the file's value.
 
-    More friction is not proven by a client's value, so the file's value stays the bound.
+    A value of a client does not prove more friction.
     """
     machine = machine_of(tmp_path, "fixed")
     axis, law = machine.axis, machine.axis.law
@@ -153,7 +154,7 @@ def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     tuner, nominal = Tuner(parameters, 1e-3), law.half_loop
 
     def used() -> float:
-        """Return the half loop (N*m) of the law after one step of its inverse."""
+        """Return the friction torque (N*m) of the law after one step of its inverse model."""
         law._inverse.update(0.0, 1.0, 0.1)
         return law._inverse.half_loop()
 
@@ -173,7 +174,7 @@ def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
     assert used() == pytest.approx(friction, rel=2e-3)
     assert seen[-1] == pytest.approx(min(friction, nominal), rel=2e-3)
     assert max(seen) <= nominal * (1.0 + 1e-9)
-    assert max(abs(b - a) for a, b in itertools.pairwise(seen)) < 2e-3  # N*m per cycle: no step
+    assert max(abs(b - a) for a, b in itertools.pairwise(seen)) < 2e-3  # N*m per cycle, so there is no step
     machine.close()
 
 
@@ -210,11 +211,14 @@ def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Param
     assert values[200:] == [0.9, 0.9]
     setattr(gain.part, gain.attribute, 0.3)
     tuner.update()
-    assert gain.value == 0.3  # the change is complete and holds nothing any more
+    assert gain.value == 0.3  # the change is complete and keeps no value
 
 
 def test_the_value_before_the_first_cycle_is_unknown(tmp_path: Path) -> None:
-    """A smaller back-off is accepted as well, because no published value exists that it could exceed."""
+    """Before the first cycle, the answer contains None as the previous value.
+
+    A smaller back-off is accepted, because there is no published value to compare.
+    """
     machine = machine_of(tmp_path, "fixed")
     description = describe(machine.configuration, tuners_of(machine.axes, 1e-3))
     for name, value in (("compensation", 0.5), ("back_off", 0.5)):

@@ -1,6 +1,4 @@
-"""Velocity and acceleration of the joint from its angles: without delay, and with as little noise as the encoder
-allows.
-"""
+"""Test velocity and acceleration calculated from joint angles: no delay and the least possible noise."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ PERIOD = 1e-3
 
 
 def count(bits: int) -> float:
-    """Return the angle of one count, rad."""
+    """Return the angle of one encoder count, rad."""
     return 2.0 * math.pi / (1 << bits)
 
 
@@ -27,7 +25,7 @@ def fed(angles: np.ndarray, bits: int = 20) -> Motion:
 
 
 def test_a_steady_acceleration_is_followed_without_delay() -> None:
-    """For a parabola, velocity and acceleration are those at its end."""
+    """For a parabolic motion, velocity and acceleration equal the exact values at its end."""
     t = np.arange(0.0, 0.5, PERIOD)
     motion = fed(0.1 + 2.0 * t - 40.0 * t * t)
     assert motion.velocity == pytest.approx(2.0 - 80.0 * t[-1], abs=0.01)
@@ -48,7 +46,7 @@ def test_a_reversal_is_foretold() -> None:
 
 @pytest.mark.parametrize("bits", [12, 13, 14, 16, 17, 20])
 def test_standstill_on_the_edge_of_a_count_is_quieter_than_it_says(bits: int) -> None:
-    """For any pattern of one count up and down, the error is at most 1.5 times `noise`."""
+    """For a random pattern of one count up and down, the predicted velocity stays below 1.5 times `noise`."""
     motion = Motion(PERIOD, count(bits), 6e-3)
     worst = 0.0
     for edge in np.random.default_rng(bits).integers(0, 2, 20_000):
@@ -80,7 +78,7 @@ def test_before_two_angles_nothing_moves() -> None:
 
 
 def refined(angle: np.ndarray, motor: np.ndarray, bits: int = 12, turning: bool = False) -> np.ndarray:
-    """Return the refined angle (rad) of a joint with a coarse encoder, whose motor shows `motor`, (n,)."""
+    """Return the refined angle (rad) of a joint with a coarse encoder and the motor angle `motor`, (n,)."""
     joint = JointAngle(count(bits), PERIOD)
     readings = count(bits) * np.round(angle / count(bits))
     speeds = np.gradient(angle, PERIOD)
@@ -106,14 +104,14 @@ def test_while_the_friction_term_turns_the_velocity_carries_on() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_no_motor_takes_the_angle_from_the_encoders_count(seed: int) -> None:
-    """With a slipping tendon, the difference from the reading stays within `HALF` counts."""
+    """With a random motor angle, the refined angle stays within `HALF` counts of the encoder reading."""
     wild = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-2, SWING.size))
     readings = count(12) * np.round(SWING / count(12))
     assert np.abs(refined(SWING, wild) - readings).max() <= HALF * count(12) + 1e-12
 
 
 def test_a_joint_at_rest_does_not_follow_the_motor() -> None:
-    """The motor elongates the tendons of a locked joint by several counts."""
+    """The refined angle of a locked joint stays constant while the motor elongates the tendons by several counts."""
     angle = np.zeros(1000)
     found = refined(angle, np.linspace(0.0, 5.0 * count(12), 1000))
     assert np.ptp(found[50:]) == 0.0

@@ -1,4 +1,4 @@
-"""Propagation of a reversal into the sheath, compared with independent calculations."""
+"""Compare the propagation of a reversal into the sheath with independent calculations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
 @pytest.mark.parametrize("points", [*NAMED.values(), S_BENT], ids=str)
 @pytest.mark.parametrize("p", [0.0, 0.2, 0.5, 0.77, 1.0])
 def test_table_is_the_integral(points: Points, p: float) -> None:
-    """The reference of S(p) is the midpoint rule on a fine grid."""
+    """The table of S(p) agrees with an integral by the midpoint rule on a fine grid."""
     u = (np.arange(200_000) + 0.5) / 200_000
     places, shares = np.array(points).T
     b = np.interp(u, places + 1e-9 * np.arange(places.size), shares)
@@ -28,7 +28,7 @@ def test_table_is_the_integral(points: Points, p: float) -> None:
 
 
 def test_named_shapes() -> None:
-    """The centres of curvature are at a half, the whole and the beginning of the length."""
+    """The centres of curvature of the profiles uniform, joint_end and motor_end are at 0.5, 1 and 0 of the length."""
     uniform, joint, motor = (Front(NAMED[name]) for name in ("uniform", "joint_end", "motor_end"))
     assert (uniform.centre, joint.centre, motor.centre) == pytest.approx((0.5, 1.0, 0.0))
     assert sum(uniform.lengths(16)) == pytest.approx(1.0)
@@ -47,7 +47,7 @@ def test_depth_undoes_the_table(p: float) -> None:
 
 @pytest.mark.parametrize("at_joint", [False, True])
 def test_a_series_spring_is_length_without_bends(at_joint: bool) -> None:
-    """Its place decides its side of the centre: compliance that is not on the joint's side is on the motor's."""
+    """A series spring adds straight length on its side, so the centre is 1 minus the joint-side share of compliance."""
     model = dataclasses.replace(
         actuator().with_effects({"elongation_coupling": {"curvature_profile": S_BENT}}),
         series_stiffness=2e4,

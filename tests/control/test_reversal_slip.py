@@ -1,8 +1,8 @@
-"""Slip fronts of a joint at rest, compared with two tendons whose tensions are stored point by point.
+"""Compare the slip fronts of a joint at rest with two tendons whose tensions are stored point by point.
 
-In the reference, the tension of a tendon loaded by the motor is max(old, T1 e^(-phi)), and that of a released tendon
-is min(old, T3 e^(+phi)). phi is the friction angle from the motor. Both elongate by the motion of the motor. No code of
-the package is used for it.
+In the reference, the tension of a tendon loaded by the motor is max(old, T1 e^(-phi)). The tension of a released tendon
+is min(old, T3 e^(+phi)). phi is the friction angle, counted from the motor. The motor's motion elongates one tendon and
+releases the other by the same length. The reference uses no code of the package.
 """
 
 from __future__ import annotations
@@ -22,7 +22,10 @@ SHAPES: dict[str, Points] = {**NAMED, "S": S_BENT}
 
 
 class Held:
-    """Both tendons along their length. The joint is locked and slid in direction 1 before; elongations are in l/EA."""
+    """Tensions of both tendons along their length. The joint is locked after sliding in direction 1.
+
+    Elongations are in units of l/EA.
+    """
 
     def __init__(self, points: Points, tau_j: float) -> None:
         u = (np.arange(4000) + 0.5) / 4000
@@ -56,7 +59,7 @@ class Held:
         return t3, min(self.ends[1], t3 * math.exp(X))
 
     def motor_torque(self, tau_j: float) -> float:
-        """Return the motor torque at which the joint torque has just fallen to `tau_j` while the motor moves back."""
+        """Return the motor torque at which the joint torque falls to `tau_j` while the motor moves back."""
 
         def at(moved: float) -> tuple[float, float]:
             (t1, t2), (t3, t4) = self._end("a", moved), self._end("b", moved)
@@ -86,7 +89,7 @@ STIFFNESS = 40.0  # N*m/rad at the motor
 
 
 class Reversed:
-    """Slip fronts after a stroke in direction 1 to a joint torque, with a complete reversal of the friction term."""
+    """Slip fronts after a stroke to the joint torque `tau_j` and a reversal of the friction term."""
 
     def __init__(self, points: Points, tau_j: float, sign: float = 1.0) -> None:
         front = Front(points)
@@ -105,7 +108,7 @@ class Reversed:
 @pytest.mark.parametrize("tau_j", [-0.8, -0.3, 0.2, 0.5, 0.8])
 @pytest.mark.parametrize("further", [1e-3, 0.02, 0.05])
 def test_torque_is_that_of_the_tendons(shape: str, tau_j: float, further: float) -> None:
-    """The fronts and the difference to the sliding inverse agree within 3 mN*m."""
+    """The torque of the slip fronts agrees with the reference, relative to sliding tendons, within 3 mN*m."""
     held, found = Held(SHAPES[shape], tau_j), Reversed(SHAPES[shape], tau_j)
     expected = held.motor_torque(tau_j - further) - held.slid(tau_j - further)
     assert found.torque(tau_j - further) == pytest.approx(expected, abs=0.003)
@@ -118,7 +121,7 @@ def test_mirrored(shape: str) -> None:
 
 
 def test_ends_when_the_other_front_is_through() -> None:
-    """From there on the whole tendon slides, and the inverse alone is right."""
+    """When the second front reaches its end, the whole tendon slides and the torque of the fronts is 0."""
     found = Reversed(SHAPES["uniform"], 0.5)
     torques = [found.torque(float(tau)) for tau in np.arange(0.5, 0.2, -1e-3)]
     assert torques[-1] == 0.0
@@ -142,7 +145,10 @@ def test_a_release_by_parts_takes_away_its_share() -> None:
 
 
 def test_a_closed_inner_stroke_leaves_no_trace() -> None:
-    """Return-point memory: back at the reversal, the large stroke continues as if the small one had not occurred."""
+    """After a small closed stroke, the large stroke continues as if the small one had not occurred.
+
+    This is return-point memory.
+    """
     found, alone = Reversed(SHAPES["uniform"], 0.8), Reversed(SHAPES["uniform"], 0.8)
     for sign, tau_j in ((1.0, 0.79), (-1.0, 0.792)):
         t1, t3 = found.slip._ends(tau_j / R_J)
@@ -153,7 +159,7 @@ def test_a_closed_inner_stroke_leaves_no_trace() -> None:
 
 @pytest.mark.parametrize(("x", "pretension"), [(0.0, T_P), (X, 5.0)])
 def test_what_has_no_fronts_begins_nothing(x: float, pretension: float) -> None:
-    """There is no friction, or a tendon is slack."""
+    """Without friction or with a slack tendon, the torque of the fronts is 0."""
     front = Front(SHAPES["uniform"])
     found, turn = Slip(front, R_M, R_J, STIFFNESS, 1e-3), Turn(front, 8e-3, 1e-3)
     found.slide(1.0)

@@ -1,4 +1,4 @@
-"""A planned reversal is smooth, takes its duration, ends at rest, and can be restarted at any time."""
+"""Test that a planned reversal is smooth, takes its duration, ends at rest, and can be restarted at any time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PERIOD, DURATION = 1e-4, 8e-3
 
 
 def turned(name: str = "uniform", age: float = 0.0) -> np.ndarray:
-    """Return force, stretch and bend (100,) of a reversal from 1 to -1, one value per period."""
+    """Return `force`, `stretch` and `bend` of a reversal from 1 to -1 for 100 periods, (3, 100)."""
     turn = Turn(Front(NAMED[name]), DURATION, PERIOD)
     turn.reset(1.0)
     rows = []
@@ -40,7 +40,7 @@ def test_bend_is_the_second_derivative_of_the_stretch(name: str) -> None:
 
 
 def test_evenly_bent_half_of_the_torque_is_a_quarter_of_the_way() -> None:
-    """The front has passed half of the bends when the motor has moved by a quarter of its travel."""
+    """With even curvature, half of the torque has reversed when the motor has moved by a quarter of its travel."""
     force, stretch, _ = turned()
     at_half = np.interp(0.5, (1.0 - force) / 2.0, (1.0 - stretch) / 2.0)
     assert at_half == pytest.approx(0.25, abs=0.01)
@@ -52,7 +52,7 @@ def test_an_older_turn_is_as_far_as_if_it_had_begun_earlier() -> None:
 
 
 def test_turns_add_up() -> None:
-    """A reversal that is called back half way ends where it began, without a jump or an overshoot."""
+    """A reversal that is cancelled half way ends at its initial value, without a jump or an overshoot."""
     turn = Turn(Front(NAMED["uniform"]), DURATION, PERIOD)
     turn.reset(1.0)
     forces = []

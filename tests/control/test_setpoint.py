@@ -1,4 +1,4 @@
-"""Set-points: waveforms, files, and socket values that expire."""
+"""Test set-points: waveforms, files, and socket values that expire."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ PERIOD = 1e-3
     ],
 )
 def test_waveform(settings: dict[str, Any], t: float, value: float) -> None:
-    """Each kind has its textbook value."""
+    """Each kind of waveform has the value of its formula."""
     assert waveform(SetPointSettings(**settings))(t) == pytest.approx(value)
 
 
 def test_chirp_ends_at_its_end_frequency() -> None:
-    """The phase of a linear chirp advances by the mean frequency times its duration."""
+    """A chirp from 1 to 5 Hz has 30 periods in 10 s, its mean frequency times its duration."""
     chirp = waveform(SetPointSettings(kind="chirp", amplitude=1.0, frequency=1.0, end_frequency=5.0, duration=10.0))
     crossings = sum(chirp(0.001 * n) < 0.0 <= chirp(0.001 * (n + 1)) for n in range(9999))
     assert crossings == pytest.approx(30, abs=1)
@@ -58,7 +58,7 @@ def test_gain_scales_the_source() -> None:
 
 
 class TestTheFuture:
-    """A source is a function of time, so future set-points are known and are limited in the same way."""
+    """Tests of future set-points, which are known because a source is a function of time."""
 
     SINE = SetPointSettings(kind="sine", amplitude=0.5, frequency=2.0, rate=1e4)
 
@@ -81,7 +81,7 @@ class TestTheFuture:
         assert values[-1] == (1.0, 1.0)
 
     def test_lost_cycles_are_skipped(self) -> None:
-        """After a gap, the set-point is that of the current time, even if the gap exceeds the known future."""
+        """After a gap, the set-point is the one for the current time, even if the gap exceeds the known future."""
         set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
         source = waveform(self.SINE)
         for t in (0.0, 0.001, 0.004, 0.0052, 0.006, 0.05, 0.051):
@@ -89,7 +89,7 @@ class TestTheFuture:
             assert found == pytest.approx(source(t), abs=5e-3)
 
     def test_late_and_early_cycles_keep_the_pace(self) -> None:
-        """With jitter of up to 0.3 periods, no value is repeated or skipped on average."""
+        """With a jitter of 0.3 periods, each cycle gets the value for its nominal time."""
         set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
         source = waveform(self.SINE)
         for n in range(2000):
@@ -97,7 +97,7 @@ class TestTheFuture:
             assert set_point.update(t) == pytest.approx(source(n * PERIOD), abs=8e-3)
 
     def test_the_socket_has_no_future(self) -> None:
-        """A received value acts at once, and its future equals its present."""
+        """A received value is active immediately, and the future values are equal to it."""
         set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD, delay=2e-3, lead=5e-3, horizon=10e-3)
         set_point.receive(0.5, 0.0)
         assert set_point.update(0.001) == 0.5
@@ -117,7 +117,7 @@ def write(path: Path, text: str) -> Path:
 
 
 def test_file_is_interpolated(tmp_path: Path) -> None:
-    """Values are interpolated between rows. Other columns are ignored, and time is relative to the first row."""
+    """Values are interpolated between rows. Other columns are ignored, and the time starts at the first row."""
     write(tmp_path / "gait.csv", "t,x,tau_j_des\n5.0,a,0.0\n5.5,b,1.0\n6.0,c,0.0\n")
     source = waveform(SetPointSettings(kind="file", file="gait.csv"), tmp_path)
     assert [source(t) for t in (0.0, 0.25, 0.5, 0.75)] == pytest.approx([0.0, 0.5, 1.0, 0.5])
@@ -146,7 +146,7 @@ def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
     ],
 )
 def test_bad_file_is_one_line(tmp_path: Path, text: str, words: str) -> None:
-    """The error states the file, the column or row, and the allowed values."""
+    """The error has one line and contains the file name and the problem."""
     with pytest.raises(UsageError, match=words) as caught:
         read_file(write(tmp_path / "bad.csv", text))
     assert "bad.csv" in str(caught.value)
@@ -160,7 +160,7 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 
 
 def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
-    """A received value is used for `timeout`, and then it ramps to 0 at the rate."""
+    """A received value is active for `timeout` and then ramps to 0 at `rate`."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.1, rate=100.0), PERIOD)
     set_point.receive(1.0, 0.0)
     values = [set_point.update(PERIOD * n) for n in range(200)]
@@ -175,7 +175,7 @@ def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
     [(math.nan, 0.05), (math.inf, 0.05), (0.5, -1e-9), (0.5, math.nan), (0.5, -math.inf), (0.5, -0.1)],
 )
 def test_what_is_no_number_or_from_before_the_enable_ends_what_was_wanted(value: float, t: float) -> None:
-    """An invalid or outdated value also replaces the valid value before it."""
+    """An invalid value, or one from before the enable, ends the valid value before it."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=1.0, rate=1e4), PERIOD)
     set_point.receive(1.0, 0.0)
     assert set_point.update(0.01) == 1.0
@@ -185,7 +185,7 @@ def test_what_is_no_number_or_from_before_the_enable_ends_what_was_wanted(value:
 
 
 def test_the_time_of_a_socket_value_is_its_clients() -> None:
-    """A value that arrives 0.15 s late acts for the remaining 0.05 s of its 0.2 s."""
+    """A value that arrives 0.15 s late is active for the remaining 0.05 s of its timeout of 0.2 s."""
     set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.2, rate=1e4), PERIOD)
     set_point.receive(1.0, 0.10)
     assert set_point.update(0.25) == 1.0
@@ -194,7 +194,7 @@ def test_the_time_of_a_socket_value_is_its_clients() -> None:
 
 
 def test_reset_forgets_what_was_received() -> None:
-    """An old value does not act after a disable."""
+    """A received value is discarded by a reset."""
     set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD)
     set_point.receive(1.0, 0.0)
     set_point.update(0.0)
@@ -278,7 +278,7 @@ def test_every_waveform_is_what_its_settings_say_at_any_time() -> None:
     chirp = waveform(
         SetPointSettings(kind="chirp", offset=0.2, amplitude=0.5, frequency=0.5, end_frequency=2.5, duration=4.0)
     )
-    phases = [math.tau * (0.5 * (t % 4.0) + 0.25 * (t % 4.0) ** 2) for t in times]  # 0.5 Hz more in each second
+    phases = [math.tau * (0.5 * (t % 4.0) + 0.25 * (t % 4.0) ** 2) for t in times]  # rises by 0.5 Hz per s
     assert [chirp(t) for t in times] == pytest.approx([0.2 + 0.5 * math.sin(phase) for phase in phases])
     step = waveform(SetPointSettings(kind="step", offset=0.2, amplitude=0.5, at=1.0))
     assert [step(t) for t in (0.0, 0.999, 1.0, 5.0)] == [0.2, 0.2, 0.7, 0.7]
@@ -304,7 +304,7 @@ def test_a_file_may_say_as_much_as_a_setting(tmp_path: Path) -> None:
 
 
 def test_a_socket_value_counts_for_its_timeout_to_the_last_bit_and_the_rate_is_its_slope() -> None:
-    set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.25, rate=100.0), 0.125)  # 12.5 N*m a period
+    set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.25, rate=100.0), 0.125)  # 12.5 N*m per period
     set_point.receive(20.0, 0.0)
     assert [set_point.update(t) for t in (0.0, 0.125)] == [12.5, 20.0]
     assert (set_point.rate, set_point.silent) == (60.0, False)
@@ -327,7 +327,10 @@ def test_a_rate_that_is_reached_exactly_is_no_jump() -> None:
 
 
 def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() -> None:
-    """The source is a ramp of 1 N*m/s with a period of an eighth of a second."""
+    """The known future covers the longest of delay, lead and horizon.
+
+    The source is a ramp of 1 N*m/s, and the period is an eighth of a second.
+    """
     for times in ({"delay": 0.5}, {"lead": 0.5}, {"horizon": 0.5}):
         set_point = SetPoint(SetPointSettings(kind="chirp", offset=0.0, rate=1.0), 0.125, **times)
         set_point._source = lambda t: t  # type: ignore[assignment]
@@ -340,7 +343,7 @@ def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() ->
 
 
 def ramp(**times: float) -> SetPoint:
-    """Return a ramp of 1 N*m/s with a period of an eighth of a second."""
+    """Return a set-point that is a ramp of 1 N*m/s with a period of an eighth of a second."""
     source: Source = lambda t: t  # noqa: E731
     set_point = SetPoint(SetPointSettings(rate=1.0), 0.125, **times)
     set_point._source = source
@@ -357,7 +360,10 @@ def test_between_two_periods_the_future_is_on_the_line_between() -> None:
 
 @pytest.mark.parametrize(("late", "periods"), [(0.45, 1), (0.5, 1), (0.55, 2), (4.3, 5), (5.3, 6), (5.55, 6.55)])
 def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(late: float, periods: float) -> None:
-    """A delay beyond the known future restarts the set-point at the current time."""
+    """A cycle gets its own value if it is late by up to half a period, and otherwise the value of the next period.
+
+    Lateness beyond the known future restarts the set-point at the current time.
+    """
     set_point = ramp(delay=0.5)
     set_point.update(0.125)
     assert set_point.update(0.125 * (1.0 + late)) == pytest.approx(0.125 * periods)
@@ -387,7 +393,10 @@ def test_after_a_gap_the_limited_set_point_goes_on_from_what_was_known(gap: int)
 
 @pytest.mark.slow
 def test_a_set_point_from_a_file_maps_no_memory_that_a_lock_would_fill(tmp_path: Path) -> None:
-    """The daemon locks its mapped memory. The arena of a table reader would take 1 GB from the actuator PC."""
+    """Reading a set-point file maps no writable memory range of 256 MiB or more.
+
+    The daemon locks its memory, and the arena of a table reader would occupy 1 GB.
+    """
     path = tmp_path / "motion.csv"
     path.write_text("t,tau_j_des\n0,0\n1,0.5\n")
     code = "import sys; from tsa_ctrl.control.setpoint import read_file; read_file(sys.argv[1])"

@@ -1,4 +1,4 @@
-"""The estimator kind "stretch": its use of the observer's results, and its response to an increased wrap angle."""
+"""Test the estimator kind "stretch": its use of the observer, and its response to an increased wrap angle."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def estimator(seen: Seen, **settings: Any) -> StretchEstimator:
 
 
 def run(chosen: StretchEstimator, seconds: float, admit: bool = True, turns: float = 0.2) -> None:
-    """Run the estimator while the joint moves to and fro, each way for `turns` s."""
+    """Run the estimator while the joint moves back and forth, for `turns` s in each direction."""
     for cycle in range(round(seconds / PERIOD)):
         way = 1.0 if cycle * PERIOD % (2.0 * turns) < turns else -1.0
         chosen.update(Sample(way, way, math.nan, 0.0, math.nan, admit))
 
 
 def test_the_product_goes_where_the_user_says() -> None:
-    """If the pretension is assumed to change, 30 % more half loop is 30 % more pretension."""
+    """If changes are attributed to the pretension, 30 % more friction torque results in 30 % more pretension."""
     chosen = estimator(Seen(friction_angle=math.asinh(1.3 * math.sinh(X))), attribute=Attribution.PRETENSION)
     run(chosen, 5.0)
     assert chosen.state is EstimateState.ESTIMATED
@@ -54,13 +54,16 @@ def test_the_product_goes_where_the_user_says() -> None:
 
 
 def half_loop(chosen: StretchEstimator) -> float:
-    """Return the half loop relative to the model file's."""
+    """Return the friction torque divided by the model file's value."""
     return chosen.pretension * math.sinh(chosen.friction_angle) / (TENSION * math.sinh(X))
 
 
 @pytest.mark.parametrize("factor", [1.3, 0.7])
 def test_one_way_alone_shows_less_friction_but_not_more(factor: float) -> None:
-    """If a joint moves in one direction for seconds, a torque error looks like friction."""
+    """During a long motion in one direction, the estimate decreases but does not rise above the file's value.
+
+    A torque error cannot be distinguished from friction in this case.
+    """
     chosen = estimator(Seen(factor * X))
     run(chosen, 5.0, turns=10.0)
     assert chosen.state is EstimateState.ESTIMATED
@@ -69,9 +72,9 @@ def test_one_way_alone_shows_less_friction_but_not_more(factor: float) -> None:
 
 
 def test_of_two_ways_the_lesser_counts_beyond_the_file() -> None:
-    """The friction is 40 % higher in one direction and 20 % in the other: the estimate exceeds the lower value by 5 %.
+    """With 40 % more friction in one direction and 20 % in the other, the estimate exceeds the lower value by 5 %.
 
-    It reaches 40 % once both directions show it for 0.1 s.
+    With 40 % in both directions it reaches 40 %.
     """
     seen = Seen()
     chosen = estimator(seen, bounds=1.0)
@@ -121,7 +124,10 @@ def test_what_is_not_known_moves_nothing(seen: Seen) -> None:
     ids=["bounds", "residual", "stiffness"],
 )
 def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
-    """The outputs return to the model file's values."""
+    """A value beyond the bounds, a large residual or a stiffness at its bound makes the estimate invalid.
+
+    The friction angle then returns to the model file's value.
+    """
     chosen = estimator(Seen(1.2 * X))
     run(chosen, 2.0)
     assert chosen.friction_angle > 1.05 * X
@@ -133,7 +139,7 @@ def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
 
 @pytest.mark.parametrize("wrong", [Seen(0.2 * X), Seen(0.7 * X, innovation=1e-3)], ids=["bounds", "residual"])
 def test_what_is_invalid_does_not_raise_what_is_compensated(wrong: Seen) -> None:
-    """An estimate with 30 % less friction becomes invalid. The file's friction, which may be wrong, is not restored."""
+    """An estimate of less friction is kept when it becomes invalid, because the file's friction may be too high."""
     chosen = estimator(Seen(0.7 * X))
     run(chosen, 2.0)
     before = half_loop(chosen)
@@ -145,7 +151,7 @@ def test_what_is_invalid_does_not_raise_what_is_compensated(wrong: Seen) -> None
 
 
 def test_a_torque_sensor_that_contradicts_makes_it_invalid() -> None:
-    """It is unknown which of the two is wrong, so the model file's values are used again."""
+    """If the torque sensor contradicts the estimate, either may be wrong, so the model file's value is used again."""
     wrong = [False]
     settings = EstimatorSettings(kind="stretch", use=True)
     seen = cast(StretchObserver, Seen(1.2 * X))
@@ -177,12 +183,10 @@ def late_error(folder: Path, kind: str, load: str, setpoint: dict[str, Any]) -> 
 
 
 @pytest.mark.slow
-# with each change, the elongation is tested below and the sensor in tests/daemon/test_bending_change.py
+# Each change runs the test of the elongation below and of the sensor in tests/daemon/test_bending_change.py.
 @pytest.mark.soak
 def test_a_bending_change_is_followed_as_well_as_by_a_torque_sensor(tmp_path: Path) -> None:
-    """Friction and pretension rise by 40 % and 80 %. The change is detected within seconds without a joint torque
-    sensor.
-    """
+    """With a wrap angle that rises by 40 %, the error without a torque sensor is at most 1.5 times the one with it."""
     by_sensor = late_error(tmp_path / "sensor", "sensor", "imposed", GAIT)
     by_stretch = late_error(tmp_path / "stretch", "stretch", "imposed", GAIT)
     assert by_stretch <= 1.5 * by_sensor

@@ -1,4 +1,4 @@
-"""The estimator kind "tension" with load cells at the motor end that are right, absent, stuck or drifting."""
+"""Test the estimator kind "tension" with load cells at the motor that are correct, absent, stuck or drifting."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Cells = Callable[[float, float, float], tuple[float, float]]  # (t, true t1, tru
 
 @dataclass(frozen=True)
 class Run:
-    """A gait on distributed tendons, (n,) each. The tensions are those of the plant."""
+    """The log of a gait on distributed tendons and the tensions of the plant (N), (n,) each."""
 
     log: dict[str, NDArray[np.float64]]
     t1: NDArray[np.float64]
@@ -53,7 +53,7 @@ def slack(tmp_path_factory: pytest.TempPathFactory) -> Run:
 def follow(run: Run, read: Cells = lambda t, t1, t3: (t1, t3), **settings: object) -> TensionEstimator:
     """Return an estimator that processed the run.
 
-    The cells have noise and counts and deliver 100 values per second. Each value is held until the next.
+    The load cells have noise and a resolution and deliver 100 values per second. Each value is held until the next.
     """
     chosen = TensionEstimator(NOMINAL, EstimatorSettings(kind="tension", use=True, **settings), PERIOD)  # type: ignore[arg-type]
     log, random = run.log, np.random.default_rng(3)
@@ -79,7 +79,10 @@ def test_a_tensioner_that_gave_way_is_found_within_2_percent(slack: Run) -> None
 
 @pytest.mark.slow
 def test_a_sheath_that_is_straighter_has_less_of_both(slack: Run) -> None:
-    """By (3.56), 11.25 N correspond to 11.25/35 rad of the 2.6 rad."""
+    """A loss of 11.25 N pretension, attributed to the wrap angle, also reduces the friction angle.
+
+    By (3.56) the wrap angle of 2.6 rad falls by 11.25/35 rad.
+    """
     chosen = follow(slack, attribute=Attribution.BENDING)
     straighter = 1.0 - 0.25 * TENSION / NOMINAL.pretension_slope / NOMINAL.bending_angle
     assert chosen.pretension == pytest.approx(0.75 * TENSION, rel=0.02)

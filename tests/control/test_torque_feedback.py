@@ -1,4 +1,4 @@
-"""The correction by the torque sensor on a locked and on a moving joint, with a play operator for the tendons."""
+"""Test the correction by the torque sensor on a locked and on a moving joint, with tendons as a play operator."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from tsa_ctrl.control.torque_feedback import LESS, MORE, TorqueFeedback
 
 PERIOD = 1e-3
 RATIO = 0.8  # r_M/r_J
-LOOP = 0.5  # N*m at the motor, friction by the file
-TURN = 0.02  # s of a reversal
-STROKE = 1.0  # s between two reversals
+LOOP = 0.5  # N*m at the motor, friction torque of the file
+TURN = 0.02  # s, duration of a reversal
+STROKE = 1.0  # s, time between two reversals
 
 
 class Rig:
-    """A feedforward of `LOOP` on tendons with `true` times this friction, whose motor adds `offset` N*m."""
+    """A feedforward of `LOOP` on tendons with `true` times this friction. The motor adds `offset` (N*m)."""
 
     def __init__(self, true: float, offset: float = 0.0, bandwidth: float = 3.0, most: float = MORE) -> None:
         self.feedback = TorqueFeedback(bandwidth, RATIO, PERIOD)
         self.true, self.offset, self.most = true * LOOP, offset, most * LOOP
-        self.delivered = 0.0  # N*m at the motor's side
-        self.raised: list[float] = []  # N*m, by which the correction raised the friction term in each cycle
+        self.delivered = 0.0  # N*m, converted to the motor
+        self.raised: list[float] = []  # N*m, increase of the friction term by the correction in each cycle
 
     def run(self, seconds: float, amplitude: float, moving: bool, noise: float = 0.0) -> np.ndarray:
-        """Return the error of the joint torque, N*m, over time; a reversal begins every `STROKE`."""
+        """Return the error of the joint torque (N*m) over time. A reversal begins every `STROKE` seconds."""
         rng = np.random.default_rng(3)
         errors = []
         for n in range(round(seconds / PERIOD)):
@@ -42,7 +42,7 @@ class Rig:
             pull = command + self.offset
             if moving:
                 self.delivered = pull - way * self.true
-            else:  # sticking tendons follow the motor only beyond their friction
+            else:  # sticking tendons follow the motor only if their friction is exceeded
                 self.delivered = min(max(self.delivered, pull - self.true), pull + self.true)
             error = self.delivered / RATIO - wanted
             errors.append(error)
@@ -63,7 +63,7 @@ def last(errors: np.ndarray) -> float:
 @pytest.mark.parametrize("true", [0.85, 0.93, 1.04, 1.08])
 @pytest.mark.parametrize("offset", [-0.01, 0.0, 0.01])
 def test_a_small_signal_arrives_at_a_locked_joint(true: float, offset: float) -> None:
-    """Without the sensor, the error of the friction exceeds the signal itself at reversals."""
+    """For a small set-point of 0.02 N*m, the correction reduces the error to less than half or below 7 mN*m."""
     without = last(Rig(true, offset, bandwidth=0.0).run(12.0, 0.02, False))
     assert last(Rig(true, offset).run(12.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
 
@@ -118,7 +118,7 @@ def test_a_correction_belongs_to_its_direction() -> None:
 @pytest.mark.parametrize("offset", [0.0, 0.01])
 @pytest.mark.parametrize("true", [0.8, 0.95])
 def test_a_fade_in_ends_at_the_friction_of_a_locked_joint(true: float, offset: float) -> None:
-    """The file's friction is too large. Without the sensor, the fade-in delivers the excess, which then persists."""
+    """If the file's friction is too large, the fade-in overshoots. The correction reduces this by more than 70 %."""
 
     def overshoot(bandwidth: float) -> float:
         feedback, rng, delivered = TorqueFeedback(bandwidth, RATIO, PERIOD), np.random.default_rng(5), 0.0

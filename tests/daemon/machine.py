@@ -1,4 +1,4 @@
-"""A loop on a fake bus: hand-made nodes that follow CiA 402, and a clock that moves only when told."""
+"""A loop on a fake bus with simple CiA 402 nodes and a simulated clock."""
 
 from __future__ import annotations
 
@@ -33,20 +33,23 @@ WALK = {  # statusword after a controlword, by state
 }
 MOST_CYCLES = 20_000
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
-HERE = "# Sensors on serial lines that send"  # where the example speaks of them
+HERE = "# Sensors on serial lines that send"  # heading of this section in the example file
 CELLS = "".join(f'[[axis.serial]]\nquantity = "{name}"\nport = "/dev/{name}"\n\n' for name in ("t1", "t3"))
 WITH_CELLS = (HERE, CELLS + HERE)
-BARE = ("# compensation = 0.95", "compensation = 0.0")  # a motor gets r_M/r_J of it, whatever the friction
-TICK = 2e-5  # s that the clock moves with each look at it
+BARE = ("# compensation = 0.95", "compensation = 0.0")  # motor torque is r_M/r_J times the set-point
+TICK = 2e-5  # s by which the clock advances at each reading
 
 
 class Drive(Responder):
-    """Drive 1, encoder 32, sensor 64 of one axis; the drive obeys its controlword and delivers the torque at once."""
+    """Drive 1, encoder 32 and sensor 64 of one axis.
+
+    The drive follows its controlword and delivers the commanded torque immediately.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.statusword = SWITCH_ON_DISABLED
-        self.commands: list[tuple[int, int]] = []  # controlword, target torque in per mille
+        self.commands: list[tuple[int, int]] = []  # (controlword, target torque in per mille)
         self.beats = 0
         self.at_sync: dict[int, Callable[[], None]] = {}
         self.extra: list[Frame] = []
@@ -80,7 +83,7 @@ class Drive(Responder):
         self.torque = target if self.statusword == ENABLED else 0
 
     def fail(self) -> None:
-        """Into fault by itself, with an EMCY."""
+        """Enter the fault state and send an emergency message."""
         self.statusword, self.error_code = FAULT, 0x2310
         self.extra.append((0x081, struct.pack("<HB5x", 0x2310, 0x02)))
 
@@ -90,7 +93,7 @@ class Drive(Responder):
 
 
 class Machine:
-    """Everything but processes: configuration, rig, axes, loop, and shared memory."""
+    """All parts of a daemon without its processes: configuration, rig, axes, loop and shared memory."""
 
     def __init__(self, folder: Path, *edits: tuple[str, str], drive: Drive | None = None) -> None:
         for name in ("controller.toml", "actuator.toml"):
@@ -128,12 +131,12 @@ class Machine:
         self.rig.start()
 
     def _now(self) -> int:
-        """The loop's clock: the bus' one, and each look costs `TICK`."""
+        """Return the bus time for the loop (ns). Each call advances it by `TICK`."""
         self.bus.clock.now += TICK
         return round(self.bus.clock.now * 1e9)
 
     def wake_late(self, cycle: int, seconds: float) -> None:
-        """Let one wait last too long."""
+        """Make the wait of the given cycle end too late by `seconds`."""
         wait, waits = self.rig.wait, itertools.count(1)
         self.rig.wait = lambda until: wait(until + (seconds if next(waits) == cycle else 0.0))  # type: ignore[method-assign]
 
@@ -141,7 +144,7 @@ class Machine:
         self.loop.run(seconds)
 
     def records(self) -> dict[str, list[float]]:
-        """What was logged, by column."""
+        """Return the logged values by column name."""
         rows = RingReader(self.ring.fd).read(0)
         return {name: rows[:, n].tolist() for n, name in enumerate(FIELD_NAMES)}
 

@@ -1,4 +1,4 @@
-"""A real socket server process for tests, with a mailbox whose loop the test plays."""
+"""A real socket server process for tests. The test takes the place of the loop at the mailbox."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ QUARTERS = AxisStatus(*(0.25 for _ in AxisStatus._fields))._replace(
 
 
 class Serving:
-    """The server's process and the loop's end of the mailbox."""
+    """The process of the server, and the loop's end of the mailbox."""
 
     _said = ""
 
@@ -78,19 +78,19 @@ class Serving:
         self.ready = self.greeting == READY
 
     def publish(self, phase: LoopPhase) -> None:
-        """Write a status in this phase."""
+        """Publish a status with this phase."""
         general = General(time=time.monotonic(), phase=float(phase.value), cycles=7.0)
         axis = QUARTERS._replace(tau_j=float("nan"), tau_j_model=float("nan"))
         self.mailbox.publish(general, [(axis, (0.95, 45.0)) for _ in self._axes])
 
     @property
     def worker(self) -> int:
-        """The process that answers; the other one keeps it."""
+        """Return the id of the process that answers requests. `process` is its supervisor."""
         (child,) = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text("ascii").split()
         return int(child)
 
     def end(self) -> str:
-        """Close its stdin, as the end of the daemon would, and return its stderr."""
+        """Close the server's stdin, as at the end of the daemon, and return its stderr."""
         if self.process.returncode is None:
             self._said = self.process.communicate(timeout=PATIENCE)[1].decode()
             self.mailbox.close()
@@ -98,7 +98,7 @@ class Serving:
 
 
 def until(condition: Callable[[], bool]) -> bool:
-    """Poll with a deadline."""
+    """Return True once the condition is true, or False after `PATIENCE` seconds."""
     end = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > end:

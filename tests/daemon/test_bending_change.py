@@ -1,4 +1,4 @@
-"""A sheath that is bent 40 % more during a run: two joints on one bus, of which one's controller follows the change."""
+"""Test two joints on one bus whose wrap angle increases by 40 % during a run. One axis estimates the change."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.simulation import simulate_loop
 
-RATE = 400.0  # Hz, of two axes
+RATE = 400.0  # Hz, loop rate of both axes
 SECONDS = 9.0
-BENDING = [[0.0, 1.0], [2.5, 1.0], [3.5, 1.4]]  # s since the enable, factor
-JUDGED = 6.5  # s: from here the estimate has had its time
-AXIAL_STIFFNESS = 20e3  # N: the pretension rises by a quarter with the longer path
+BENDING = [[0.0, 1.0], [2.5, 1.0], [3.5, 1.4]]  # (s since the enable, factor of the wrap angle)
+JUDGED = 6.5  # s since the enable; by then the estimate has converged
+AXIAL_STIFFNESS = 20e3  # N; the longer path raises the pretension by a quarter
 
 
 def write(folder: Path) -> None:
-    """Two axes alike, but for the estimator of the second."""
+    """Write the files of two axes that are equal except for the estimator of the second."""
     busy.write(folder, VIRTUAL, RATE)
     save_model(dataclasses.replace(rig.NOMINAL, axial_stiffness=AXIAL_STIFFNESS), folder / "nominal.toml")
     exact = {"friction_coefficient": 1.0, "pretension": 1.0, "axial_stiffness": 1.0}
@@ -48,7 +48,7 @@ def write(folder: Path) -> None:
 
 
 def error(log: Path, axis: str, begin: float, end: float) -> float:
-    """RMS error of the joint torque, N*m, between two times since the enable."""
+    """Return the RMS error of the joint torque (N*m) between two times since the enable."""
     columns = read_table(f"{log}:{axis}", ("t", "tau_j_des", "tau_m_cmd", "tau_j")).columns
     t = columns["t"] - columns["t"][np.flatnonzero(columns["tau_m_cmd"])[0]]
     part = (t >= begin) & (t <= end) & np.isfinite(columns["tau_j"])
@@ -57,7 +57,10 @@ def error(log: Path, axis: str, begin: float, end: float) -> float:
 
 @pytest.mark.slow
 def test_the_estimator_follows_and_the_torque_error_stays_small(tmp_path: Path) -> None:
-    """Before the change both are alike; after it the fixed parameters are far off, and the estimated ones are not."""
+    """The change more than doubles the torque error of the axis with fixed parameters.
+
+    Afterwards the axis with the estimator has less than half of that error.
+    """
     write(tmp_path)
     simulate_loop(tmp_path / busy.CONTROLLER, tmp_path / "plant.toml", SECONDS, out=tmp_path)
     log, end = tmp_path / "tsa.mcap", SECONDS - 0.5

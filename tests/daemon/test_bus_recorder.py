@@ -1,4 +1,4 @@
-"""A record of the bus by a process of its own: every frame of every program, in formats that others read."""
+"""Test the bus recorder, a separate process that records the frames of all programs in common file formats."""
 
 from __future__ import annotations
 

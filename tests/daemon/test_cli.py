@@ -1,4 +1,4 @@
-"""`tsa status`, `tsa set` and `tsa stop` against a socket server whose loop the test plays."""
+"""Test `tsa status`, `tsa set` and `tsa stop` with a socket server. The test takes the place of the loop."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def call(serving: Serving, *arguments: str) -> Result:
 
 
 def test_status_json_is_one_object(serving: Serving) -> None:
-    """stdout holds one JSON object with the agreed keys, and nothing else."""
+    """stdout contains one JSON object with the documented keys and nothing else."""
     status = json.loads(call(serving, "status", "--json").output)
     assert status["schema"] == 1
     axis = status["axes"][0]
@@ -51,7 +51,7 @@ def test_status_json_is_one_object(serving: Serving) -> None:
 
 
 def test_status_follows_with_an_object_on_each_line(serving: Serving) -> None:
-    """As a program reads it, until it ends the command."""
+    """With `--follow`, the command prints one JSON object per line until it is terminated."""
     arguments = ["status", "--json", "--follow", "--socket", serving.path]
     with subprocess.Popen(tsa(*arguments), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -62,14 +62,14 @@ def test_status_follows_with_an_object_on_each_line(serving: Serving) -> None:
 
 
 def test_status_page_once(serving: Serving) -> None:
-    """Without a terminal the page is printed once: values, parameters, histograms."""
+    """Without a terminal, the page with values, parameters and histograms is printed once."""
     output = call(serving, "status").output
     for words in ("rig: running", "knee: operation_enabled", "tau_j_des", "compensation", "lateness", "p99"):
         assert words in output
 
 
 def test_set_says_from_where_to_where(serving: Serving) -> None:
-    """The command prints old and new value with the unit."""
+    """The command prints the old and the new value. The loop gets one command."""
     with loop_taking(serving) as taken:
         result = call(serving, "set", "compensation", "0.5")
     assert result.output == "knee.compensation: 0.95 -> 0.5\n"
@@ -77,7 +77,7 @@ def test_set_says_from_where_to_where(serving: Serving) -> None:
 
 
 def test_set_negative_value_is_no_option(serving: Serving) -> None:
-    """A negative value reaches the bounds check."""
+    """A negative value is not parsed as an option, and the bounds check rejects it."""
     result = call(serving, "set", "compensation", "-0.5")
     assert isinstance(result.exception, UsageError)
     assert "out of bounds; allowed is 0 to 1.2" in str(result.exception)
@@ -96,12 +96,12 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
     ],
 )
 def test_a_comparison_that_cannot_be_made_is_refused(serving: Serving, arguments: tuple[str, ...], words: str) -> None:
-    """In one line; what is out of bounds before anything was set."""
+    """The command is rejected with the reason. The only values set are the first one and the original one."""
     with loop_taking(serving) as taken:
         result = call(serving, "set", "compensation", *arguments)
     assert isinstance(result.exception, UsageError)
     assert words in str(result.exception)
-    assert {command.value for command in taken} <= {0.5, 0.95}  # set, then put back
+    assert {command.value for command in taken} <= {0.5, 0.95}  # set, then restored
 
 
 @pytest.mark.parametrize("arguments", [("nan",), ("inf",), ("0.5", "--against", "nan")])
@@ -112,7 +112,7 @@ def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple
 
 
 def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`tsa set recover 1` asks for a new start; any other value is refused."""
+    """`tsa set recover 1` requests a recovery if a fault is latched. Any other value is rejected."""
     monkeypatch.setattr(running, "HELD", 0.0)
     result = call(serving, "set", "recover", "1")
     assert "no fault is latched, the phase is running" in str(result.exception)
@@ -124,7 +124,7 @@ def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Phases:
-    """A client whose daemon goes through these phases, one an answer; the last one stays."""
+    """A client whose daemon reports these phases, one per answer. The last phase is repeated."""
 
     def __init__(self, *phases: str, failed: int = 0) -> None:
         self._phases = list(phases)
@@ -156,21 +156,21 @@ class Phases:
 def test_a_recovery_that_does_not_last_is_told(
     phases: tuple[str, ...], words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A torn tendon lets the rig start, and stops it when it moves: the verb waits for that."""
+    """A rig with a torn tendon starts, but stops when it moves. The command waits for this and reports an error."""
     monkeypatch.setattr(running, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
     with pytest.raises(BusError, match=words):
         running._recovered(Phases(*phases))  # type: ignore[arg-type]
 
 
 def test_a_recovery_that_fails_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command does not wait for its time-out."""
+    """The command reports a failed recovery before its time-out."""
     monkeypatch.setattr(running, "RECOVERY", 60.0)
     with pytest.raises(BusError, match="the recovery failed, phase faulted: over-speed"):
         running._recovered(Phases("faulted", "resetting", "faulted", failed=1))  # type: ignore[arg-type]
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:
-    """stop sets the flag; a daemon that does not end within the wait is told."""
+    """The command sets the stop flag, and reports an error if the daemon does not end within the wait."""
     result = call(serving, "stop", "--wait", "0.2")
     assert serving.mailbox.stop_requested
     assert isinstance(result.exception, BusError)
@@ -186,7 +186,10 @@ def test_stop_says_what_a_daemon_that_starts_was_doing(serving: Serving) -> None
 
 
 def test_status_says_what_a_daemon_that_starts_waits_for(serving: Serving) -> None:
-    """And before the first word of it, that it starts: not that it hangs."""
+    """The page shows the current stage of the startup.
+
+    Before the first stage is published, the page shows a wait for the first cycle and not a hang.
+    """
     serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
     assert "waiting for the boot-up of axis 'knee'" in " ".join(call(serving, "status").output.split())
     fresh = Mailbox(1, 2)
@@ -208,7 +211,7 @@ def test_a_wait_that_is_no_time_is_refused_before_anybody_is_asked(serving: Serv
 
 @pytest.mark.parametrize("verb", [["status", "--json"], ["set", "compensation", "1"], ["stop"]])
 def test_without_a_daemon_exit_code_1(tmp_path: Path, verb: list[str]) -> None:
-    """No daemon: one line, exit code 1, empty stdout."""
+    """Without a daemon, the command ends with a BusError (exit code 1) and an empty stdout."""
     result = CliRunner().invoke(cli, [*verb, "--socket", str(tmp_path / "none.sock")])
     assert isinstance(result.exception, BusError)
     assert result.exception.exit_code == 1
@@ -216,7 +219,10 @@ def test_without_a_daemon_exit_code_1(tmp_path: Path, verb: list[str]) -> None:
 
 
 def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
-    """+ and - move by a fiftieth of the range and stop at the bounds; j and k choose among those that can be set."""
+    """The keys + and - change the value by a fiftieth of the range and stop at the bounds.
+
+    Only parameters that can be set are listed.
+    """
     status = json.loads(call(serving, "status", "--json").output)
     page = Page()
     page.take(status)
@@ -232,7 +238,7 @@ def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
 def test_a_key_moves_a_parameter_of_many_decades_by_a_share(
     serving: Serving, low: float, high: float, value: float
 ) -> None:
-    """A fiftieth of the range of slew and direction_zone would be several times what they are."""
+    """A key changes the value by a tenth, because a fiftieth of the range would be larger than the value."""
     status = json.loads(call(serving, "status", "--json").output)
     status["axes"][0]["parameters"] = {"slew": {"value": value, "low": low, "high": high, "unit": "1"}}
     page = Page()
@@ -242,7 +248,7 @@ def test_a_key_moves_a_parameter_of_many_decades_by_a_share(
 
 
 def test_the_live_page_takes_keys_and_gives_the_terminal_back(serving: Serving) -> None:
-    """On a pseudo-terminal: the page comes, + moves the parameter, q leaves, and echo is as it was."""
+    """On a pseudo-terminal, + changes the parameter and q ends the page. The terminal settings are then restored."""
     master, slave = pty.openpty()
     before = termios.tcgetattr(slave)
     shown = b""
@@ -272,7 +278,7 @@ def _drain(master: int, process: subprocess.Popen[bytes]) -> None:
 
 
 def test_sparkline_spans_the_extremes() -> None:
-    """Lowest and highest bars for lowest and highest values, a gap for what is missing."""
+    """The lowest and the highest value get the lowest and the highest bar, and a missing value leaves a gap."""
     from collections import deque
 
     assert sparkline(deque([0.0, 1.0, float("nan"), 0.5])) == "▁█ ▅"
@@ -282,7 +288,7 @@ def test_sparkline_spans_the_extremes() -> None:
 def test_a_narrow_terminal_shows_every_name_and_no_empty_past(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Names and values are whole, however many parameters there are; only a wide one has the recent past."""
+    """Names and values are not truncated, with any number of parameters. Only a wide terminal shows the past."""
     status = json.loads(call(serving, "status", "--json").output)
     (axis,) = status["axes"]
     axis["omega_j"] = -12.3456

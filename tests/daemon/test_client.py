@@ -1,4 +1,4 @@
-"""The client for controllers above this one, with a server process whose loop the test plays."""
+"""Test the client for external controllers with a server process. The test takes the place of the loop."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def serving(tmp_path: Path) -> Iterator[Serving]:
 
 
 def stream(lease: Lease) -> str:
-    """Send until the lease is lost; why."""
+    """Send set-points until the lease is lost, and return the reason."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         try:
@@ -52,7 +52,7 @@ def test_it_is_the_packages_own() -> None:
 
 
 def test_a_measurement_has_types(serving: Serving) -> None:
-    """None for what the rig does not measure."""
+    """A measurement contains typed values, and None for a value that is not measured."""
     with Client(serving.path) as client:
         assert client.measure().age is None
         reading = Reading(q_j=0.5, omega_j=-2.0, tau_j=float("nan"), permitted=1.0)
@@ -68,17 +68,20 @@ def test_a_measurement_has_types(serving: Serving) -> None:
 
 
 def test_values_are_streamed_without_waiting_for_an_answer(serving: Serving) -> None:
-    """More than any queue has room for; the newest is what the loop finds, with its own time."""
+    """The client sends more values than any queue can hold. The loop gets the newest one with its time stamp."""
     with Client(serving.path) as client, client.lease() as lease:
         for n in range(1000):
             lease.send({"knee": n * 1e-3}, wanted := time.monotonic())
-        client.measure()  # answered after all of them
+        client.measure()  # answered after all of the values
         assert serving.mailbox.wanted(0) == (0.999, wanted)
         assert lease.held
 
 
 def test_a_lease_is_given_back_with_what_was_wanted(serving: Serving) -> None:
-    """However its block ends; the next may have it at once."""
+    """When its block ends, even by an exception, the lease is released and the set-point is 0.
+
+    Another client can then get the lease immediately.
+    """
     with Client(serving.path) as client, Client(serving.path) as other:
         with contextlib.suppress(ZeroDivisionError), client.lease(10.0) as lease:
             lease.send({"knee": 0.5})
@@ -109,7 +112,7 @@ def test_a_client_that_is_silent_for_too_long_learns_it_at_its_next_value(servin
     ],
 )
 def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, words: str) -> None:
-    """The message says how; whoever asks meanwhile gets a BusError, too."""
+    """The error contains the reason. Other requests on this connection raise a BusError."""
     with Client(serving.path, timeout=0.2) as client, client.lease(0.2) as lease:
         lease.send({"knee": 0.1})
         if how == "end":
@@ -122,7 +125,7 @@ def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, 
 
 
 def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_full(serving: Serving) -> None:
-    """Not after the last value that fits, and without a traceback for who asks then."""
+    """A small write still fits into the buffer. The next one ends the lease, and later calls raise the same error."""
     with Client(serving.path) as client, client.lease(10.0) as lease:
         os.kill(serving.worker, signal.SIGSTOP)
         client.stream(b"", 0.05)
@@ -135,7 +138,7 @@ def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_f
 
 
 def test_after_a_restart_a_new_client_takes_a_new_lease(serving: Serving) -> None:
-    """Nothing is taken up again by itself."""
+    """After a restart of the daemon the old lease remains lost, and a new client can get a lease."""
     with Client(serving.path) as client:
         lease = client.lease()
         serving.end()
@@ -160,9 +163,9 @@ def test_what_is_no_number_is_not_sent(serving: Serving, value: float) -> None:
 
 
 def test_a_value_that_is_refused_is_told_at_a_later_one(serving: Serving) -> None:
-    """And the lease goes on."""
+    """A rejected value raises an error in a later call, and the lease continues."""
     with Client(serving.path) as client, client.lease(10.0) as lease:
-        with contextlib.suppress(UsageError):  # as soon as it is known
+        with contextlib.suppress(UsageError):  # raised by the first call after the rejection arrives
             lease.send({"knee": 0.5}, client.clock() - 5.0)
             client.measure()
             lease.send({"knee": 0.5})
@@ -212,7 +215,7 @@ def test_stop_and_recover(serving: Serving) -> None:
 
 
 def test_cycles_keep_their_grid_and_leave_out_what_has_passed(serving: Serving) -> None:
-    """200 Hz; the third takes 12 ms."""
+    """At 200 Hz, the third cycle takes 12 ms. The periods that have passed are skipped."""
     now = [10.0]
     slept: list[float] = []
 
@@ -228,7 +231,7 @@ def test_cycles_keep_their_grid_and_leave_out_what_has_passed(serving: Serving) 
 
 
 def test_cycles_begin_with_the_loops_first(serving: Serving) -> None:
-    """Before it there is nothing that a controller could act on."""
+    """The first cycle of the client waits for the first measurement of the loop."""
     slept: list[float] = []
 
     def sleep(seconds: float) -> None:

@@ -1,4 +1,4 @@
-"""Test the other examples of the client page: the protocol, the configuration, and the controller in C."""
+"""Test the examples of the client page: the protocol, the configuration, and the controllers in Python and C."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def block(language: str) -> str:
 
 
 def test_every_line_of_the_conversation_is_answered(serving: Serving) -> None:
-    """But for the one that is quiet."""
+    """Each request of the example gets a positive answer, except the one with the option `quiet`."""
     lines = block("json").splitlines()
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(PATIENCE)
@@ -62,7 +62,7 @@ def test_the_configuration_is_one() -> None:
 
 
 def started(serving: Serving) -> subprocess.Popen[str]:
-    """The program of the page, as a process that finds the socket of this server."""
+    """Start the Python program of the page with the socket of this server."""
     return subprocess.Popen(
         [sys.executable, "-c", block("python")],
         env={**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)},
@@ -73,7 +73,7 @@ def started(serving: Serving) -> subprocess.Popen[str]:
 
 
 def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: Serving) -> None:
-    """A set-point beyond the axis' range is clamped, and the program goes on."""
+    """A set-point beyond the range of the axis is clamped, and the program continues until the daemon ends."""
     process = started(serving)
     try:
         for q_j, wanted in ((-3.0, 2.0), (0.1, 0.4), (3.0, -2.0)):
@@ -94,7 +94,7 @@ def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: 
 
 
 def test_the_controller_in_python_ends_quietly_when_it_is_interrupted(serving: Serving) -> None:
-    """The lease is released, so the set-point is 0; no traceback, exit code 0."""
+    """The lease is released, so the set-point is 0. The program prints nothing and ends with exit code 0."""
     process = started(serving)
     try:
 
@@ -131,7 +131,7 @@ def spring(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_the_controller_in_c_is_a_spring_until_the_daemon_ends(serving: Serving, spring: str) -> None:
-    """It follows the measurements, stamps its values with their time, and reports why it ends."""
+    """The program calculates set-points from the measurements, adds a time stamp, and reports why it ends."""
     process = subprocess.Popen([spring, serving.path, "knee", str(STIFFNESS)], stderr=subprocess.PIPE, text=True)
     try:
         for q_j in (0.2, -0.1):

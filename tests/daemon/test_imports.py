@@ -1,4 +1,4 @@
-"""The daemon's process and the commands that talk to it load no library that they do not use."""
+"""Test that the daemon and the commands for a running daemon import no unused libraries."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_commands_for_a_running_daemon_start_without_numerical_libraries(tmp_pat
 @pytest.mark.hil
 @pytest.mark.slow
 def test_a_daemon_that_plays_a_file_loads_none_of_them(tmp_path: Path) -> None:
-    """All of its memory is locked."""
+    """A daemon that plays a set-point file imports no large library, because all of its memory is locked."""
     bus = {"interface": "datagram", "channel": f"imports-{os.getpid()}"}
     (tmp_path / "motion.csv").write_text("t,tau_j_des\n0,0\n1,0.3\n2,0\n")
     common = {"bus": bus, "realtime": {"allow_without": True}, "socket": {"path": str(tmp_path / "tsa.sock")}}

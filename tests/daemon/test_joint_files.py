@@ -1,4 +1,4 @@
-"""Model files with simulated numbers on hardware: rejected, or run as files that were never calibrated."""
+"""Test model files with simulated numbers on hardware: rejected, or treated as files without a calibration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INTERVALS = {"half_loop_torque": [0.4, 0.5]}
 
 
 def files(folder: Path, source: str, interface: str = "socketcan") -> Path:
-    """Write a controller file for a bus, with a model file of this source; return the controller file."""
+    """Write a controller file for this interface and a model file with this source. Return the controller file."""
     bus = {"bus": {"interface": interface, "channel": "can0" if interface == "socketcan" else "239.255.74.1"}}
     path, _ = write(folder, controller(file=bus))
     tuned(folder / "actuator.toml", source=source, intervals=INTERVALS, **NODES)

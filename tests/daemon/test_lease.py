@@ -1,4 +1,4 @@
-"""Who may do what on the local socket, and the lease of the set-point: one owner, in his time. The clock is ours."""
+"""Test the permissions on the local socket and the lease of the set-point, with a simulated clock."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from tsa_ctrl.ipc.connection import CLIENTS, Peer, Role, listen, peer_of, role_o
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
 from tsa_ctrl.ipc.server import HANGS, Server
 
-COMMAND, WATCH = 4001, 4002  # numbers of groups
+COMMAND, WATCH = 4001, 4002  # group ids
 SET_POINT = {"verb": "setpoint", "axis": "knee"}
 GROUP = grp.getgrgid(os.getgid()).gr_name
 
 
 class Talk:
-    """One client, whose requests are handled before the test continues."""
+    """One client. The server handles its requests before the test continues."""
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.settimeout(PATIENCE)  # of a server that accepts nobody
+        self.socket.settimeout(PATIENCE)  # fails if the server accepts no client
         self.socket.connect(desk.path)
         self.socket.setblocking(False)
         desk.steps()
@@ -43,7 +43,7 @@ class Talk:
         self.socket.sendall(json.dumps(request).encode() + b"\n")
 
     def told(self) -> list[dict[str, Any]]:
-        """Everything that has come."""
+        """Return all lines that have arrived, decoded."""
         self._desk.steps()
         data = b""
         try:
@@ -59,7 +59,7 @@ class Talk:
 
 
 class Desk:
-    """The server with its mailbox, and the time."""
+    """The server with its mailbox and the simulated time."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 100.0
@@ -117,7 +117,7 @@ class Desk:
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
     made = Desk(tmp_path, monkeypatch)
-    made.wanted()  # what a server before it was told is withdrawn
+    made.wanted()  # reads the withdrawal that each new server writes
     yield made
     made.close()
 
@@ -137,7 +137,7 @@ VERBS: dict[str, tuple[dict[str, Any], Role]] = {
 @pytest.mark.parametrize("verb", VERBS)
 @pytest.mark.parametrize("role", Role)
 def test_who_may_do_what(desk: Desk, verb: str, role: Role) -> None:
-    """A request without permission has no effect, and the error names the user."""
+    """A request without permission has no effect, and the error states who has the permission."""
     more, least = VERBS[verb]
     groups = {Role.WATCH: (WATCH,), Role.COMMAND: (COMMAND, WATCH), Role.OWNER: ()}[role]
     desk.fault()
@@ -184,7 +184,7 @@ def test_the_kernel_says_who_a_peer_is() -> None:
 def test_the_socket_file_lets_in_no_more_than_it_must(
     tmp_path: Path, group: str | None, watch: str | None, mode: int
 ) -> None:
-    """Two groups are more than a file can have: then the server asks the kernel about each that connects."""
+    """A file has only one group. With two groups the file mode permits all users, and the server checks each client."""
     with listen(str(tmp_path / "tsa.sock"), group, watch):
         assert stat.S_IMODE((tmp_path / "tsa.sock").stat().st_mode) == mode
 
@@ -195,7 +195,7 @@ def test_a_watch_group_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "tsa.sock").exists()
 
 
-# The lease
+# Lease of the set-point
 
 
 def test_the_set_point_has_one_owner_whom_a_refusal_names(desk: Desk) -> None:
@@ -212,10 +212,13 @@ def test_the_set_point_has_one_owner_whom_a_refusal_names(desk: Desk) -> None:
 
 
 def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
-    """Holder and log get the reason, the set-point is withdrawn, and another client may get the lease."""
+    """When the lease ends, the holder and the log get the reason, and the set-point is withdrawn.
+
+    Another client can then get the lease.
+    """
     owner, other = desk.client(process=4711), desk.client(process=815)
     owner.ask("lease", seconds=0.2)
-    assert "process 4711 " in str(desk.said())  # with a name, if such a process happens to run
+    assert "process 4711 " in str(desk.said())  # followed by a name if a process with this id exists
     for _ in range(5):
         desk.now += 0.15
         assert owner.ask(**SET_POINT, value=0.5)["ok"]
@@ -234,7 +237,7 @@ def test_a_time_out_of_bounds_is_refused(desk: Desk, seconds: float) -> None:
 
 
 def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
-    """The newest value of a stream without answers is confirmed."""
+    """In a stream of values without answers, the server confirms the newest value four times in each lease time."""
     owner = desk.client()
     owner.ask("lease", seconds=0.2)
     for _ in range(120):
@@ -243,7 +246,7 @@ def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
         desk.steps()
     told = owner.told()
     assert {(line["event"], line["held"]) for line in told} == {("lease", True)}
-    assert len(told) == 4  # in 0.24 s, each with the first value after 0.05 s
+    assert len(told) == 4  # in 0.24 s; each follows the first value after 0.05 s
     assert told[0]["time"] == pytest.approx(100.05, abs=3e-3)
 
 
@@ -253,7 +256,7 @@ def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
 )
 @pytest.mark.parametrize("quiet", [False, True])
 def test_a_time_of_another_clock_is_refused(desk: Desk, late: float, words: str, quiet: bool) -> None:
-    """Also where values have no answers."""
+    """A value with an old or future time is rejected. If values have no answers, the rejection comes as an event."""
     owner = desk.client()
     owner.ask("lease", seconds=0.2)
     owner.say(**SET_POINT, value=0.1, time=desk.now - late, quiet=quiet)
@@ -332,7 +335,7 @@ def test_its_holder_is_told_what_happens_from_then_on(desk: Desk) -> None:
 
 
 def test_a_measurement_is_of_the_newest_cycle(desk: Desk) -> None:
-    """It has an age by the test's clock, and null for a value that is not measured."""
+    """The age is relative to the test's clock, and a value that is not measured is null."""
     measured(desk, desk.now - 1e-3, q_j=0.5, tau_j=math.nan, permitted=1.0)
     answer = desk.client(WATCH).ask("measure")
     assert (answer["time"], answer["cycle"], answer["phase"]) == (desk.now - 1e-3, 7, "running")
@@ -348,7 +351,7 @@ def test_before_the_first_cycle_nothing_is_measured(desk: Desk) -> None:
 
 
 def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many others have asked for however much before it."""
+    """Five other clients have sent 100 requests each. At most one of them is answered before each set-point."""
     asked: list[str] = []
     report = {"schema": 1}
     monkeypatch.setattr("tsa_ctrl.ipc.server.status_report", lambda *_: asked.append("status") or report)
@@ -364,13 +367,13 @@ def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monke
         assert len(asked) - before <= 1
     for _ in range(600):
         desk.server.step(0.0)
-    assert len(asked) == 500  # and nobody is forgotten
+    assert len(asked) == 500  # all requests are answered in the end
 
 
 def test_others_get_a_third_of_the_time_while_somebody_gives_set_points(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each of their requests takes 1 ms here; without an owner they get all of the time."""
+    """Each request of another client takes 1 ms here. Without a lease, other clients get all of the time."""
     asked: list[float] = []
 
     def slowly(*_: Any) -> dict[str, Any]:

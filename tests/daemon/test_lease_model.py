@@ -1,7 +1,7 @@
-"""The socket server against a small model of it, whatever its clients do in whatever order (stateful tests).
+"""Compare the socket server with a small model for random sequences of client requests (stateful tests).
 
-The model knows who holds the set-point and until when, the value that acts, and who may do what. Its clients are the
-one who started the daemon, a member of the group that commands, and one who may watch.
+The model contains the holder of the set-point, the end of the lease, the active value, and the permissions. Its clients
+are the user who started the daemon, a member of the command group, and a member of the watch group.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, Talk
 from tsa_ctrl.ipc.mailbox import RECOVER
 from tsa_ctrl.ipc.server import Lease
 
-SILENT = 0.2  # s for which a value acts whose client never asked for a lease
+SILENT = 0.2  # s for which a value is active if its client has not requested a lease
 WHO = st.sampled_from(["owner", "member", "watcher"])
 GROUPS: dict[str, tuple[int, ...]] = {"owner": (), "member": (COMMAND,), "watcher": (WATCH,)}
 
 
 class Model(RuleBasedStateMachine):
-    """The permitted and the required states."""
+    """Random requests, the expected answers and the expected state."""
 
     @initialize()
     def begin(self) -> None:
@@ -36,9 +36,9 @@ class Model(RuleBasedStateMachine):
         self.clients: dict[str, Talk] = {}
         self.holder: str | None = None
         self.seconds = 0.0
-        self.silent = True  # it never asked for the lease
+        self.silent = True  # the holder has not requested a lease
         self.until = -math.inf
-        self.value: float | None = None  # None: withdrawn
+        self.value: float | None = None  # None if withdrawn
 
     def talk(self, who: str) -> Talk:
         if who not in self.clients:
@@ -90,7 +90,7 @@ class Model(RuleBasedStateMachine):
 
     @rule(who=WHO)
     def recover(self, who: str) -> None:
-        """By the one who started the daemon, or by whom the set-point listens to."""
+        """Request a recovery. Only the user who started the daemon and the holder of a lease are permitted."""
         self.desk.fault()
         may = who == "owner" or (who == "member" and self.holder == who and not self.silent)
         while self.desk.mailbox.take() is not None:
@@ -104,7 +104,7 @@ class Model(RuleBasedStateMachine):
         who=WHO, line=st.sampled_from([b"[" * 2000 + b"\n", b"{}\n", b'{"verb": "lease", "seconds": NaN}\n', b"\xff\n"])
     )
     def nonsense(self, who: str, line: bytes) -> None:
-        """It changes nothing, and the server goes on."""
+        """Send an invalid request, which changes nothing."""
         self.talk(who).socket.sendall(line)
         self.talk(who).told()
 
@@ -141,7 +141,7 @@ def test_the_server_and_its_model_agree() -> None:
 @pytest.mark.parametrize("method", ["_refuse_others", "check", "end"])
 def test_the_model_sees_a_lease_that_forgets(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     monkeypatch.setattr(Lease, method, lambda *arguments: None)
-    quick = settings(  # always the same examples: of others one in so many runs would not come upon it
+    quick = settings(  # fixed examples, because random ones would miss the error in some runs
         max_examples=40, stateful_step_count=15, deadline=None, database=None, derandomize=True, phases=[Phase.generate]
     )
     with pytest.raises(AssertionError):

@@ -1,4 +1,4 @@
-"""The loop on a fake bus: start, stop, faults, commands, overruns."""
+"""Test the loop on a fake bus: start, stop, faults, commands and overruns."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def build(tmp_path: Path) -> Iterator[Build]:
 
 
 def test_enables_delivers_and_descends(build: Build) -> None:
-    """Torque comes only after the walk to operation enabled; at the end it ramps to 0 and the drive is disabled."""
+    """Torque is sent only after the transitions to operation enabled. At the end it is 0 and the drive is disabled."""
     machine = build(CONSTANT, BARE)
     machine.run(seconds=1.0)
     commands = machine.drive.commands
     first = next(n for n, (_, torque) in enumerate(commands) if torque)
     assert [word for word, _ in commands[:first]].index(0x0F) > [word for word, _ in commands[:first]].index(0x07)
-    assert max(machine.drive.torques) == pytest.approx(400, abs=2)  # 0.5 N*m r_M/r_J
+    assert max(machine.drive.torques) == pytest.approx(400, abs=2)  # 0.5 N*m times r_M/r_J
     assert commands[-1] == (0x06, 0)
     assert machine.drive.statusword != ENABLED
     assert machine.loop.phase is LoopPhase.ENDED
@@ -50,7 +50,7 @@ def test_enables_delivers_and_descends(build: Build) -> None:
 
 
 def test_no_torque_before_all_answers_come(build: Build) -> None:
-    """While a node does not answer nothing is enabled, and the start is given up with a fault."""
+    """If a node does not answer, the drive is not enabled and the startup ends with a fault."""
     machine = build(CONSTANT)
     machine.drive.silent.add(0x1A0)
     machine.run()
@@ -60,7 +60,7 @@ def test_no_torque_before_all_answers_come(build: Build) -> None:
 
 
 def test_stop_ramps_within_the_stop_time(build: Build) -> None:
-    """After a stop the torque falls to 0 in stop_time, monotonically, and the first cause is kept."""
+    """After a stop, the torque falls monotonically to 0 within stop_time. A second stop does not change the cause."""
     machine = build(CONSTANT)
     machine.drive.at_sync[1000] = lambda: machine.loop.stop("SIGTERM")
     machine.drive.at_sync[1100] = lambda: machine.loop.stop("SIGINT")
@@ -73,7 +73,7 @@ def test_stop_ramps_within_the_stop_time(build: Build) -> None:
 
 
 def test_stop_over_the_mailbox(build: Build) -> None:
-    """`tsa stop` is one of the causes."""
+    """A stop request in the mailbox ends the run with the cause "tsa stop"."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = machine.mailbox.request_stop
     machine.run()
@@ -82,7 +82,7 @@ def test_stop_over_the_mailbox(build: Build) -> None:
 
 
 def test_stop_before_any_torque_enables_nothing(build: Build) -> None:
-    """Stopped while settling: the drive is never enabled."""
+    """If the loop is stopped while it settles, the drive is never enabled."""
     machine = build(CONSTANT)
     machine.loop.stop("SIGINT")
     machine.run()
@@ -90,7 +90,7 @@ def test_stop_before_any_torque_enables_nothing(build: Build) -> None:
 
 
 def test_drive_fault_takes_the_torque_in_the_same_cycle(build: Build) -> None:
-    """From the SYNC whose answer carries the fault on, the command is 0; the cause is kept and stays latched."""
+    """The torque command is 0 from the SYNC whose answer contains the fault. The fault stays latched with its cause."""
     machine = build(CONSTANT)
     machine.drive.at_sync[800] = machine.drive.fail
     machine.run(seconds=2.0)
@@ -111,7 +111,7 @@ def test_fault_ends_the_run_where_so_configured(build: Build) -> None:
 
 
 def test_lost_heartbeat_stops(build: Build) -> None:
-    """Nodes that answer SYNC and no longer beat are not trusted."""
+    """A lost heartbeat is a fault, even if the nodes still answer SYNC."""
     machine = build(CONSTANT)
 
     def silence() -> None:
@@ -124,7 +124,7 @@ def test_lost_heartbeat_stops(build: Build) -> None:
 
 
 def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
-    """A boot-up while running latches; a recovery then leaves the loop, so that the nodes are configured again."""
+    """A boot-up message during the run latches a fault. A recovery then ends the loop for a new bring-up."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x701, b"\x00"))
     machine.drive.at_sync[800] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
@@ -135,7 +135,7 @@ def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
 
 
 def test_over_speed_of_the_motor_latches(build: Build) -> None:
-    """A torn tendon: the motor runs away, the torque is 0 in the same cycle, the drive is disabled."""
+    """If the motor exceeds its speed limit, as with a torn tendon, the torque is 0 in the same cycle."""
     machine = build(CONSTANT)
 
     def run_away() -> None:
@@ -150,7 +150,7 @@ def test_over_speed_of_the_motor_latches(build: Build) -> None:
 
 
 def test_set_moves_smoothly(build: Build) -> None:
-    """A parameter moves to its new value at its rate, cycle by cycle."""
+    """A parameter moves to its new value at its configured rate."""
     machine = build(CONSTANT)
     index = machine.names.index("setpoint_gain")
     machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, index, 0.5)) and None
@@ -164,7 +164,7 @@ def test_set_moves_smoothly(build: Build) -> None:
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -3.0, 99.0])
 def test_value_out_of_bounds_in_the_mailbox_is_ignored(build: Build, value: float) -> None:
-    """The loop does not trust the server either."""
+    """The loop itself checks the bounds of a value and ignores an invalid one."""
     machine = build(CONSTANT)
     machine.mailbox.put(Command(0, machine.names.index("compensation"), value))
     machine.run(seconds=0.2)
@@ -172,7 +172,7 @@ def test_value_out_of_bounds_in_the_mailbox_is_ignored(build: Build, value: floa
 
 
 def test_flood_of_commands_is_taken_one_per_cycle(build: Build) -> None:
-    """A full queue empties at one command per cycle, whoever floods."""
+    """The loop takes one command per cycle from a full queue."""
     machine = build(CONSTANT)
     while machine.mailbox.put(Command(0, machine.names.index("slew"), 50.0)) is not None:
         pass
@@ -184,12 +184,12 @@ def test_flood_of_commands_is_taken_one_per_cycle(build: Build) -> None:
 
 
 def test_socket_set_point_expires(build: Build) -> None:
-    """A value over the socket acts for its timeout; then it goes to 0, and the friction term fades within 0.35 s.
+    """A value from the socket is active for its timeout. It then falls to 0, and the friction term fades out.
 
-    The torque sensor of this rig shows 0 throughout, so the direction stays while the set-point falls.
+    The torque sensor of this rig reads 0 throughout, so the direction stays while the set-point falls.
     """
     machine = build(('kind = "sine"  ', 'kind = "socket"  '))
-    machine.axis.polarity_check.ceiling = math.inf  # this rig, all stiff, shows nothing of the motor's sense
+    machine.axis.polarity_check.ceiling = math.inf  # polarity cannot be checked on this stiff rig
     machine.drive.at_sync[500] = lambda: machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=1.5)
     torques = machine.drive.torques
@@ -202,7 +202,7 @@ def test_socket_set_point_expires(build: Build) -> None:
 
 
 def test_overrun_skips_periods_and_is_counted(build: Build) -> None:
-    """A wake-up three periods late loses three periods, is counted late, and the log keeps its grid."""
+    """A wake-up that is three periods late skips three periods and counts as late. The log keeps its time grid."""
     machine = build(CONSTANT)
     machine.wake_late(300, 3.2e-3)
     machine.run(seconds=1.0)
@@ -213,7 +213,7 @@ def test_overrun_skips_periods_and_is_counted(build: Build) -> None:
 
 
 def test_one_missed_answer_does_not_stop(build: Build) -> None:
-    """Within the tolerated misses the last values serve, and the miss is counted."""
+    """A single missed answer is tolerated: the last values are used again, and the miss is counted."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: machine.drive.silent.add(0x181)
     machine.drive.at_sync[501] = machine.drive.silent.clear
@@ -224,7 +224,7 @@ def test_one_missed_answer_does_not_stop(build: Build) -> None:
 
 
 def test_records_tell_the_cycle(build: Build) -> None:
-    """Every cycle has a record on an exact grid, with measured, desired and sent values."""
+    """Each cycle has a record on an exact time grid with desired, sent and measured values."""
     machine = build(CONSTANT, BARE)
     machine.run(seconds=0.5)
     records = machine.records()
@@ -237,7 +237,7 @@ def test_records_tell_the_cycle(build: Build) -> None:
 
 
 def test_set_point_without_torque_is_forgotten(build: Build) -> None:
-    """A value that comes while disabled does not play at the enable."""
+    """A set-point that is received while the axis is disabled is discarded at the enable."""
     machine = build(('kind = "sine"  ', 'kind = "socket"  '))
     machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=0.5)
@@ -245,7 +245,7 @@ def test_set_point_without_torque_is_forgotten(build: Build) -> None:
 
 
 def test_what_the_socket_tells_of_its_lease_becomes_events_once_a_second(build: Build) -> None:
-    """However often clients change: the newest of each second."""
+    """Lease messages come every 10 ms. The first one becomes an event, and then the newest one of each second."""
     machine = build(CONSTANT)
     machine.drive.at_sync.update({n: partial(machine.mailbox.tell, 5.0, f"lease {n}") for n in range(100, 1000, 10)})
     machine.run(seconds=2.5)
@@ -255,7 +255,7 @@ def test_what_the_socket_tells_of_its_lease_becomes_events_once_a_second(build: 
 
 
 def test_every_cycle_is_told_to_clients(build: Build) -> None:
-    """Clients get the measurement with its time, number and phase."""
+    """Each cycle publishes a measurement with its time, cycle number and phase."""
     machine = build(CONSTANT)
     seen: list[tuple[float, int, int, float]] = []
 
@@ -272,7 +272,7 @@ def test_every_cycle_is_told_to_clients(build: Build) -> None:
 
 
 def test_disable_resets_everything(build: Build) -> None:
-    """After a fault the law, the set-point, the estimator and the monitor are as new."""
+    """After a fault, the set-point and the terms of the law are 0."""
     machine = build(CONSTANT)
     machine.drive.at_sync[900] = machine.drive.fail
     machine.run(seconds=1.0)
@@ -282,7 +282,7 @@ def test_disable_resets_everything(build: Build) -> None:
 
 
 def test_second_master_is_a_fault(build: Build) -> None:
-    """Somebody else's command to our drive stops us."""
+    """A command of another master to the drive is a fault, and the torque is 0."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x201, struct.pack("<Hh", 15, 100)))
     machine.run(seconds=1.0)
@@ -291,7 +291,7 @@ def test_second_master_is_a_fault(build: Build) -> None:
 
 
 class Disobedient(Drive):
-    """A drive that commands no longer reach, from SYNC 300 on."""
+    """A drive that ignores its commands from SYNC 300 on."""
 
     def _obey(self, controlword: int, target: int) -> None:
         if self.beats < 300:
@@ -299,7 +299,7 @@ class Disobedient(Drive):
 
 
 def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
-    """It stays enabled although commanded off: 50 ms later, and again, an NMT command makes it react."""
+    """The drive stays enabled after a disable command. The loop repeatedly sends NMT stop to it."""
     machine = Machine(tmp_path, CONSTANT, drive=Disobedient())
     found = Finding(Cause.NOT_FINITE, "a limit")
     machine.drive.at_sync[310] = lambda: machine.axis.supervisor.trip(found, machine.bus.clock.now)
@@ -312,7 +312,7 @@ def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
 
 
 def test_a_drive_whose_feedback_freezes_is_disabled(tmp_path: Path) -> None:
-    """The law's command moves on, not a bit of the answer does: the cause is kept in words."""
+    """If the command changes but the answers stay constant, the loop latches a fault with a text."""
 
     class Frozen(Drive):
         def frames(self) -> list[tuple[int, bytes]]:
@@ -329,7 +329,7 @@ def test_a_drive_whose_feedback_freezes_is_disabled(tmp_path: Path) -> None:
 
 
 def test_our_heartbeat_is_on_the_bus_all_the_time(build: Build) -> None:
-    """Every 20 ms, sent by the loop itself."""
+    """The loop sends its heartbeat every 20 ms."""
     machine = build(CONSTANT)
     machine.run(seconds=0.5)
     beats = [n for n, (can_id, _) in enumerate(machine.bus.sent) if can_id == 0x77F]
@@ -337,7 +337,7 @@ def test_our_heartbeat_is_on_the_bus_all_the_time(build: Build) -> None:
 
 
 def test_stop_after_a_fault_ends_at_once(build: Build) -> None:
-    """No torque remains to be ramped down."""
+    """After a fault no torque remains to be ramped down, so a stop ends the run within 10 cycles."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = machine.drive.fail
     machine.drive.at_sync[600] = lambda: machine.loop.stop("SIGTERM")
@@ -346,7 +346,7 @@ def test_stop_after_a_fault_ends_at_once(build: Build) -> None:
 
 
 def test_what_is_not_finite_trips(build: Build) -> None:
-    """A measurement that is not finite latches, as over-speed does."""
+    """A law with a parameter that is not a number latches a fault, and the torque is 0."""
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: setattr(machine.axis.law, "compensation", math.nan)
     machine.run(seconds=1.0)
@@ -357,7 +357,7 @@ def test_what_is_not_finite_trips(build: Build) -> None:
 
 
 def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Counters of cycles include skipped periods, without which velocities were too high."""
+    """The loop passes the number of skipped periods to the axis. Otherwise velocities would be too high."""
     machine = build(CONSTANT)
     told: list[int] = []
     monkeypatch.setattr(machine.axis, "pass_over", told.append)
@@ -367,7 +367,7 @@ def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytes
 
 
 def test_a_latched_guard_is_released_on_request_within_the_budget(build: Build) -> None:
-    """Not before it is latched, and not twice within two seconds."""
+    """A release has no effect before the guard is latched. A second one within two seconds is rejected."""
     machine = build(CONSTANT)
     guard = machine.axis.guard
     released: list[bool] = []

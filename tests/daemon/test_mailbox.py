@@ -1,4 +1,4 @@
-"""The mailbox between loop and socket server."""
+"""Test the mailbox between loop and socket server."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_commands_come_in_order_one_at_a_time(mailbox: Mailbox) -> None:
 
 
 def test_queue_is_bounded(mailbox: Mailbox) -> None:
-    """A full queue refuses; after one is taken there is room for one."""
+    """A full queue rejects commands. After the loop takes one, there is space for one more."""
     assert all(mailbox.put(Command(0, 0, 0.0)) is not None for _ in range(SLOTS))
     assert mailbox.put(Command(0, 0, 0.0)) is None
     mailbox.take()
@@ -47,7 +47,7 @@ def test_queue_is_bounded(mailbox: Mailbox) -> None:
 
 
 def test_ticket_tells_when_a_command_is_taken(mailbox: Mailbox) -> None:
-    """A command counts as taken once the loop has it."""
+    """A ticket counts as taken once the loop has taken its command."""
     ticket = mailbox.put(Command(1, 2, 3.0))
     assert ticket is not None
     assert not mailbox.taken(ticket)
@@ -56,7 +56,7 @@ def test_ticket_tells_when_a_command_is_taken(mailbox: Mailbox) -> None:
 
 
 def test_stop_is_not_queued(mailbox: Mailbox) -> None:
-    """A stop gets through however many commands wait."""
+    """A stop request is accepted even if the queue of commands is full."""
     while mailbox.put(Command(0, 0, 0.0)) is not None:
         pass
     mailbox.request_stop()
@@ -75,7 +75,7 @@ def other_end(mailbox: Mailbox) -> Mailbox:
 
 
 def test_other_end_reads_the_snapshot(mailbox: Mailbox) -> None:
-    """Another mapping of the memory reads the published values."""
+    """A second mapping of the shared memory reads the published values."""
     other = other_end(mailbox)
     mailbox.publish(GENERAL, AXES)
     mailbox.publish_text(b'["hello"]')
@@ -94,7 +94,7 @@ def test_before_the_first_status_there_are_zeros(mailbox: Mailbox) -> None:
 
 
 def test_a_set_point_replaces_the_one_before_and_is_given_once(mailbox: Mailbox) -> None:
-    """A later 0 never waits behind."""
+    """Only the newest set-point is read, and only once. So a set-point of 0 never waits behind older values."""
     other = other_end(mailbox)
     for n in range(64):
         other.want(1, 0.5 + n, 10.0 + n)
@@ -121,7 +121,10 @@ READINGS = [Reading(*(1000.0 * axis + n for n in range(len(Reading._fields)))) f
 @pytest.mark.parametrize("one", [1, 2])
 @pytest.mark.parametrize("next_one", [1, 2])
 def test_nothing_lies_where_something_else_does(mailbox: Mailbox, one: int, next_one: int) -> None:
-    """Everything is written, to the last byte, and then read at the other end; neighbours in either of two places."""
+    """All fields are written to the last byte and then read at the other end, so an overlap would change a value.
+
+    Fields with two buffers are written once or twice, so that each buffer is tested next to its neighbours.
+    """
     other = other_end(mailbox)
     values: Parameters = (9.0, 8.0, 7.0)
     status = [(axis, values) for axis, _ in AXES]

@@ -1,4 +1,4 @@
-"""The loop latches a stop of its monitor, and ramps the torque to zero if the monitor fails."""
+"""Test that the loop latches a stop by its monitor and ramps the torque to zero if the monitor fails."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STOP = Stop("joint_speed", "joint too fast", "axis 'knee': 13.0 rad/s, the limit
 
 
 class FakeMonitor:
-    """A monitor with the findings of the test."""
+    """A monitor that reports the findings set by the test."""
 
     def __init__(self) -> None:
         self.report = Report()
@@ -44,7 +44,7 @@ def machine(tmp_path: Path) -> Machine:
 
 
 def run(machine: Machine, act: Callable[[FakeMonitor], None]) -> FakeMonitor:
-    """Run until some time after the monitor did this at SYNC 900."""
+    """Run `act` on the monitor at SYNC 900 and stop the loop at SYNC 1300."""
     monitor = FakeMonitor()
     machine.loop.attach(SecondChannel(lambda: monitor))
     machine.drive.at_sync[900] = lambda: act(monitor)

@@ -1,4 +1,4 @@
-"""A drive's warnings become events, once each, and stop nothing."""
+"""Test that each warning of a drive becomes one event and does not stop the loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from tsa_ctrl.daemon.notices import AGAIN, AxisNotices, Events
 
 
 def said(words: list[tuple[float, int]]) -> list[tuple[float, str]]:
-    """Times and texts, of statuswords at their times; the loop looks at them fifty times a second."""
+    """Return the times and texts of the events for a sequence of (time, statusword).
+
+    The loop checks the statusword fifty times per second.
+    """
     axis: Any = SimpleNamespace(name="knee", image=SimpleNamespace(statusword=0, nodes=["drive node 1"]))
     events = Events()
     notices = AxisNotices(axis, events)

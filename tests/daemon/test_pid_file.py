@@ -1,4 +1,4 @@
-"""A daemon whose socket server is dead or hangs is still stopped; another process with its number is not."""
+"""Test `tsa stop` for a daemon whose socket server is dead or hangs. A reused process id is not signalled."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import server_process
 
-# Listens as a socket server that hangs would: connections are taken by the kernel, nobody answers.
+# Behaves like a socket server that hangs: the kernel accepts connections, but no request is answered.
 DAEMON = """
 import os, signal, socket, sys
 def end(number, frame):
@@ -56,7 +56,7 @@ def test_stop_ends_a_daemon_whose_socket_does_not_answer(
 
 
 def test_stop_ends_a_daemon_that_rejects_it(daemon: tuple[str, subprocess.Popen[str]]) -> None:
-    """Whatever the reason for the rejection is."""
+    """If the daemon rejects the stop request, its process gets a signal."""
 
     def reject() -> dict[str, Any]:
         raise UsageError("daemon: 16 clients are connected already")
@@ -67,7 +67,7 @@ def test_stop_ends_a_daemon_that_rejects_it(daemon: tuple[str, subprocess.Popen[
 
 
 def test_stop_ends_a_suspended_daemon(daemon: tuple[str, subprocess.Popen[str]]) -> None:
-    """A signal alone would wait until the daemon is resumed."""
+    """A suspended daemon would not handle the signal, so it is also resumed."""
     path, process = daemon
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED)

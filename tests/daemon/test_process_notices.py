@@ -1,14 +1,14 @@
-"""A hanging process is reported in time and once, and so is its replacement."""
+"""Test that a hanging process and its replacement are each reported once and in time."""
 
 from __future__ import annotations
 
 from tsa_ctrl.daemon.notices import Events, ProcessNotices
 
-STATUS = 0.02  # s between two looks, as of the loop
+STATUS = 0.02  # s between two checks by the loop
 
 
 class Process:
-    """The values in shared memory; the log of the loop begins at 100 s."""
+    """The values of a process in shared memory. The log time of the loop begins at 100 s."""
 
     def __init__(self) -> None:
         self.heard = 0.0

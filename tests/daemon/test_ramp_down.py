@@ -1,4 +1,4 @@
-"""The way down when the loop itself has failed."""
+"""Test the ramp to zero torque after an exception in the loop."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tsa_ctrl.daemon.lifecycle import ramp_down
 
 
 class BrokenError(RuntimeError):
-    """The exception of a programming error in the loop."""
+    """An exception that represents a programming error in the loop."""
 
 
 class TimedDrive(Drive):
-    """Keeps when each frame came, by identifier."""
+    """A drive that records the time of each received frame by identifier."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -44,7 +44,7 @@ def machine(tmp_path: Path, drive: TimedDrive) -> Iterator[Machine]:
 
 
 def broken(machine: Machine, drive: TimedDrive) -> float:
-    """Let the loop fail while there is torque; returns when the way down begins, s."""
+    """Make the loop fail while there is torque, and return the start time of the ramp (s)."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -57,7 +57,7 @@ def fail() -> None:
 
 
 def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
-    """After an exception in a cycle the torque ramps from the last sent value to 0 without the law."""
+    """After an exception in a cycle, the torque ramps from the last sent value to 0 without the control law."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -73,7 +73,7 @@ def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
 
 
 def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
-    """The ramp never sends a torque that the supervisor forbids."""
+    """After a drive fault the ramp sends no torque."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -84,7 +84,7 @@ def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
 
 
 def test_a_stop_time_below_one_period_is_one_command_of_zero(machine: Machine) -> None:
-    """Nothing but the end of the ramp."""
+    """With a stop time below one period, the ramp consists of one command with torque 0."""
     machine.drive.at_sync[800] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -94,7 +94,7 @@ def test_a_stop_time_below_one_period_is_one_command_of_zero(machine: Machine) -
 
 
 def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine) -> None:
-    """Also one whose supervisor would take an enable now."""
+    """The loop fails before the drive is enabled, and the ramp does not enable it."""
     machine.drive.at_sync[3] = fail
     with pytest.raises(BrokenError):
         machine.run()
@@ -103,7 +103,7 @@ def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine)
 
 
 def test_cycles_keep_their_period_and_the_whole_its_time(machine: Machine, drive: TimedDrive) -> None:
-    """SYNC on a grid; an answer that is missing is waited for until six tenths of the period, and one is tolerated."""
+    """The ramp sends SYNC on a 1 ms grid. It waits 0.6 ms for a missing answer and tolerates a single one."""
     begin = broken(machine, drive)
     drive.at_sync[drive.beats + 20] = lambda: drive.silent.add(0x181)
     drive.at_sync[drive.beats + 21] = drive.silent.clear
@@ -115,7 +115,7 @@ def test_cycles_keep_their_period_and_the_whole_its_time(machine: Machine, drive
 
 
 def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
-    """Cycles that are late follow at once; the end stays where it was."""
+    """After a stall of 5.5 ms, the late cycles follow immediately, and the ramp ends at the original time."""
     begin = broken(machine, drive)
 
     def stall() -> None:
@@ -127,7 +127,7 @@ def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
 
 
 def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> None:
-    """A torque that is not permitted is not reported as sent."""
+    """If torque is not permitted, the logged motor torque command is 0 as well."""
     broken(machine, drive)
     drive.fail()
     ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
@@ -140,7 +140,7 @@ def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> 
 
 
 def test_joint_that_runs_away_meanwhile_gets_no_torque(machine: Machine, drive: TimedDrive) -> None:
-    """Over-speed of the limiter also latches during the ramp."""
+    """The over-speed check also latches during the ramp, and the torque stays 0."""
     broken(machine, drive)
     before = len(drive.commands)
 

@@ -1,7 +1,7 @@
-"""The loop's recovery against a small model of it, whatever happens in whatever order.
+"""Compare the loop's recovery with a small model for random sequences of events.
 
-The model knows two things, whether a fault is latched and whether the drive can be reset at all. Torque comes back by a
-request that was made after the fault, and by nothing else: not by one of before, not by a drive that is well again.
+The model has two states: whether a fault is latched, and whether the drive can be reset. Torque returns only after a
+request that is made after the fault. An earlier request or a repaired drive alone does not restore it.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 START = 500  # cycles until there is torque
-SOON = 40  # cycles: a fault is latched, a request is taken
-LONG = 700  # cycles: a reset has worked, and there is torque
-GIVEN_UP = 2700  # cycles: a reset that does not work was given up, after `reset_timeout` and half a second
+SOON = 40  # cycles within which a fault is latched or a request is taken
+LONG = 700  # cycles within which a reset succeeds and torque returns
+GIVEN_UP = 2700  # cycles until a failed reset is abandoned: `reset_timeout` and half a second
 ACTION = st.sampled_from(["fail", "recover", "break", "mend"])
 
 
 class Stubborn(Drive):
-    """One that can be so broken that no reset helps."""
+    """A drive that can be broken so that no reset succeeds."""
 
     broken = False
 
@@ -39,8 +39,8 @@ class Stubborn(Drive):
 
 
 def play(story: list[str]) -> tuple[list[int], list[int]]:
-    """Each cycle's commanded torque, and the cycle in which each act of the story began."""
-    no_rest = mock.patch("tsa_ctrl.safety.release.REST", 0.0)  # the model does not contain the rate of requests
+    """Return the torque command of each cycle, and the cycle in which each event of the story begins."""
+    no_rest = mock.patch("tsa_ctrl.safety.release.REST", 0.0)  # the model does not limit the rate of requests
     with no_rest, tempfile.TemporaryDirectory(prefix="recovery-") as folder:
         machine = Machine(Path(folder), CONSTANT, BARE, drive=Stubborn())
         drive = machine.drive
@@ -68,7 +68,7 @@ def _do(act: Callable[[], object]) -> None:
 
 
 def check(story: list[str]) -> None:
-    """Play it, and hold each act against the model."""
+    """Play the story and compare the torque after each event with the model."""
     torques, begins = play(story)
     assert torques[START - 2] > 0
     latched = broken = False
@@ -98,8 +98,8 @@ def test_torque_comes_back_by_a_request_after_the_fault_alone(story: list[str]) 
 @pytest.mark.parametrize(
     "story",
     [
-        ["recover", "fail", "mend"],  # asked too early
-        ["break", "fail", "recover", "mend", "mend"],  # well again, and nobody asks
+        ["recover", "fail", "mend"],  # request before the fault
+        ["break", "fail", "recover", "mend", "mend"],  # repaired, but without a new request
         ["break", "fail", "recover", "mend", "recover"],
         ["fail", "fail", "recover", "fail", "recover"],
     ],
@@ -109,7 +109,7 @@ def test_stories_that_must_be_among_them(story: list[str]) -> None:
 
 
 def test_the_model_sees_a_request_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of before the fault that acts after it."""
+    """The model detects an error in which a request from before the fault takes effect after it."""
 
     def keeps(loop: Loop, planned: int) -> None:
         loop._recovery_asked = planned * 1e-9

@@ -1,4 +1,4 @@
-"""The local socket: strict, bounded, of its owner alone; no client can hold up another or the loop."""
+"""Test the local socket: strict, bounded, and owned by one user. No client delays another client or the loop."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def serving(tmp_path: Path) -> Iterator[Serving]:
 
 @contextlib.contextmanager
 def loop_taking(serving: Serving) -> Iterator[list[Command]]:
-    """A thread that takes commands as the loop would."""
+    """Run a thread that takes commands like the loop, and yield the list of commands."""
     taken: list[Command] = []
     done = threading.Event()
 
@@ -65,7 +65,7 @@ def loop_taking(serving: Serving) -> Iterator[list[Command]]:
 
 
 def raw(serving: Serving, data: bytes) -> list[dict[str, Any]]:
-    """Send bytes, close the sending side, and return the objects that came back."""
+    """Send bytes on a new connection and return the decoded lines of the answer."""
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(10.0)
         connection.connect(serving.path)
@@ -82,7 +82,7 @@ def raw(serving: Serving, data: bytes) -> list[dict[str, Any]]:
 
 
 def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
-    """The status is the JSON of `tsa status --json`: schema, axes with state and torques, faults; null for unknown."""
+    """The status contains schema, axes with state and torques, parameters and faults. Unknown values are null."""
     with Client(serving.path) as client:
         status = client.ask(Status())
     assert status["schema"] == 1
@@ -99,7 +99,7 @@ def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
 
 
 def test_set_reaches_the_loop(serving: Serving) -> None:
-    """A value within its bounds becomes one command for the right axis."""
+    """A value within its bounds becomes one command for its axis."""
     with loop_taking(serving) as taken, Client(serving.path) as client:
         answer = client.ask(Set("hip.compensation", 0.5))
     assert taken == [Command(1, 0, 0.5)]
@@ -120,7 +120,7 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
     ],
 )
 def test_what_is_out_of_bounds_never_reaches_the_loop(serving: Serving, request_: Any, words: str) -> None:
-    """The error states the allowed values; the mailbox stays empty."""
+    """The request is rejected with a reason, and the mailbox stays empty."""
     with Client(serving.path) as client, pytest.raises(UsageError, match=words):
         client.ask(request_)
     assert serving.mailbox.take() is None
@@ -158,7 +158,7 @@ def test_nonsense_is_refused_and_survived(serving: Serving, line: bytes) -> None
 
 
 def test_set_point_recover_and_stop(serving: Serving) -> None:
-    """The other requests become commands; stop is a separate flag."""
+    """A set-point and a recovery reach the mailbox, and a stop sets a separate flag."""
     with loop_taking(serving) as taken, Client(serving.path) as client:
         now = time.monotonic()
         client.ask(SetPointValue("knee", -0.5, now))
@@ -173,7 +173,7 @@ def test_set_point_recover_and_stop(serving: Serving) -> None:
 
 @pytest.mark.parametrize(("value", "taken"), [(2.1, 2.0), (-7.0, -2.0), (1e12, 2.0)])
 def test_a_set_point_beyond_its_range_is_clamped_and_flagged(serving: Serving, value: float, taken: float) -> None:
-    """The range is part of each measurement."""
+    """Each measurement contains the range of the set-point. A larger value is clamped and flagged."""
     with Client(serving.path) as client:
         assert client.measure()["knee"].set_point_limit == 2.0
         assert client.measure()["hip"].set_point_limit is None
@@ -195,13 +195,13 @@ def test_a_stream_beyond_its_range_is_clamped_and_flagged_once(serving: Serving)
 
 
 def test_loop_that_hangs_is_told(serving: Serving) -> None:
-    """A command that is never taken is answered with an error."""
+    """If the loop does not take a command, the client gets an error."""
     with Client(serving.path) as client, pytest.raises(UsageError, match="did not take the command"):
         client.ask(Set("knee.compensation", 0.5))
 
 
 def test_flood_is_bounded_and_others_are_served(serving: Serving) -> None:
-    """One client floods without reading: at most the queue's bound waits for the loop, and another gets its status."""
+    """One client sends many requests and reads no answers. The queue is bounded, and another client gets its status."""
     line = b'{"verb":"set","name":"knee.compensation","value":0.5}\n'
     with socket.socket(socket.AF_UNIX) as flood:
         flood.connect(serving.path)
@@ -216,7 +216,7 @@ def test_flood_is_bounded_and_others_are_served(serving: Serving) -> None:
 
 
 def test_hanging_clients_are_bounded(serving: Serving) -> None:
-    """Clients that connect and send half a line: only so many stay, and they do not keep another one out."""
+    """Many clients connect and send half a line. A limited number stays connected, and another client is served."""
     hanging = [socket.socket(socket.AF_UNIX) for _ in range(3 * CLIENTS)]
     for connection in hanging:
         connection.connect(serving.path)
@@ -228,12 +228,12 @@ def test_hanging_clients_are_bounded(serving: Serving) -> None:
 
 
 def test_socket_belongs_to_its_owner(serving: Serving) -> None:
-    """With mode 0600 no other user of the machine can move the leg."""
+    """The socket has the mode 0600, so no other user can send commands."""
     assert stat.S_IMODE(Path(serving.path).stat().st_mode) == 0o600
 
 
 def test_second_daemon_is_refused(serving: Serving) -> None:
-    """A socket that answers is not taken over: the first one answers on."""
+    """A second server on the same path is rejected, and the first one continues to answer."""
     second = Serving(Path(serving.path), ["knee"])
     assert not second.ready
     assert b"another daemon answers there" in second.greeting
@@ -243,7 +243,7 @@ def test_second_daemon_is_refused(serving: Serving) -> None:
 
 
 def test_left_over_socket_is_replaced(tmp_path: Path) -> None:
-    """The socket of a daemon that was killed does not keep the next from starting."""
+    """A socket file without a listener, as after a killed daemon, does not prevent a new start."""
     path = tmp_path / "tsa.sock"
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(str(path))
@@ -253,7 +253,7 @@ def test_left_over_socket_is_replaced(tmp_path: Path) -> None:
 
 
 def test_ends_with_the_daemon_and_removes_its_socket(serving: Serving) -> None:
-    """When the daemon's end of the pipe closes, however it died, the server goes and takes its socket along."""
+    """When the daemon's end of the pipe closes, the server ends and removes its socket."""
     serving.end()
     assert serving.process.returncode == 0
     assert not Path(serving.path).exists()
@@ -261,7 +261,7 @@ def test_ends_with_the_daemon_and_removes_its_socket(serving: Serving) -> None:
 
 @pytest.mark.parametrize("module", ["tsa_ctrl.ipc.server", "tsa_ctrl.log.writer"])
 def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: Path) -> None:
-    """Ctrl-C while the processes start: they end without a word."""
+    """If the daemon ends while its processes start, as after Ctrl-C, they end without output."""
     command = [sys.executable, "-m", module, "0", str(tmp_path / "x.mcap")]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
@@ -269,7 +269,7 @@ def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: P
 
 @pytest.mark.slow
 def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> None:
-    """After SIGSTOP the replacement answers requests, and no event is sent twice."""
+    """After SIGSTOP a replacement answers, the set-point is withdrawn, and no event is printed twice."""
     event = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
     serving.mailbox.publish_text(f"[{event}]".encode())
     serving.mailbox.want(0, 0.5, time.monotonic())
@@ -283,7 +283,7 @@ def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> N
     assert serving.mailbox.replaced == 1
     wanted = serving.mailbox.wanted(0)
     assert wanted is not None
-    assert wanted[1] == -math.inf  # what its clients wanted is withdrawn
+    assert wanted[1] == -math.inf  # the set-points of its clients are withdrawn
     assert "heartbeat lost" not in serving.end()
 
 
@@ -299,7 +299,7 @@ def test_an_event_that_a_hanging_server_did_not_print_is_printed_by_its_replacem
 
 
 def test_events_are_told_once(serving: Serving) -> None:
-    """Events that the loop publishes come out on stderr, each once."""
+    """Each event that the loop publishes is printed once on stderr."""
     first = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
     second = '{"number":1,"t":2.0,"axis":"","text":"log: written again","fault":false}'
     serving.mailbox.publish_text(f"[{first}]".encode())
@@ -310,13 +310,13 @@ def test_events_are_told_once(serving: Serving) -> None:
 
 
 def test_no_daemon_is_one_line(tmp_path: Path) -> None:
-    """Without a daemon the client reports this and the remedy."""
+    """Without a daemon the client raises a BusError that no daemon answers."""
     with pytest.raises(BusError, match="no daemon answers there"):
         Client(str(tmp_path / "none.sock"))
 
 
 def test_a_daemon_without_a_socket_yet_is_named(tmp_path: Path) -> None:
-    """At the first use it compiles before it opens the socket."""
+    """A daemon that runs but has not opened its socket yet is reported as starting."""
     socket = str(tmp_path / "tsa.sock")
     server_process.write(socket, os.getpid())
     with pytest.raises(BusError, match=f"process {os.getpid()} is starting"):
@@ -324,7 +324,7 @@ def test_a_daemon_without_a_socket_yet_is_named(tmp_path: Path) -> None:
 
 
 def test_socket_may_belong_to_a_group(tmp_path: Path) -> None:
-    """0660 and that group, by configuration only."""
+    """With a configured group, the socket belongs to this group and has the mode 0660."""
     path = tmp_path / "tsa.sock"
     group = grp.getgrgid(os.getgid())
     with listen(str(path), group.gr_name):
@@ -336,7 +336,7 @@ def test_socket_may_belong_to_a_group(tmp_path: Path) -> None:
 def test_socket_that_cannot_be_opened_is_not_left_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
-    """A group that this user is not in, above all: one line, and the name is free again."""
+    """If the user may not use the group, for example, the error has one line and no socket remains."""
 
     def denied(*arguments: object) -> None:
         raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
@@ -360,7 +360,7 @@ def test_a_file_that_is_in_the_way_stays(tmp_path: Path) -> None:
 
 
 def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
-    """A typing mistake must not open the socket to anybody."""
+    """An unknown group, such as a typing error, gives an error, and no socket is created."""
     path = tmp_path / "tsa.sock"
     with pytest.raises(UsageError, match="no such group"):
         listen(str(path), "no-such-group-here")
@@ -369,7 +369,7 @@ def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("line", [b"[" * 2000, b'{"verb":' * 500, b"[" * 2000 + b"]" * 2000, b'{"x":' + b"[" * 4000])
 def test_nesting_of_any_depth_is_refused_and_the_server_goes_on(serving: Serving, line: bytes) -> None:
-    """The decoder's recursion ends in an answer, not in the process that `tsa stop` needs."""
+    """Deeply nested JSON is answered with an error and does not crash the server."""
     with socket.socket(socket.AF_UNIX) as raw:
         raw.settimeout(PATIENCE)
         raw.connect(serving.path)
@@ -380,7 +380,7 @@ def test_nesting_of_any_depth_is_refused_and_the_server_goes_on(serving: Serving
 
 
 def test_a_terminal_that_is_stopped_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With Ctrl-S the output blocks, and the server continues."""
+    """If the terminal is paused with Ctrl-S, the output blocks, but `update` does not."""
     resumed = threading.Event()
     monkeypatch.setattr("tsa_ctrl.ipc.report.os.write", lambda descriptor, data: resumed.wait() and len(data))
     mailbox = Mailbox(1, 1)

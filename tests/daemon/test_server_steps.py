@@ -1,4 +1,4 @@
-"""The socket server step by step, in this process and in our time: bounds, turns, waiting, and its way in and out."""
+"""Test single steps of the socket server in this process with a simulated clock."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SET = {"verb": "set", "name": "knee.compensation", "value": 0.5}
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
-    """A server whose times are powers of two, so that equal values are equal to the last bit."""
+    """Yield a server whose times are powers of two, so that sums of times are exact."""
     for name, value in (("LOOK", 2.0**-5), ("AHEAD", 2.0**-3), ("IDLE", 32.0)):
         monkeypatch.setattr(server, name, value)
     made = Desk(tmp_path, monkeypatch)
@@ -31,7 +31,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
     made.describe(set_point_timeout=[0.25, 0.25], set_point_limit=[2.0, 1.0])
     made.wanted()
     yield made
-    with contextlib.suppress(OSError, ValueError, KeyError, AttributeError, TypeError):  # one that a test has closed
+    with contextlib.suppress(OSError, ValueError, KeyError, AttributeError, TypeError):  # if the test has closed it
         made.close()
 
 
@@ -57,7 +57,10 @@ def test_who_asks_nothing_for_long_is_let_go_but_not_while_he_waits(
 
 
 def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
-    """The lease's holder and a client that has just spoken keep their connections."""
+    """A new client replaces the one that has been silent longest.
+
+    The holder of the lease and a client with a recent request stay connected.
+    """
     holder, speaker, silent = desk.client(), desk.client(), desk.client()
     holder.ask("lease", seconds=10.0)
     others = [desk.client() for _ in range(CLIENTS - 3)]
@@ -71,7 +74,7 @@ def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
 
 @pytest.mark.parametrize("half", [b"", b'{"verb":'])
 def test_stop_acts_whatever_the_other_clients_do(desk: Desk, half: bytes) -> None:
-    """Idle connections, half lines, and a lease whose holder sends more than is answered in a step."""
+    """A stop acts in spite of many idle connections or half lines and a client with a lease."""
     holder = desk.client()
     holder.ask("lease", seconds=10.0)
     for _ in range(4 * CLIENTS):
@@ -86,13 +89,13 @@ def test_stop_comes_before_the_requests_of_others(desk: Desk) -> None:
     flooding, stopping = desk.client(), desk.client()
     flooding.socket.sendall(b'{"verb":"status"}\n' * 30)
     stopping.say(verb="stop")
-    for _ in range(2):  # one accepts, the other reads
+    for _ in range(2):  # the first step accepts, the second one reads
         desk.server.step(0.0)
     assert desk.mailbox.stop_requested
 
 
 def test_a_value_that_is_set_while_the_axis_starts_is_accepted_and_waits(desk: Desk) -> None:
-    """The answer comes at once and names the current stage; the loop gets the command in its first cycle."""
+    """The answer comes immediately with the current stage of the startup. The command waits for the loop."""
     client = desk.client()
     desk.mailbox.publish_stage(desk.now, "node 1")
     client.say(**SET)
@@ -113,13 +116,13 @@ def test_a_full_queue_is_told(desk: Desk) -> None:
 
 
 def status(desk: Desk, general: General, axis: AxisStatus) -> dict[str, Any]:
-    """The status that a client gets of these values."""
+    """Publish these values and return the status that a client gets."""
     desk.mailbox.publish(general, [(axis, (0.95, 45.0))] * 2)
     return desk.client().ask("status")
 
 
 def test_a_value_that_is_not_known_is_null_and_each_has_its_age(desk: Desk) -> None:
-    """A drive that has been silent for 25 s has no state, while the loop and the joint encoder still have values."""
+    """A drive that has been silent for 25 s has the state null. Loop and joint encoder still have values."""
     dead = QUARTERS._replace(drive_age=25.0, joint_age=0.125)
     axis = status(desk, General(time=desk.now, phase=3.0), dead)["axes"][0]
     assert (axis["state"], axis["tau_m"], axis["tau_j_stretch"], axis["tau_j_model"]) == (None, None, None, None)
@@ -177,7 +180,7 @@ def test_a_release_is_a_command_of_its_own(desk: Desk) -> None:
     desk.mailbox.publish(General(time=desk.now, phase=2.0), [(QUARTERS._replace(guard_latched=1.0), (0.4, 45.0))] * 2)
     owner, member = desk.client(), desk.client(COMMAND)
     owner.say(verb="set", name="hip.back_off", value=1.0)
-    member.say(verb="set", name="knee.back_off", value=0.2)  # lower, which anyone who commands may do
+    member.say(verb="set", name="knee.back_off", value=0.2)  # a member of the command group may lower it
     desk.steps()
     assert [desk.mailbox.take(), desk.mailbox.take()] == [Command(1, RELEASE, 1.0), Command(0, 0, 0.2)]
 
@@ -205,7 +208,7 @@ def test_its_holder_hears_from_the_next_event_on(desk: Desk, before: tuple[int, 
     assert owner.told() == []
     publish(*before, new)
     desk.now += 2.0**-6
-    assert owner.told() == []  # looked at a moment ago
+    assert owner.told() == []  # events were checked less than LOOK ago
     desk.now += 2.0**-6
     assert owner.told() == [{"event": "told", "number": new, "text": "x"}]
     publish(*before, new, new + 1)
@@ -221,4 +224,4 @@ def test_who_never_asked_for_a_lease_hears_nothing(desk: Desk) -> None:
     assert owner.told() == []
 
 
-# The process
+# Process of the server

@@ -29,7 +29,10 @@ def rig(tmp_path: Path, vcan: str) -> Iterator[Rig]:
 
 
 def test_manager_is_told_and_a_hang_shows(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ready with the torque, alive while the loop runs and only then, stopping at the signal; all in this order."""
+    """The daemon notifies the service manager of readiness, then of life while it runs, and of a stop at the signal.
+
+    A suspended daemon sends no notification.
+    """
     manager = Manager(str(rig.folder / "notify"))
     monkeypatch.setenv("NOTIFY_SOCKET", str(rig.folder / "notify"))
     monkeypatch.setenv("WATCHDOG_USEC", str(round(1e6 * WATCHDOG)))
@@ -57,7 +60,7 @@ def test_manager_is_told_and_a_hang_shows(rig: Rig, monkeypatch: pytest.MonkeyPa
 
 
 def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> None:
-    """Its supervisor also hangs, so it is not replaced: the daemon ends both, and prints its summary."""
+    """The server's supervisor is suspended and cannot replace it. The daemon still ends and prints its summary."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -70,7 +73,10 @@ def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> N
 
 
 def test_full_disk_stops_nothing(rig: Rig) -> None:
-    """The loop continues and reports it; kept records are written once there is room; the log can be read."""
+    """The loop continues and reports the full disk. Once there is space, all stored records are written.
+
+    The log can then be read and contains each cycle once.
+    """
     disk = rig.folder / "logs"
     disk.mkdir()
     subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(disk)], check=True)

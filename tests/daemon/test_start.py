@@ -1,4 +1,4 @@
-"""The socket exists before the daemon imports slow modules, and reports the stage of the startup."""
+"""Test that the socket opens before the daemon imports slow modules, and that it reports the startup stage."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_change_before_the_daemon_has_read_its_file_is_refused_with_the_stage(
 
 
 def test_no_client_meets_a_missing_socket_between_start_and_run(server: ServerProcess) -> None:
-    """While the server gets its description, a client asks as fast as it can, and each request is answered."""
+    """A client sends requests continuously while the server gets its description, and each request is answered."""
     axes, errors, done = [], [], threading.Event()
 
     def ask() -> None:
@@ -99,7 +99,7 @@ def test_a_stop_request_ends_a_daemon_that_still_imports(tmp_path: Path) -> None
 
 
 def test_the_socket_is_open_long_before_the_loop_runs(tmp_path: Path) -> None:
-    """`tsa run` on a file that is rejected: the socket comes first, the error has one line, and nothing is left."""
+    """`tsa run` opens the socket before it rejects the file with a one-line error. The socket is then removed."""
     file, path = tmp_path / "controller.toml", tmp_path / "tsa.sock"
     file.write_text(f'[socket]\npath = "{path}"\n[[axis]]\nname = "knee"\n')
     run = [sys.executable, "-m", "tsa_ctrl", "run", str(file)]

@@ -1,4 +1,4 @@
-"""The summary of a run."""
+"""Test the summary of a run."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def summary() -> Summary:
 
 
 def test_json_has_no_nan_and_counts_cycles() -> None:
-    """One JSON object; a percentile without samples is null."""
+    """The JSON object contains the counts of cycles. A percentile without samples is null."""
     text = json.dumps(summary().as_dict(), allow_nan=False)
     found = json.loads(text)
     cycles = {"planned": 10, "sent": 8, "skipped": 2, "overruns": 1, "late": 1, "missed_pdo": 4, "dropped": 0}
@@ -73,7 +73,7 @@ def test_json_has_no_nan_and_counts_cycles() -> None:
 
 
 def test_tables_show_everything_that_matters() -> None:
-    """The torque error comes first, then cause, counts, load, histograms, nodes and events."""
+    """The table begins with the torque error, and contains cause, counts, load, histograms, nodes and events."""
     stream = io.StringIO()
     summary().show(Console(file=stream, width=100))
     shown = stream.getvalue()
@@ -83,7 +83,7 @@ def test_tables_show_everything_that_matters() -> None:
     assert "unproven 25 %" in shown
     assert "rate 0 %" not in shown
     assert "unproven: the sensors confirm less friction" in shown
-    assert "rate: " not in shown  # what hardly acted needs no explanation
+    assert "rate: " not in shown  # a limit that hardly acted is not explained
     assert "not measured" in shown
     for words in ("joint encoder node 32", "heartbeat lost: [drive] node 1", "p99"):
         assert words in shown
@@ -100,21 +100,21 @@ def test_the_histogram_is_left_out_of_a_run_on_time() -> None:
 
 
 def test_is_kept_beside_the_log(tmp_path: Path) -> None:
-    """The causes of faults stay with the log: a JSON file of its name."""
+    """The summary with its events is saved as a JSON file with the name of the log."""
     replace(summary(), log=str(tmp_path / "a.mcap")).save()
     kept = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert kept["events"][0]["text"] == "heartbeat lost: [drive] node 1"
 
 
 def test_without_a_log_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run that logs nothing leaves nothing."""
+    """Without a log, no summary file is written."""
     monkeypatch.chdir(tmp_path)
     replace(summary(), log=None).save()
     assert not list(tmp_path.iterdir())
 
 
 def test_first_fault_is_never_dropped() -> None:
-    """However many events follow, the cause stays."""
+    """The first fault is kept when the list of events is full."""
     events = Events()
     events.add(0.0, "knee", "the cause", cause=Cause.SKIPPED)
     for n in range(3 * MOST):
@@ -125,7 +125,7 @@ def test_first_fault_is_never_dropped() -> None:
 
 
 def test_events_fit_the_mailbox() -> None:
-    """Long events are cut to the size of the mailbox, and the newest are kept."""
+    """Long events are reduced to the size of the mailbox, and the newest one is kept."""
     events = Events()
     for n in range(MOST):
         events.add(float(n), "knee", "x" * 1000)
@@ -135,7 +135,7 @@ def test_events_fit_the_mailbox() -> None:
 
 
 def test_the_cause_is_among_the_events_that_fit_the_mailbox() -> None:
-    """The status shows why it stopped, however many events followed."""
+    """The first fault remains in the encoded text, after any number of later events."""
     events = Events()
     events.add(0.0, "", "log: written again")
     events.add(1.0, "k" * 10_000, "\0" * 10_000, cause=Cause.SKIPPED)

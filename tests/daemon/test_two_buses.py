@@ -1,4 +1,4 @@
-"""Plant and daemon as two processes on two buses of local sockets: one cycle, one record per bus."""
+"""Test plant and daemon as two processes on two buses of local sockets, with a bus record for each bus."""
 
 from __future__ import annotations
 

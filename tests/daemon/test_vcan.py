@@ -1,4 +1,4 @@
-"""Plant and daemon as processes on a real vcan: the whole path, and every way down."""
+"""Test plant and daemon as processes on a real vcan: normal operation and each kind of shutdown."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from tsa_ctrl.plant.process import ask
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-STARTED = 120.0  # s; the first start on a machine compiles
+STARTED = 120.0  # s; the first start on a machine includes compilation
 PATIENCE = 60.0  # s
-PATIENT = (  # a shared machine may hold a process up for some time
+PATIENT = (  # a busy machine may delay a process for some time
     ("rate = 1000.0", "rate = 250.0"),
     ("# [bus.supervision]", "[bus.supervision]"),
     ("# tolerated_misses = 2 ", "tolerated_misses = 60 "),
@@ -50,7 +50,7 @@ def until(condition: Callable[[], Any], patience: float = PATIENCE) -> Any:
 
 
 class Rig:
-    """One folder with its configuration, and the processes of a test."""
+    """A folder with a configuration, and the processes of a test."""
 
     def __init__(self, folder: Path, interface: str) -> None:
         self.folder = folder
@@ -121,7 +121,7 @@ class Rig:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[dict[str, Any], str, int]:
-    """Return summary, stderr and exit code of a daemon that ends without a signal."""
+    """Wait for the daemon to end, and return its summary, stderr and exit code."""
     out, err = process.communicate(timeout=PATIENCE)
     return (json.loads(out) if out else {}), err, process.returncode
 
@@ -140,7 +140,7 @@ def columns(summary: dict[str, Any], *names: str) -> list[np.ndarray]:
 
 
 def test_signal_ramps_down_and_disables(rig: Rig) -> None:
-    """A signal ends the run in order, even when another comes; the torque ramps to 0 and the drive confirms."""
+    """After SIGINT the torque ramps to 0 and the drive confirms the disable. A second signal changes nothing."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -157,7 +157,7 @@ def test_signal_ramps_down_and_disables(rig: Rig) -> None:
 
 
 def test_status_set_and_stop(rig: Rig) -> None:
-    """The three verbs talk to the running daemon; after stop it is gone.
+    """The commands `tsa status`, `tsa set` and `tsa stop` control a running daemon.
 
     The commands run in this process, because a start of Python takes seconds. For errors see tests/daemon/test_cli.py.
     """
@@ -178,21 +178,21 @@ def test_status_set_and_stop(rig: Rig) -> None:
 
 
 def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
-    """Without its log writer, which is reported, the log can be read; without its socket a signal ends it.
+    """The loop continues without its log writer and its socket server, and reports both.
 
-    The signal is that of a closed terminal.
+    The log can be read. SIGHUP, the signal of a closed terminal, then ends the daemon.
     """
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
     until(lambda: any(rig.folder.glob("logs/*.mcap")))
-    time.sleep(1.0)  # some records to lose the rest of
+    time.sleep(1.0)  # some records are written before the writer is killed
     kill_child(daemon, "log.writer")
     gone = "its process is gone"
     status = until(lambda: (s := rig.status()) and any(gone in event["text"] for event in s["events"]) and s)
     assert status["phase"] == "running"
     kill_child(daemon, "ipc.server")
-    time.sleep(1.5)  # the loop looks about once a second
+    time.sleep(1.5)  # the loop checks its processes about once per second
     daemon.send_signal(signal.SIGHUP)
     summary, err, code = ended(daemon)
     assert code == 0, err
@@ -210,7 +210,7 @@ def kill_child(daemon: subprocess.Popen[str], module: str) -> None:
 
 
 def test_a_flooded_socket_leaves_the_loop_alone_and_a_stopped_loop_loses_its_torque(rig: Rig) -> None:
-    """Four clients flood the socket for a second. Then SIGSTOP stops the loop, and the drive ends the torque itself."""
+    """Four clients send requests for a second without a fault. After SIGSTOP, the drive ends the torque itself."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -237,7 +237,7 @@ def test_a_flooded_socket_leaves_the_loop_alone_and_a_stopped_loop_loses_its_tor
 
 
 def test_missing_interface_is_one_line(rig: Rig) -> None:
-    """An interface that does not exist: exit code 1, one line."""
+    """A missing interface gives exit code 1 and a one-line error."""
     rig.edit((f'channel = "{rig.interface}"', 'channel = "can7"'))
     _, err, code = ended(rig.run())
     assert code == 1

@@ -1,4 +1,4 @@
-"""A headless Chromium steered over a pair of pipes (DevTools protocol): no driver, no library, no port."""
+"""Control a headless Chromium over a pair of pipes (DevTools protocol), without a driver, a library or a port."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PATIENCE = 60.0  # s
 
 
 class Page:
-    """One page; `errors` are exceptions of its scripts and rejected requests."""
+    """One browser page. `errors` lists exceptions of its scripts and rejected requests."""
 
     def __init__(self, read: int, write: int) -> None:
         self._read = read
@@ -30,7 +30,7 @@ class Page:
         self.renew()
 
     def renew(self) -> None:
-        """A blank page that has nothing of the one before: no storage, no requests, no errors."""
+        """Open a blank page without the storage, the requests and the errors of the previous page."""
         self._session = ""
         if self._context:
             self.call("Target.disposeBrowserContext", browserContextId=self._context)
@@ -42,7 +42,7 @@ class Page:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One command and its answer; events on the way are looked at."""
+        """Send a command and return its result. Errors among the events received meanwhile are recorded."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
         if self._session:
@@ -68,7 +68,7 @@ class Page:
 
     def _look(self, event: dict[str, Any]) -> None:
         if event.get("sessionId", "") != self._session:
-            return  # of a page before
+            return  # event of a previous page
         if event.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(event["params"]["exceptionDetails"]))
         elif event.get("method") == "Log.entryAdded" and event["params"]["entry"]["level"] == "error":
@@ -78,13 +78,13 @@ class Page:
         self.call("Page.navigate", url=address)
 
     def evaluate(self, script: str) -> Any:
-        """The value of an expression in the page."""
+        """Return the value of an expression in the page."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
     def until(self, script: str) -> Any:
-        """Wait for an expression to become true."""
+        """Wait until an expression becomes true, and return its value."""
         end = time.monotonic() + PATIENCE
         while not (found := self.evaluate(script)):
             assert time.monotonic() < end, f"never true: {script}"
@@ -92,13 +92,13 @@ class Page:
         return found
 
     def resize(self, width: int, height: int = 1400) -> None:
-        """The window, pixels."""
+        """Set the size of the window in pixels."""
         self.call(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )  # fmt: skip
 
     def picture(self, path: Path, width: int = 1100, height: int = 1400) -> None:
-        """A screenshot as PNG."""
+        """Save a screenshot as a PNG file."""
         self.resize(width, height)
         shot = self.call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(shot["data"]))
@@ -106,8 +106,8 @@ class Page:
 
 @contextlib.contextmanager
 def chromium(path: str, folder: Path) -> Iterator[Page]:
-    """A page of a fresh Chromium whose profile lies in `folder`, and which leaves nothing elsewhere."""
-    # Not in `folder`: the path of the socket that it makes there has to be short.
+    """Yield a page of a new Chromium. Its profile is in `folder`, and no files remain elsewhere."""
+    # Chromium creates a socket in this folder, and the path of a socket must be short. `folder` may be too long.
     with tempfile.TemporaryDirectory(prefix="tsa-", ignore_cleanup_errors=True) as own:
         yield from _started(path, folder, own)
 

@@ -1,4 +1,4 @@
-"""A socket server whose loop is played by a thread: it takes commands, moves its parameters and publishes."""
+"""A socket server with a thread in place of the loop, which takes commands, sets parameters and publishes values."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PERIOD = 0.01  # s
 
 
 class Played:
-    """`taken`: the commands so far, in order; `gone`: the daemon ends with the block."""
+    """A simulated daemon. `taken` lists the commands so far, in order."""
 
     def __init__(self, path: Path) -> None:
         self.serving = Serving(path, ["knee", "hip"])
@@ -65,7 +65,7 @@ class Played:
         return axis, (self.compensation[index], 45.0)
 
     def fail(self, text: str) -> None:
-        """A fault is latched."""
+        """Latch a fault with this text."""
         self.phase = LoopPhase.FAULTED
         event = {"number": 0, "t": 1.25, "axis": "knee", "text": text, "fault": True, "cause_id": Cause.STALE_PDO.id}
         self.serving.mailbox.publish_text(msgspec.json.encode([event]))

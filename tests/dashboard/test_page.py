@@ -1,4 +1,4 @@
-"""The page in a real browser, served by `tsa dashboard` itself."""
+"""Test the page of `tsa dashboard` in a real browser."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def page(started: Page, address: str) -> Iterator[Page]:
 
 
 def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
-    """Name, phase, each axis with its charts, lateness; live."""
+    """The page shows name, phase, the charts of each axis and the timing, and it updates continuously."""
     page.until("document.getElementById('phase').textContent === 'running'")
     assert page.evaluate("document.getElementById('name').textContent") == "rig"
     titles = "[...document.querySelectorAll('article .title')].map((title) => title.textContent).join()"
@@ -83,7 +83,7 @@ def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
 
 
 def test_a_change_needs_a_confirmation_and_can_be_undone(page: Page, daemon: Played) -> None:
-    """A slider alone asks for nothing; apply sets, undo sets back, cancel forgets."""
+    """A slider alone sends no command. Apply sets the value, undo restores it, and cancel discards the change."""
     page.evaluate(DRAG)
     assert page.evaluate(f"{ROW}.classList.contains('pending')")
     page.evaluate(CANCEL)
@@ -104,7 +104,7 @@ def test_a_change_needs_a_confirmation_and_can_be_undone(page: Page, daemon: Pla
     ["document.getElementById('stop').click()", "dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))"],
 )
 def test_stop_is_one_press_or_one_key(page: Page, daemon: Played, how: str) -> None:
-    """Nobody is asked again while a torque is on."""
+    """A stop takes effect without a confirmation, because the torque is on."""
     assert not daemon.serving.mailbox.stop_requested
     page.evaluate(how)
     assert until(lambda: daemon.serving.mailbox.stop_requested)
@@ -112,18 +112,18 @@ def test_stop_is_one_press_or_one_key(page: Page, daemon: Played, how: str) -> N
 
 
 def test_a_stop_that_did_not_arrive_is_said_in_red(page: Page, daemon: Played) -> None:
-    """With what to do instead."""
+    """If the daemon has ended, the stop button shows an error message that nothing was stopped from this page."""
     daemon.end()
     page.errors.clear()
     page.evaluate("document.getElementById('stop').click()")
     page.until("document.getElementById('message').textContent.startsWith('NOT STOPPED from here')")
     assert page.evaluate("document.getElementById('message').classList.contains('error')")
-    assert all("503" in text for text in page.errors)  # the browser logs the refused request
+    assert all("503" in text for text in page.errors)  # the browser logs the failed request
     page.errors.clear()
 
 
 def test_a_fault_is_shown_with_its_cure_and_recovered_by_two_presses(page: Page, daemon: Played) -> None:
-    """The cause stays in sight; recovering gives torque again, so it asks once."""
+    """The page shows the fault and its remedy. A recovery turns the torque on, so it requires a second press."""
     assert page.evaluate("document.getElementById('faulted').hidden")
     daemon.fail("stale PDO: drive node 1: 3 cycles in a row")
     page.until("!document.getElementById('faulted').hidden && !document.getElementById('recover').disabled")
@@ -145,7 +145,7 @@ def test_a_number_is_typed_with_round_steps(page: Page, daemon: Played) -> None:
 
 
 def test_the_newest_values_are_shown_without_a_pointer_over_a_chart(page: Page) -> None:
-    """With the unit of each; the tracking error is desired against delivered torque."""
+    """The legends show each value with its unit. The tracking error is the delivered minus the desired torque."""
     page.until("axes.get('knee').data['joint torque'][0].length > 3")
     cells = "document.querySelectorAll('[data-chart=\"{kind}\"] .u-legend .u-value')"
     legend = f"[...{cells}].map((cell) => cell.textContent)"
@@ -162,7 +162,7 @@ def test_the_newest_values_are_shown_without_a_pointer_over_a_chart(page: Page) 
 
 
 def test_at_least_half_of_a_hundred_cycles_a_second_are_points(page: Page) -> None:
-    """That is fifty points a second, whatever the speed of this machine."""
+    """The chart gets a point for more than half of the cycles. The count is relative, so slow machines pass as well."""
     count = "[axes.get('knee').data['joint torque'][0].length, latest.cycles.cycles]"
     page.until("axes.get('knee').data['joint torque'][0].length > 3")
     points, cycles = page.evaluate(count)
@@ -172,7 +172,7 @@ def test_at_least_half_of_a_hundred_cycles_a_second_are_points(page: Page) -> No
 
 
 def test_a_switch_is_a_switch(page: Page, daemon: Played) -> None:
-    """It asks for a confirmation, as a slider does."""
+    """A parameter with two values is shown as a switch, which requires a confirmation like a slider."""
     switch = "{value: 1, low: 0, high: 1, unit: '1', switch: true, doc: ''}"
     page.evaluate(f"addAxis({{name: 'ankle', omega_j: null, parameters: {{use_estimate: {switch}}}}})")
     row = "document.querySelector('[data-parameter=\"ankle.use_estimate\"]')"
@@ -196,17 +196,17 @@ def test_nothing_is_wider_than_the_screen(page: Page) -> None:
 
 
 def test_every_plot_has_one_unit(page: Page) -> None:
-    """The power is the joint torque times the joint speed."""
+    """Each plot shows one unit, and its axis has at least two tick labels. The power plot gets values other than 0."""
     page.until("axes.get('knee').data.power[0].length > 3")
     assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,N·m,rad/s,rad,W"
     last = "axes.get('knee').data.{kind}[1].at(-1)"
     page.until(f"{last.format(kind='power')} !== 0")
     marked = "Object.values(axes.get('knee').charts).every((chart) => chart.axes[1]._splits.length > 1)"
-    page.until(marked)  # one mark alone is no scale
+    page.until(marked)  # an axis needs two tick labels to be readable
 
 
 def test_the_torque_by_stretch_has_its_band(page: Page) -> None:
-    """The chart fills the area between both ends, which contains the value."""
+    """The chart fills the area between the lower and the upper bound, and the value lies between them."""
     data, chart = "axes.get('knee').data['joint torque']", "axes.get('knee').charts['joint torque']"
     page.until(f"{data}[0].length > 3")
     labels = page.evaluate(f"{chart}.series.map((line) => line.label)")
@@ -218,7 +218,7 @@ def test_the_torque_by_stretch_has_its_band(page: Page) -> None:
 
 
 def test_daemon_that_is_gone_is_seen(page: Page, daemon: Played) -> None:
-    """In red, and what to do."""
+    """When the daemon ends, the page shows the phase "no daemon" and a message that no daemon answers."""
     daemon.end()
     page.until("document.getElementById('phase').textContent === 'no daemon'")
     page.until("document.getElementById('news').textContent.includes('no daemon answers')")

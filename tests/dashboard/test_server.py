@@ -45,7 +45,7 @@ def client(daemon: Played) -> Iterator[TestClient]:
 
 
 def test_page_needs_its_token(client: TestClient) -> None:
-    """With it the page; without it, or with another one, nothing."""
+    """The server returns the page with the right token, and status 403 without a token or with a wrong one."""
     assert "<title>tsa</title>" in client.get("/", params={"token": TOKEN}).text
     for given in ({}, {"token": ""}, {"token": TOKEN + "x"}, {"token": "ä"}):
         assert client.get("/", params=given).status_code == 403
@@ -55,7 +55,7 @@ def test_page_needs_its_token(client: TestClient) -> None:
 def test_requests_need_the_token_in_their_head(
     client: TestClient, daemon: Played, path: str, body: dict[str, object]
 ) -> None:
-    """An address that leaked into a link is not enough: a form of another page could send that."""
+    """A token in the address is not sufficient for a request, because a form of another page could send it."""
     assert client.post(path, json=body).status_code == 403
     assert client.post(path, json=body, params={"token": TOKEN}).status_code == 403
     assert (daemon.taken, daemon.serving.mailbox.stop_requested) == ([], False)
@@ -65,7 +65,7 @@ def test_requests_need_the_token_in_their_head(
     "head", [{"host": "evil.example"}, {"host": "127.0.0.1:1"}, {"origin": "http://evil.example"}, {"origin": "null"}]
 )
 def test_other_hosts_and_pages_are_refused(client: TestClient, daemon: Played, head: dict[str, str]) -> None:
-    """A name that was turned to this address, or a page from elsewhere: even with the token."""
+    """A request with a foreign host name (DNS rebinding) or origin is rejected, even with the right token."""
     body = {"name": "knee.compensation", "value": 0.5}
     assert client.post("/set", json=body, headers=ALLOWED | head).status_code == 403
     assert daemon.taken == []
@@ -99,7 +99,7 @@ def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
     ],
 )
 def test_nonsense_is_refused_in_words(client: TestClient, daemon: Played, body: bytes, words: str) -> None:
-    """Status 400, and nothing reaches the loop."""
+    """An invalid request gets status 400 and a message. No command reaches the loop."""
     answer = client.post("/set", content=body, headers=ALLOWED)
     assert answer.status_code == 400
     assert words in answer.json()["error"]
@@ -107,7 +107,7 @@ def test_nonsense_is_refused_in_words(client: TestClient, daemon: Played, body: 
 
 
 def test_stop_asks_the_daemon_to_stop(client: TestClient, daemon: Played) -> None:
-    """As `tsa stop` does."""
+    """A stop request sets the stop flag in the mailbox, like `tsa stop`."""
     assert client.post("/stop", headers=ALLOWED).status_code == 200
     assert daemon.serving.mailbox.stop_requested
 
@@ -122,7 +122,7 @@ def test_recover_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
 
 
 def test_stop_ends_a_daemon_whose_socket_does_not_answer(tmp_path: Path) -> None:
-    """It is stopped by its process; without one the page reports that it was not stopped."""
+    """The daemon is stopped by a signal to its process. Without a known process the request fails with status 503."""
     path = str(tmp_path / "tsa.sock")
     client = TestClient(application(Feed(path), TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}")
     assert client.post("/stop", headers=ALLOWED).status_code == 503
@@ -145,10 +145,10 @@ def test_a_stop_that_the_daemon_rejects_is_an_answer_and_not_a_failure(
 
 
 class Counting:
-    """A daemon that counts its requests and answers each with another cycle."""
+    """A daemon that counts its requests and answers each measurement request with the next cycle number."""
 
     def __init__(self) -> None:
-        self.asked = [0, 0]  # status, measurements
+        self.asked = [0, 0]  # numbers of requests for status and measurements
 
     def status(self) -> dict[str, object]:
         self.asked[0] += 1
@@ -160,7 +160,7 @@ class Counting:
 
 
 def test_pages_share_one_request_to_the_daemon() -> None:
-    """Forty pages that ask at the same time cost the daemon one answer each of status and measurements."""
+    """Forty simultaneous pages cause only one status request and one measurement request to the daemon."""
     daemon = Counting()
 
     async def ask() -> list[tuple[str, int]]:
@@ -191,7 +191,7 @@ def test_each_event_of_a_page_has_a_new_measurement_and_each_status_comes_once()
 
 @pytest.mark.slow
 def test_stop_is_answered_while_forty_clients_fetch_files(daemon: Played) -> None:
-    """Some keep their connections, some connect for each file, and some take the status stream."""
+    """Half of the clients connect for each request, the others keep the connection. Some read the status stream."""
     addresses: queue.Queue[str] = queue.Queue()
     threading.Thread(target=serve, args=(daemon.path, 0, addresses.put), daemon=True).start()
     address = addresses.get(timeout=30)
@@ -229,7 +229,7 @@ def test_stop_is_answered_while_forty_clients_fetch_files(daemon: Played) -> Non
 
 
 def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:
-    """The page lives on."""
+    """After the daemon has ended, requests get status 503, and the page server continues."""
     daemon.end()
     answer = client.post("/set", json={"name": "knee.compensation", "value": 0.5}, headers=ALLOWED)
     assert (answer.status_code, "daemon" in answer.json()["error"]) == (503, True)
@@ -237,7 +237,7 @@ def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:
 
 
 def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
-    """The connection is made again."""
+    """The page server connects again to each new daemon on the same path."""
     feed = Feed(str(tmp_path / "tsa.sock"))
     for _ in range(2):
         assert "error" in feed.status()
@@ -247,7 +247,7 @@ def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
 
 
 def test_what_is_served_asks_for_nothing_from_elsewhere(client: TestClient) -> None:
-    """The browser gets this policy, and no file refers to another place."""
+    """The content security policy allows only the server itself, and no served file contains a foreign address."""
     head = client.get("/", params={"token": TOKEN}).headers
     assert head["content-security-policy"].startswith("default-src 'self'")
     for name in ("app.js", "style.css", "uPlot.iife.min.js", "uPlot.min.css"):
@@ -256,13 +256,13 @@ def test_what_is_served_asks_for_nothing_from_elsewhere(client: TestClient) -> N
 
 
 def test_static_files_only(client: TestClient) -> None:
-    """No way out of the folder."""
+    """A path outside the folder of static files is rejected."""
     assert client.get("/static/../server.py").status_code in (403, 404)
     assert client.get("/static/%2e%2e/server.py").status_code == 404
 
 
 def test_half_open_connections_are_bounded_and_closed(daemon: Played, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four hundred of them leave room for the page soon, and cost no descriptors for long."""
+    """With four hundred silent connections the page is soon served again, and the server closes all of them."""
     monkeypatch.setattr(server, "ASK_TIME", 0.3)
     addresses: queue.Queue[str] = queue.Queue()
     thread = threading.Thread(target=serve, args=(daemon.path, 0, addresses.put), daemon=True)
@@ -274,7 +274,7 @@ def test_half_open_connections_are_bounded_and_closed(daemon: Played, monkeypatc
     for connection in silent:
         connection.settimeout(30)
         with contextlib.suppress(ConnectionResetError):
-            assert connection.recv(1) == b""  # closed from there
+            assert connection.recv(1) == b""  # closed by the server
         connection.close()
 
 
@@ -287,7 +287,7 @@ def _answers(address: str) -> bool:
 
 
 def test_port_that_is_taken_is_one_line() -> None:
-    """And what to do."""
+    """The error for a port in use includes the remedy."""
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -297,7 +297,7 @@ def test_port_that_is_taken_is_one_line() -> None:
 
 @pytest.mark.slow
 def test_loop_and_command_do_not_need_the_extra() -> None:
-    """The page's libraries are loaded by `tsa dashboard` alone."""
+    """The loop and the commands for a running daemon do not import the web libraries."""
     code = "import sys, tsa_ctrl.daemon.run, tsa_ctrl.cli.running; print({'starlette', 'uvicorn'} & set(sys.modules))"
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "set()"

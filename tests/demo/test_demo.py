@@ -1,4 +1,4 @@
-"""The demo: what it plays, which bus it takes, what it says; and the whole system on a vcan."""
+"""Test the demo: its motion, its choice of the bus, its messages, and the whole system on a vcan."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_the_files_that_the_demo_writes_are_valid(tmp_path: Path) -> None:
 
 
 def test_the_plant_is_not_the_controllers_model() -> None:
-    """The demo would prove nothing if truth and model were the same."""
+    """The plant differs from the controller's model, because identical parameters would make the demo meaningless."""
     axis = rig.plant(BusChoice("socketcan", "vcan0"), "full")["axis"][0]
     assert axis["perturbation"]["friction_coefficient"] == 1.08
     assert axis["tendon"]["curvature"] == "uniform"
@@ -169,7 +169,7 @@ def test_every_load_has_files_that_are_valid(tmp_path: Path, load: str) -> None:
 
 
 def demo(folder: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
-    """The JSON of a demo in virtual time."""
+    """Run a demo in virtual time and return its JSON output."""
     with pytest.raises(SystemExit) as stop:
         main(["demo", "--virtual", "--out", str(folder), "--json", *options])
     assert stop.value.code == 0
@@ -192,7 +192,10 @@ def test_virtual_time_shows_what_compensation_gains(tmp_path: Path, capsys: pyte
 def test_the_torque_of_a_demo_moves_the_joint_of_a_load_that_moves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The hand lifts the limb, whatever the torque; on other loads an uncompensated torque may move nothing."""
+    """The joint moves by more than 0.3 rad, and the motion with compensation differs from the one without.
+
+    The load "wearer" is used, because its hand moves the joint even if the torque is small.
+    """
     data = demo(tmp_path, capsys, "--load", "wearer", "--seconds", "5", "--rate", "500")
     columns = read_table(Path(data["log"]), ("t", "q_j")).columns
     assert np.ptp(columns["q_j"]) > 0.3
@@ -275,7 +278,7 @@ def test_what_virtual_time_and_loads_do_not_go_with_is_one_line(
 @pytest.mark.vcan
 @pytest.mark.hil
 @pytest.mark.slow
-@pytest.mark.soak  # what compensation gains is seen in virtual time, the way through processes by tests/daemon
+@pytest.mark.soak  # virtual-time tests cover the gain, tests/daemon the processes
 def test_the_whole_system_reduces_the_error_by_four_fifths(tmp_path: Path, vcan: str) -> None:
     command = [sys.executable, "-m", "tsa_ctrl", "demo", "--bus", vcan, "--out", str(tmp_path), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)

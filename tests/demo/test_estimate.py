@@ -1,4 +1,7 @@
-"""What the default estimator is worth on the demo's rig, whose file is wrong in friction, pretension and stiffness."""
+"""Test the benefit of the default estimator on the demo's rig.
+
+The model file of this rig has a wrong friction, pretension and stiffness.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ from tsa_ctrl.demo.rig import VIRTUAL, play_for
 from tsa_ctrl.demo.run import compare
 
 SECONDS = 6.0
-TURNED = 2.0  # s, in which the tendons have turned twice: nothing says before how they lay, and what friction there is
+# Time for two friction reversals (s). Before, the initial state of the tendons and the friction are unknown.
+TURNED = 2.0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The example of `tsa diagnose`: a log that the verb reads, with something hidden that its model does not know."""
+"""Test the example of `tsa diagnose`: a log with a hidden effect that the model file does not contain."""
 
 from __future__ import annotations
 
@@ -41,5 +41,5 @@ def test_what_does_not_go_together_is_one_line(line: list[str], said: str, capsy
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_what_was_hidden_is_told_whatever_it_was(name: str) -> None:
-    """Sizes are numbers or words."""
+    """The example prints the name and the size of each hidden effect. A size is a number or a word."""
     assert example.Example(Path("a"), Path("b"), draw(0, [name])).told().startswith(f"{name} with ")

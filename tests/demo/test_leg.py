@@ -1,4 +1,4 @@
-"""`tsa demo --leg`: joints that bend each other's sheaths, with and without the routing of the files."""
+"""Test `tsa demo --leg`: each joint changes the wrap angle of the next, with and without the routing in the files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ def test_a_stride_ends_where_it_begins() -> None:
 
 @pytest.mark.slow
 def test_the_routing_halves_what_another_joint_leaves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """592, 681, 743 mN*m without compensation, 54, 154, 180 without routing, 54, 73, 73 with it."""
+    """The routing reduces the RMS error of knee and ankle to less than 60 %.
+
+    RMS errors of hip, knee and ankle (mN*m) are 592, 681 and 743 without compensation. They are 54, 154 and 180
+    without routing, and 54, 73 and 73 with routing.
+    """
     with pytest.raises(SystemExit) as ended:
         main(["demo", "--leg", "--seconds", "5", "--out", str(tmp_path / "leg"), "--json"])
     assert not ended.value.code

@@ -1,4 +1,4 @@
-"""The doctor finds problems of a machine or a bus, and prints the command that corrects each."""
+"""Test that `tsa doctor` finds problems of a machine or a bus and prints the command that corrects each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each check of the doctor fails for its cause, and prints the command that corrects it."""
+"""Test that each check of `tsa doctor` fails for its cause and prints the command that corrects it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GOOD = Interface(
 
 
 def of_link(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Check]:
-    """Return the checks of the interface, with some reports of the kernel replaced."""
+    """Return the checks of the interface by name. `changes` replaces values reported by the kernel."""
     monkeypatch.setattr(can_interface, "read", lambda channel: replace(GOOD, **changes))
     checks = can_interface.checks(BusSettings(channel="can0"), [], 1000.0)
     return {check.name: check for check in checks}
@@ -102,7 +102,7 @@ def test_one_processor_is_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Measured:
-    """Replaces the process that requests the rights, with a given result."""
+    """A replacement for the process that tests the permissions. It returns the given result."""
 
     def __init__(self, found: tuple[object, ...]) -> None:
         self._found = found

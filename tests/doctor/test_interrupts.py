@@ -1,4 +1,4 @@
-"""Processors and interrupt threads, on fake /proc and /sys trees written as the kernel's documentation shows them."""
+"""Test the checks of processors and interrupt threads on /proc and /sys trees in the kernel's documented format."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STAT = "{pid} (irq/{number}-{name}) S 2 0 0 0 -1 2129984 0 0 0 0 0 12 0 0 -51 0 
 
 
 class Kernel:
-    """A machine with four processors; `isolated` as the kernel spells it."""
+    """A machine with four processors. `isolated` is a list in the format of the kernel."""
 
     def __init__(self, folder: Path, isolated: str = "3") -> None:
         self.proc, self.sys = folder / "proc", folder / "sys"
@@ -27,7 +27,7 @@ class Kernel:
         self.lines = ""
 
     def interface(self, device: str, name: str = "can0") -> Path:
-        """Add a network interface on a device, a path below /sys/devices; return the folder of the device."""
+        """Add a network interface on a device (a path below /sys/devices) and return the folder of the device."""
         folder = self.sys / "devices" / device
         (folder / "net" / name).mkdir(parents=True)
         (folder / "net" / name / "device").symlink_to(folder)
@@ -37,7 +37,7 @@ class Kernel:
         return folder
 
     def interrupt(self, number: int, action: str, affinity: str, priority: int | None = None, policy: int = 1) -> None:
-        """Add an interrupt; with a priority it has a thread, whose process id is 100 + number."""
+        """Add an interrupt. If a priority is given, it has a thread with the process id 100 + number."""
         self.lines += f" {number}:          0         14          0          0  IR-PCI-MSI 65536-edge      {action}\n"
         (self.proc / "interrupts").write_text(HEAD + self.lines + "NMI:  0  0  0  0  Non-maskable interrupts\n")
         folder = self.proc / "irq" / str(number)

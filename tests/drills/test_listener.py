@@ -1,4 +1,4 @@
-"""Test the listener on a bus in memory: it receives, replaces SYNC, asks silent drives, and switches off."""
+"""Test the listener on a bus in memory: receiving, sending SYNC, polling silent drives, and switching off."""
 
 from __future__ import annotations
 
@@ -51,7 +51,10 @@ def test_without_guard_it_only_listens(bench: Bench) -> None:
 
 
 def test_on_guard_it_sends_no_sync(bench: Bench) -> None:
-    """There are drives whose watchdogs wait for one: the loop that is dead sends none."""
+    """In guard mode the listener sends no SYNC within 0.1 s.
+
+    The watchdogs of some drives act only on SYNC, and a dead loop sends none.
+    """
     bench.hear(tpdo(100))
     bench.listener.guard()
     assert 0x080 not in bench.wait(0.1)

@@ -1,4 +1,4 @@
-"""Test direction and size of a motor's torque from the plant's frames while the torque of a trial begins."""
+"""Test the check of a motor's torque direction and size while the torque of a trial rises, on frames of the plant."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.drills.listener import Pull, Row, pull
 from tsa_ctrl.model.steady_sliding import wound_by_friction
 
-GEARED = 1.25  # of the shipped actuator
+GEARED = 1.25  # gear ratio of the shipped actuator
 RATED = 1.0  # N*m
 WOUND = wound_by_friction(NOMINAL)
 
 
 def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1, **more: Any) -> list[Row]:
-    """Run a trial of a torque, N*m at the motor, faded in within 0.2 s without compensation.
+    """Run a trial without compensation, whose motor torque (N*m) is faded in within 0.2 s.
 
-    The loop's own checks of the motor would end the trial sooner; wide limits leave the judgement to the pull.
+    The limits are wide, because the loop's own checks of the motor would otherwise end the trial earlier.
     """
-    loose = {"slip": 10.0} if fault == "torque_gain" else {}  # else the elongation ends the run before the pull sees it
+    # With the default limit, the elongation would end the run before `pull` detects the fault.
+    loose = {"slip": 10.0} if fault == "torque_gain" else {}
     axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0, **loose}, "encoder": {"node_id": 32}}
     setpoint = {"kind": "constant", "offset": torque * GEARED}
     options: dict[str, Any] = {"seconds": 0.6} | more
     faults = [f"{fault}@0"] if fault else []
     result = play(folder, load, setpoint, axis=axis, compensation=0.0, faults=faults, **options)
     (one,) = result.axes
-    last = int(np.flatnonzero(one.counted)[-1]) + 1  # after it the loop stops, which no trial does
+    last = int(np.flatnonzero(one.counted)[-1]) + 1  # afterwards the loop stops, unlike in a trial
     log = {name: column[:last] for name, column in one.log.items()}
     angle = GEARED * log["q_j"]
     apart = log["q_m"] - angle
@@ -43,7 +44,7 @@ def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: 
 
 
 def seen(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1) -> Pull:
-    """Return the result of half a second of the run."""
+    """Return the result of `pull` for a run of 0.6 s."""
     return pull(rows(folder, load, fault, sensor, torque), RATED, GEARED, WOUND)
 
 
@@ -67,13 +68,13 @@ def test_a_motor_that_turns_the_wrong_way_is_found(tmp_path: Path, load: str) ->
 @pytest.mark.slow
 def test_a_healthy_motor_gives_the_sensor_what_the_pulleys_do(tmp_path: Path) -> None:
     found = seen(tmp_path, "free", torque=0.8)
-    assert found.gain == pytest.approx(GEARED, rel=0.06)  # 1.193 measured; 3 % held before, cause open
+    assert found.gain == pytest.approx(GEARED, rel=0.06)  # 1.193 now, within 3 % before; cause unknown
     assert found.wrong == ""
 
 
 @pytest.mark.slow
 def test_a_motor_that_gives_twice_what_it_says_is_found_by_the_sensor(tmp_path: Path) -> None:
-    """The torque must be large enough: the sheath's friction retains a small one."""
+    """The joint torque sensor shows the wrong gain. A small torque would not overcome the friction of the sheath."""
     found = seen(tmp_path, "held", "torque_gain", torque=0.8)
     assert "the joint torque sensor follows the motor's torque by" in found.wrong
 
@@ -81,10 +82,13 @@ def test_a_motor_that_gives_twice_what_it_says_is_found_by_the_sensor(tmp_path: 
 @pytest.mark.slow
 @pytest.mark.parametrize("sensor", [True, False])
 def test_of_a_joint_that_something_else_moves_nothing_wrong_is_said(tmp_path: Path, sensor: bool) -> None:
-    """From any moment of its gait on, to any later one: friction stretches the tendons there, not the torque."""
+    """A joint that is moved from outside causes no error, for any start and duration of the trial within its gait.
+
+    Its tendons are elongated by friction and not by the torque of the trial.
+    """
     torque = 0.1
     walked = rows(tmp_path, "imposed", sensor=sensor, torque=0.0, seconds=4.5)
-    for start in range(1000, 2600, 40):  # the torque of a trial on top, as it begins, and what it stretches
+    for start in range(1000, 2600, 40):  # the rising torque of a trial is added to the recorded motion
         for begins, seconds in ((20, 170), (100, 500), (300, 700), (300, 900)):
             faded = [
                 row._replace(torque=row.torque + min(max(n - begins, 0) / 200, 1.0) * torque)
@@ -94,7 +98,10 @@ def test_of_a_joint_that_something_else_moves_nothing_wrong_is_said(tmp_path: Pa
 
 
 def test_a_hand_that_draws_the_joint_against_the_motor_is_no_motor_that_turns_the_wrong_way() -> None:
-    """The tendons give way to a hand that begins soon after the torque; a motor goes ahead of its joint."""
+    """A hand that moves the joint against the motor soon after the torque begins causes no error.
+
+    If the joint moves in the opposite direction, the motor leads it the wrong way and an error is reported.
+    """
     drawn = [Row(0.001 * n, -0.0001 * n, math.nan, 0.001 * max(n - 40, 0)) for n in range(100)]
     led = [row._replace(angle=-row.angle) for row in drawn]
     assert pull(drawn, RATED, GEARED, WOUND).wrong == ""
@@ -111,13 +118,16 @@ def test_without_torque_or_without_anything_that_moves_nothing_is_said() -> None
 
 @pytest.mark.parametrize(("gain", "wrong"), [(1.0, False), (1.6, False), (1.65, True), (3.7, True), (3.8, False)])
 def test_a_sensor_that_follows_by_more_than_the_pulleys_give_is_wrong_up_to_three(gain: float, wrong: bool) -> None:
-    """Beyond three times as much it is a hand at the joint."""
+    """The sensor gain is rejected above the tolerance. Far beyond it (3.8), a hand at the joint explains the torque."""
     straight = [Row(0.01 * n, 0.02 * n, gain * 0.01 * n, 0.0) for n in range(50)]
     assert bool(pull(straight, RATED, GEARED, WOUND).wrong) is wrong
 
 
 def test_the_listener_takes_what_answers_one_sync_for_one_sample(tmp_path: Path) -> None:
-    """In SI, of all nodes of the axis; a cycle in which one is silent, and what comes on guard, are left out."""
+    """One sample contains the answers of all nodes to one SYNC, in SI units.
+
+    A cycle without an answer of one node is skipped. `begin` discards the samples.
+    """
     bench = Bench(tmp_path)
     bench.hear((0x080, b""))
     for n in range(40):

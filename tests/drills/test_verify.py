@@ -1,4 +1,4 @@
-"""Test `tsa verify-safety`: its requirements, and its verdict on a good and on a bad drive."""
+"""Test `tsa verify-safety`: its requirements, and its result for a good and a bad drive."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import plant as plant_process
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
-PATIENT = 1.5  # s until torque must be zero; the default is 50 ms beyond the longest time-out: machines stall so long
+# Time until the torque must be zero (s). A busy test machine may stall for the 50 ms that the default allows.
+PATIENT = 1.5
 
-TRIES = 3  # a stall beyond the drive's time-out ends a loop before its trial, which is told and no verdict
+# If the machine stalls for longer than the drive's time-out, the command reports the lost torque without a result.
+TRIES = 3
 
 
 @pytest.fixture
@@ -105,7 +107,7 @@ def test_a_limit_below_a_time_out_is_refused(folder: Path, given: str, code: int
 
 
 class Rig:
-    """A plant on the vcan, patient enough for a busy machine, and the verb."""
+    """A plant on the vcan with time-outs for a busy machine, and the command."""
 
     def __init__(self, folder: Path, vcan: str) -> None:
         self.folder = folder
@@ -150,15 +152,15 @@ def plants() -> Iterator[list[Rig]]:
 @pytest.mark.hil
 @pytest.mark.slow
 def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants: list[Rig]) -> None:
-    """Three trials, each within the limit; a dated record with every torque seen."""
+    """All three trials end within the limit, each by the expected watchdog. The record contains the torque samples."""
     plants.append(Rig(folder, vcan))
     found, code, error = plants[0].verify()
     assert code == 0, error
     assert [trial["trial"] for trial in found["trials"]] == ["withheld", "hang", "kill"]
     times = {trial["trial"]: trial["zero_after"] for trial in found["trials"]}
     assert all(0.0 < time <= found["limit"] for time in times.values())
-    assert times["withheld"] > 0.4  # by the heartbeat's time-out alone
-    assert times["kill"] > 0.2  # by the command's
+    assert times["withheld"] > 0.4  # only the heartbeat time-out acts
+    assert times["kill"] > 0.2  # the RPDO time-out acts
     acted = {trial["trial"]: trial["watchdog"] for trial in found["trials"]}
     assert acted == {"withheld": "heartbeat", "hang": "rpdo", "kill": "rpdo"}
     assert all(trial["pull"]["shown"].startswith("right") for trial in found["trials"])
@@ -198,8 +200,9 @@ def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configur
 @pytest.mark.hil
 @pytest.mark.slow
 def test_watchdogs_that_do_not_act_are_found_and_the_torque_ends_all_the_same(tmp_path: Path, vcan: str) -> None:
-    """Both drives take all time-outs and report them. One does nothing else, and is switched off; the other one looks
-    at its RPDO timer only on SYNC: in time by the heartbeat alone, and that is said.
+    """Both drives accept all time-outs, but one ignores them and the other checks its RPDO timer only on SYNC.
+
+    The first drive fails and is switched off. The second passes by its heartbeat time-out, with a warning.
     """
     configuration = two_drives(tmp_path, vcan, keeps={"watchdogs": False}, ends={"rpdo_timer_on_sync": True})
     left: list[str] = []

@@ -1,1 +1,1 @@
-"""Tests with drives of other makers in virtual time: startup, operation and end."""
+"""Test drives of other manufacturers in virtual time: startup, operation and shutdown."""

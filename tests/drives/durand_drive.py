@@ -1,6 +1,7 @@
-"""A CiA 402 drive on durand, a CANopen stack that nobody here wrote: no heartbeat consumer, no RPDO timer, no 0x6007.
+"""A CiA 402 drive on durand, a third-party CANopen stack.
 
-`Durand` puts it on a wire in virtual time; `python -m tests.drives.durand_drive CHANNEL` on a SocketCAN interface.
+The drive has no heartbeat consumer, no RPDO event timer and no 0x6007. `Durand` attaches it to a wire in virtual time.
+`python -m tests.drives.durand_drive CHANNEL` runs it on a SocketCAN interface.
 """
 
 from __future__ import annotations
@@ -29,14 +30,17 @@ OBJECTS = (  # index, type, access, power-on value
     (0x605E, I16, "rw", 2), (0x6060, I8, "rw", 0), (0x6061, I8, "ro", 0), (0x6064, I32, "ro", 0),
     (0x606C, I32, "ro", 0), (0x6071, I16, "rw", 0), (0x6072, U16, "rw", 1000), (0x6076, U32, "ro", 1000),
     (0x6077, I16, "ro", 0), (0x6080, U32, "rw", 3000), (0x60A9, U32, "rw", 0x00B44700), (0x6502, U32, "ro", 0x200),
-    (0x60B2, I16, "rw", 120),  # per mille of the rated torque, left there by another tool
+    (0x60B2, I16, "rw", 120),  # per mille of the rated torque, as if left by another tool
 )  # fmt: skip
 DISABLED, READY, ON, ENABLED = 0x0250, 0x0231, 0x0233, 0x1237
 STEPS = {(DISABLED, 0x06): READY, (READY, 0x07): ON, (ON, 0x0F): ENABLED, (ENABLED, 0x06): READY, (ON, 0x06): READY}
 
 
 class DurandDrive:
-    """The drive's application: its state machine, and torque that follows at once, offset included."""
+    """The application of the drive: its state machine and its torque.
+
+    The torque follows the target plus the torque offset without delay, up to the max torque 0x6072.
+    """
 
     def __init__(self, network: NetworkABC) -> None:
         self.node = MinimalNode(network, node_id=NODE)
@@ -71,7 +75,7 @@ class DurandDrive:
 
 
 class Durand(NetworkABC):
-    """durand's network on the plant's end of a wire."""
+    """Connect durand's network to the plant's end of a wire."""
 
     def __init__(self, wire: Wire) -> None:
         self._wire = wire
@@ -105,7 +109,7 @@ class Durand(NetworkABC):
 
 
 async def serve(channel: str) -> None:
-    """On a real interface, until killed."""
+    """Run the drive on a SocketCAN interface until the process is killed."""
     with can.Bus(interface="socketcan", channel=channel) as bus:
         DurandDrive(CANBusNetwork(bus, loop=asyncio.get_running_loop()))
         print("ready", flush=True)

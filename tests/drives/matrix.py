@@ -1,4 +1,4 @@
-"""One variation in virtual time: start, torque, fault, recovery, power cycle, recovery, stop, and a second start."""
+"""Run one variation in virtual time: start, torque, fault, recovery, power cycle, recovery, stop, second start."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tsa_ctrl.safety.release import REST
 from tsa_ctrl.virtual.lockstep import End, Wire
 
 WANTED = 0.5  # N*m at the joint
-PULLS = 0.1  # N*m at the motor: more is torque
-LATENCY = 0.25  # s, [safety] zero_torque_within: its default
-STEADY = 0.1  # s of torque, or of none
-PATIENCE = 120.0  # s, for the slowest drive to come up
-LATER = 2.0  # s after a stop, in which every watchdog has noticed that nobody is there
-LOOK = 0.01  # s between two looks
+PULLS = 0.1  # N*m at the motor above which the drive counts as delivering torque
+LATENCY = 0.25  # s, the default of [safety] zero_torque_within
+STEADY = 0.1  # s with torque, or without torque, before the next step
+PATIENCE = 120.0  # s, enough for the startup of the slowest drive
+LATER = 2.0  # s after a stop, enough for every watchdog to detect the missing master
+LOOK = 0.01  # s between two checks
 
 Story = Iterator[None]
 _OVER = object()
@@ -38,7 +38,11 @@ _OVER = object()
 
 @dataclass(frozen=True)
 class Outcome:
-    """`message`: of a refusal, else the first thing that was told; `wrong`: what did not happen as it must."""
+    """Result of one trial.
+
+    `message` is the error of a rejected start, else the text that the variation expects.
+    `wrong` lists the failed checks.
+    """
 
     variation: Variation
     started: bool
@@ -53,7 +57,7 @@ class Outcome:
 
 
 class _Wire(Wire):
-    """Records the host's frames."""
+    """A wire that records the host's frames."""
 
     def __init__(self) -> None:
         super().__init__(1_000_000)
@@ -66,7 +70,7 @@ class _Wire(Wire):
 
 
 class Station:
-    """A plant with one quirky drive, and the daemon's loop on it, as often as it is started."""
+    """A plant with one deviating drive, on which the daemon's loop can be started several times."""
 
     def __init__(self, variation: Variation) -> None:
         self.configuration = _configuration(variation)
@@ -74,12 +78,12 @@ class Station:
         self.machine = Machine(_plant(variation), self.wire.plant, self.wire.plant.clock)
         self.wire.attach(self.machine)
         self.machine.start()
-        self.wire.pass_until(0.05)  # what a drive does by itself it does before anybody comes
+        self.wire.pass_until(0.05)  # actions of the drive without a master happen before the start
         self.told: list[str] = []
         self.history: list[Event] = []
         self.first_fault = ""
         self.pulled = self.proved = self.ended = False
-        self.released = -math.inf  # s, the last request for a recovery
+        self.released = -math.inf  # s, time of the last recovery request
 
     @property
     def unit(self) -> AxisNodes:
@@ -87,7 +91,7 @@ class Station:
 
     @property
     def torque(self) -> float:
-        """N*m that the power stage is commanded."""
+        """Return the magnitude of the torque that the power stage is commanded (N*m)."""
         return abs(self.unit.axis.command.torque)
 
     @property
@@ -97,7 +101,7 @@ class Station:
         return node
 
     def run(self, story: Story) -> list[str]:
-        """Run the daemon until the story is over; return the drives that did not confirm the end."""
+        """Run the daemon until `story` ends. Return the drives that did not confirm the shutdown."""
         daemon = self.daemon = Daemon(self.configuration, self.wire, self.told.append)
         loop = daemon.loop
         self.proved = self.ended = False
@@ -126,7 +130,7 @@ class Station:
         return daemon.lifecycle.unconfirmed
 
     def recover(self) -> None:
-        """Request a recovery; the loop permits one in REST."""
+        """Request a recovery and store its time. The loop permits one recovery per REST seconds."""
         self.released = self.wire.now
         self.daemon.recover()
 
@@ -135,7 +139,7 @@ class Station:
 
 
 def _configuration(variation: Variation) -> Configuration:
-    """The example's, on one axis without sensors, with the lines that the variation gives."""
+    """Return the example's configuration for one axis without sensors, with the keys of the variation."""
     base = load_configuration(CONFIG / "controller.toml")
     replace = msgspec.structs.replace
     file = base.file
@@ -164,7 +168,7 @@ def _configuration(variation: Variation) -> Configuration:
 
 
 def _plant(variation: Variation) -> PlantSettings:
-    """The example's, standing still, with the variation's drive and no sensors."""
+    """Return the example's plant at standstill, with the drive of the variation and no sensors."""
     plant = load_plant(CONFIG / "plant.toml")
     replace = msgspec.structs.replace
     axis = plant.axis[0]
@@ -180,7 +184,7 @@ def _plant(variation: Variation) -> PlantSettings:
 
 
 def run_trial(variation: Variation) -> Outcome:
-    """Everything that a drive goes through, once."""
+    """Run the whole sequence of a variation once and return its outcome."""
     station = Station(variation)
     wrong: list[str] = []
     try:
@@ -195,7 +199,7 @@ def run_trial(variation: Variation) -> Outcome:
 
 
 def _story(station: Station, wrong: list[str]) -> Story:
-    """Act on a running loop and check the reactions; each `yield` lets some cycles pass."""
+    """Act on a running loop and check the reactions. Each `yield` lets some cycles pass."""
 
     def pulls() -> bool:
         return station.torque > PULLS
@@ -230,7 +234,11 @@ def _until(
 
 
 def _afterwards(station: Station) -> list[str]:
-    """Nobody is there: the drive is off and without a fault; then it starts again as if nothing had been."""
+    """Check the drive after the stop and start it again.
+
+    Without a master the drive must be off and without a fault. The second start must deliver torque, and the drive must
+    not have stored its parameters.
+    """
     wrong = []
     if station.torque:
         wrong.append("torque after the stop")
@@ -253,12 +261,12 @@ def _afterwards(station: Station) -> list[str]:
 
 
 def _commanded(station: Station) -> list[str]:
-    """A start that was refused must not have commanded a drive."""
+    """Return an error if RPDOs were sent although the start was rejected."""
     rpdos = [data for can_id, data in station.wire.sent if can_id == 0x201]
     return ["RPDOs were sent"] if rpdos and not station.proved else []
 
 
 def _told(station: Station, variation: Variation) -> str:
-    """The line that the variation speaks of, or nothing."""
+    """Return the first text that contains the `told` of the variation, or an empty string."""
     texts = [*station.told, *(event.text for event in station.history)]
     return next((text.strip() for text in texts if variation.told and variation.told in text), "")

@@ -1,4 +1,7 @@
-"""One foreign drive on a wire in virtual time, and a master that is brought up on it; what the master sent is kept."""
+"""One drive of another manufacturer on a wire in virtual time, and a master that brings it up.
+
+The frames of the master are recorded.
+"""
 
 from __future__ import annotations
 
@@ -29,18 +32,18 @@ from tsa_ctrl.virtual.lockstep import End, Wire
 
 PERIOD = 0.002  # s
 MOST_CYCLES = 5000
-STILL = "motion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"  # of an axis of a plant
+STILL = "motion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"  # of a plant's axis
 _channels = itertools.count()
 
 
 def refused(*parts: str) -> pytest.RaisesContext[TsaError]:
-    """A refusal whose one line has these parts in this order."""
+    """Expect a TsaError whose message contains these parts in this order."""
     return pytest.raises(TsaError, match=".*".join(re.escape(part) for part in parts))
 
 
 @contextlib.contextmanager
 def served(folder: Path, text: str) -> Iterator[str]:
-    """A plant of these axes in a thread; yields its channel of python-can's virtual bus in this process."""
+    """Run a plant with these axes in a thread. Yield its channel on python-can's virtual bus in this process."""
     name = f"drives-{next(_channels)}"
     bus = PythonCan("virtual", name, 1_000_000)
     machine = Machine(load_plant(plant_file(folder, text)), bus)
@@ -70,7 +73,7 @@ class Recording(Wire):
 
 
 class Foreign:
-    """A plant with one axis without sensors; `quirks` are lines of its [axis.drive]."""
+    """A plant with one axis without sensors, and its master. `quirks` are lines of the plant's [axis.drive]."""
 
     def __init__(self, folder: Path, *quirks: str, text: str | None = None) -> None:
         lines = ["[[axis]]", "name = 'joint'", "motion.kind = 'still'", "encoder.present = false"]
@@ -98,7 +101,7 @@ class Foreign:
         return node
 
     def sent(self, *can_ids: int) -> list[Frame]:
-        """Return the host's frames with these identifiers; without any: all."""
+        """Return the host's frames with these identifiers, or all of its frames if no identifier is given."""
         return [(can_id, data) for _, can_id, data in self.wire.sent if not can_ids or can_id in can_ids]
 
     def commands(self) -> list[Frame]:
@@ -111,7 +114,7 @@ class Foreign:
         return bring_up(self.wire.host, self.settings, [self.axis], [self.profile], PERIOD, reset_faults)
 
     def start(self, profile: DriveProfile | None = None, reset_faults: bool = False, **drive: object) -> Report:
-        """Bring-up and proof."""
+        """Bring the drive up and check the startup."""
         report = self.bring_up(profile, reset_faults, **drive)
         late = self.profile.mode_shows == "enabled"
         self.supervisor = Supervisor(SupervisionSettings(), self.profile.reports_following, late)
@@ -121,7 +124,7 @@ class Foreign:
         return report
 
     def run(self, request: Request, until: Phase, torque: float = 0.0) -> None:
-        """Cycles until the supervisor is in a phase; raises AssertionError with its fault when it is not."""
+        """Run cycles until the supervisor reaches the phase `until`, or raise AssertionError with its fault."""
         for _ in range(MOST_CYCLES):
             self.cycle(request, torque)
             if self.supervisor.phase is until:
@@ -145,10 +148,10 @@ class Foreign:
         self.cycle(Request.ENABLE, torque, cycles=10)
 
     def stop(self) -> list[str]:
-        """The orderly end; what was not confirmed."""
+        """Shut the drive down and return a message for each step that was not confirmed."""
         assert self.rig is not None
         return shut_down(self.rig, PERIOD)
 
     def wait(self, seconds: float) -> None:
-        """Nobody on the host's side does anything."""
+        """Let time pass without any action of the host."""
         self.wire.pass_until(self.wire.now + seconds)

@@ -1,4 +1,4 @@
-"""`tsa drive set-node-id`: LSS on a bus with one node that has no id, and never with two."""
+"""`tsa drive set-node-id` sets the id of a single unconfigured node by LSS, and rejects a bus with two of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drives of others: every variation in virtual time goes through everything, or is refused with its cure."""
+"""Every variation of a drive completes the whole sequence in virtual time, or is rejected with its remedy."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from tests.drives.matrix import run_trial
 from tests.drives.variations import VARIATIONS, Variation
 from tsa_ctrl.plant.identity import Quirks
 
-LONG = (  # virtual time
-    "answers SDO after 0.4 s",  # for slow answers see tests/drives/test_start.py
-    "steps of 1.5 s, more patience",  # that it is the cure is asked for where more patience is left out
+LONG = (  # variations that take long
+    "answers SDO after 0.4 s",  # the variation with 0.7 s always runs
+    "steps of 1.5 s, more patience",  # "steps of 1.5 s" requires that this remedy is reported
     "boots after 3.5 s, and the profile says so",
 )
 
@@ -33,7 +33,7 @@ def test_every_quirk_is_in_the_matrix() -> None:
 
 
 def test_a_refusal_that_a_line_mends_has_a_twin_that_runs() -> None:
-    """Each key of the profile or the configuration that a message names is also tested."""
+    """Each of these keys, which error messages propose as a remedy, is set in at least one variation."""
     keys = {key for variation in VARIATIONS for key in (*variation.profile, *variation.drive, *variation.supervision)}
     assert {
         "mode_shows", "produces_sync", "boot_timeout", "enable_timeout", "reports_following", "warnings", "supervision",

@@ -1,4 +1,4 @@
-"""The monitor's stop on a CANopen stack of others, whose drive ignores NMT stop."""
+"""The monitor's stop disables a drive on a third-party CANopen stack, even if the drive ignores NMT."""
 
 from __future__ import annotations
 

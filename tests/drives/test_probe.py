@@ -1,4 +1,7 @@
-"""`tsa drive probe`: what it asks, what it writes, and that what it wrote brings the drive up once it is finished."""
+"""`tsa drive probe` sends only SDO reads and writes a profile.
+
+Once the profile is completed, it brings the drive up.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.cli import cli
 
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
-FINISH = {  # what the one who knows the drive writes into the profile: line before, line after
+FINISH = {  # lines that a user completes in the profile: before, after
     "elmo_gold": {},
     "technosoft_ipos": {
         "torque = 1000.0 ": "torque = 16380.0 ",
@@ -42,7 +45,7 @@ def looked_at(foreign: Foreign, slot: int = 1) -> Probe:
 
 
 def written(folder: Path, foreign: Foreign, kind: str = "generic") -> DriveProfile:
-    """The profile that the probe writes, finished and loaded."""
+    """Return the profile that the probe writes, completed and loaded."""
     text = profile_text(looked_at(foreign), "here")
     for before, after in FINISH.get(kind, {}).items():
         assert before in text, before
@@ -122,7 +125,10 @@ def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str],
 
 
 def test_a_drive_whose_only_watchdog_is_life_guarding_is_guarded(tmp_path: Path) -> None:
-    """It makes a heartbeat, and hears none."""
+    """The drive has neither a heartbeat consumer nor an RPDO event timer.
+
+    The profile selects guarding only if the drive has the life time factor 0x100D.
+    """
     found = looked_at(Foreign(tmp_path))
     for entry in (objects.HEARTBEAT_CONSUMERS, objects.RPDO_EVENT_TIMER):
         del found.values[entry]
@@ -158,13 +164,13 @@ def test_beside_a_master_nothing_is_asked(tmp_path: Path) -> None:
 
 @pytest.fixture
 def channel(tmp_path: Path) -> Iterator[str]:
-    """A plant with one drive, node 1."""
+    """Run a plant with one drive, node 1, and yield its channel."""
     with served(tmp_path, "[[axis]]\nname = 'joint'\n" + STILL) as name:
         yield name
 
 
 def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -> None:
-    """`tsa drive probe --out`, then `tsa run --check` on a controller that names the profile."""
+    """`tsa run --check` accepts a controller that uses the profile written by `tsa drive probe --out`."""
     for name in ("controller.toml", "actuator.toml"):
         shutil.copy(ROOT / "config" / name, tmp_path)
     (tmp_path / "drives").mkdir()

@@ -1,4 +1,4 @@
-"""Each message of a failed startup has a remedy: all that can be raised there is read line by line."""
+"""Each error of a failed startup contains a remedy. The messages are read from the source code."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ import pytest
 from tests.conftest import ROOT
 
 PLACES = ("tsa_ctrl/bus", "tsa_ctrl/drills")
-# Words that say what to do, in the imperative, after what was found.
+# Verbs in the imperative that state a remedy.
 DO = re.compile(
     r"\b(correct|write|give|raise|check|use|choose|power|cut|stop|start|leave|map|lower|remove|repair|load|plug|set|watch|"
     r"mend|did you mean|allowed are|needs more)\b"
 )
-ELSEWHERE = (  # messages that another function words, or ends: each is read below, or by the tests named there
+ELSEWHERE = (  # messages that another function completes; the tests below or the listed tests check them
     "another_master",
     "_not_booted",
-    "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, test_matrix
+    "node {node_id} refuses {entry}",  # cure() appends the remedy where it is caught: test_start, test_matrix
     "{path}: {error}",
     "{name}: {error}{holds}; {cure(",
     "read back {kept}; {cure(",
     "supported modes 0x{modes:08X}{_instead(modes)}",
-    "the drive {refusal}",  # set_node_id gives both refusals with their cure: test_lss
-    "absent: unknown object '{absent}'; {advice}",  # a near name, or where the names stand: test_profile
-    "SYNCs in time (late {health.late}",  # ended by _said
-    "torque was lost before anything was done",  # ends with the loop's own first words
+    "the drive {refusal}",  # set_node_id raises both errors with a remedy: test_lss
+    "absent: unknown object '{absent}'; {advice}",  # suggests a similar name or lists the names: test_profile
+    "SYNCs in time (late {health.late}",  # _said completes it
+    "torque was lost before anything was done",  # ends with the first message of the loop
     "the loop ended before there was torque",
 )
 WORDED = ("another_master", "_not_booted", "_instead", "_said", "rated_torque_hint")
@@ -51,7 +51,7 @@ def _format(node: ast.FormattedValue) -> str:
 
 
 def raised() -> Iterator[tuple[str, str]]:
-    """Where, and the message with its fields in braces."""
+    """Yield the place of each raised error, and its message with the fields in braces."""
     for place in PLACES:
         for path in sorted((ROOT / place).rglob("*.py")):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -68,7 +68,10 @@ def test_a_refusal_says_what_mends_it(where: str, message: str) -> None:
 
 
 def test_what_ends_other_messages_says_what_mends_it() -> None:
-    """Functions that word a message, or its end, for those above."""
+    """Functions that complete the messages of ELSEWHERE contain a remedy.
+
+    rated_torque_hint must exist but needs no remedy.
+    """
     found = {}
     for path in (ROOT / "tsa_ctrl/bus").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

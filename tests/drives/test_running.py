@@ -1,4 +1,4 @@
-"""Drives that others wrote, while the daemon's loop runs on them in virtual time."""
+"""Drives that deviate from the standard, while the daemon's loop runs in virtual time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def run(
     *faults: Fault,
     changes: tuple[Change, ...] = (),
 ) -> Simulation:
-    """One axis whose plant has these quirks and whose drive has this profile."""
+    """Simulate one axis whose plant has these quirks and whose drive has this profile."""
     tables = controller(drive={"profile": "other"} if profile is not None else {})
     paths = write(folder, tables, plant(drive=quirks))
     if profile is not None:

@@ -1,4 +1,4 @@
-"""Several axes: in one device, of several makes on one bus, equal drives, one encoder for two; in virtual time."""
+"""Several axes in virtual time: one device, several makes on one bus, equal drives, one encoder for two axes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,14 @@ from tsa_ctrl.errors import UsageError
 
 Keys = dict[str, Any]
 NONE = {"present": False}
-QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # which way a held motor last moved is another matter
+QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # compensation would depend on the last direction
 
 
 def files(folder: Path, *axes: tuple[Keys, Keys]) -> tuple[Path, Path]:
-    """Controller and plant at 500 Hz; of each axis the keys of its [axis.drive] there and here."""
+    """Write the files of a controller and a plant at 500 Hz, and return their paths.
+
+    Each of `axes` holds the keys of [axis.drive] for the controller and for the plant.
+    """
     (folder / "actuator.toml").write_text(ACTUATOR, encoding="utf-8")
     shutil.copytree(ROOT / "config" / "drives", folder / "drives", dirs_exist_ok=True)
     ours, theirs = [], []
@@ -44,12 +47,16 @@ def files(folder: Path, *axes: tuple[Keys, Keys]) -> tuple[Path, Path]:
 
 
 def pulls(result: Any, axis: int) -> float:
-    """Largest torque that the power stage of an axis was commanded, N*m."""
+    """Return the largest torque that the power stage of an axis was commanded (N*m)."""
     return float(abs(result.axes[axis].truth["command"]).max())
 
 
 def test_two_axes_of_one_device(tmp_path: Path) -> None:
-    """One node, objects 0x800 apart, PDOs 64 apart, identifiers of the node's own second half."""
+    """Both axes of one node deliver torque.
+
+    The objects of the second axis are 0x800 higher and its PDOs 64 higher. It uses PDO identifiers of the node that the
+    first axis leaves free.
+    """
     device: Keys = {"node_id": 5}
     result = simulate_loop(*files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2})), 1.2)
     assert not result.summary.failed, result.summary.cause
@@ -125,7 +132,7 @@ def test_one_encoder_for_two_axes(tmp_path: Path) -> None:
 
 @pytest.fixture
 def channel(tmp_path: Path) -> Iterator[str]:
-    """Two equal drives, serial numbers 41 and 42."""
+    """Run a plant with two equal drives with serial numbers 41 and 42, and yield its channel."""
     (tmp_path / "plant").mkdir()
     axes = (("a", 41), ("b", 42))
     text = "".join(f"[[axis]]\nname = '{axis}'\ndrive.serial_number = {serial}\n{STILL}" for axis, serial in axes)
@@ -134,7 +141,7 @@ def channel(tmp_path: Path) -> Iterator[str]:
 
 
 def test_doctor_writes_the_serial_numbers_into_the_file(tmp_path: Path, channel: str) -> None:
-    """All else in it stays, comments too; the file before is kept."""
+    """The rest of the file stays, including comments. The previous file is kept."""
     controller, _ = files(tmp_path, ({}, {}), ({}, {}))
     text = controller.read_text(encoding="utf-8")
     controller.write_text(

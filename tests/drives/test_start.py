@@ -1,4 +1,7 @@
-"""The start on drives that do otherwise: it works, or is refused with the line that mends it."""
+"""Startup of drives that deviate from the standard.
+
+The startup succeeds, or its error contains the remedy.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ RPDO, NMT, SYNC, HEARTBEAT = 0x201, 0x000, 0x080, 0x77F
 
 
 def busy(foreign: Foreign, *frames: tuple[int, bytes]) -> None:
-    """Another master's frames, every 20 ms."""
+    """Send these frames of another master every 20 ms."""
 
     def again(now: float) -> None:
         for frame in frames:
@@ -72,7 +75,7 @@ def test_a_drive_that_is_not_off_goes_on_watching(tmp_path: Path) -> None:
 
 
 def test_torque_stays_zero_until_the_mode_shows(tmp_path: Path) -> None:
-    """Enabled at the drive, but not yet for the supervisor: not one command has torque."""
+    """The drive is enabled but still reports mode 0. No RPDO commands a torque."""
     foreign = Foreign(tmp_path, "mode_shows = 'enabled'")
     foreign.start(DriveProfile(mode_shows="enabled"))
     foreign.drive.faults.wrong_mode = 0
@@ -125,7 +128,10 @@ def test_read_only_objects_whose_value_does_as_well_are_forgiven(tmp_path: Path)
 
 
 def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
-    """A drive that repeats one answer to node guarding may have stopped working behind it."""
+    """A drive that repeats the same answer to node guarding may have stopped working.
+
+    The supervisor reports a lost heartbeat.
+    """
     foreign = Foreign(tmp_path, "node_guarding = true")
     foreign.start(DriveProfile(supervision="guarding"))
     foreign.enable(0.3)
@@ -143,7 +149,7 @@ def test_an_inhibit_time_that_cannot_be_written_is_reported(tmp_path: Path) -> N
     assert note == "0x1015:0 inhibit time EMCY cannot be written; its 0x1388 does as well"
 
 
-VALUES = (  # type, value as a person writes it, bytes in the drive
+VALUES = (  # type, value in the profile, bytes in the drive
     ("bool", True, "01"), ("i24", -2, "feffff"), ("u24", 0xABCDEF, "efcdab"), ("i40", -1, "ffffffffff"),
     ("u48", 1 << 47, "000000000080"), ("u56", 5, "05000000000000"), ("i64", -(1 << 63), "0000000000000080"),
     ("u64", (1 << 64) - 1, "ffffffffffffffff"), ("f32", 0.1, "cdcccc3d"), ("f32", 2, "00000040"),

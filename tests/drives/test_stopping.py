@@ -1,4 +1,4 @@
-"""A stop that comes while drives are brought up: nobody waits any longer, and nothing is left armed."""
+"""A stop request during bring-up ends it at once and leaves no watchdog armed."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
 from tsa_ctrl.errors import StoppedError
 
 RPDO, NMT, SYNC = 0x201, 0x000, 0x080
-AT_ONCE = 0.1  # s of the bus' own time
+AT_ONCE = 0.1  # s of bus time
 
 
 def stopped_at(foreign: Foreign, when: Callable[[str], bool], **drive: object) -> float:
-    """Bring up; the stop is asked for 20 ms after the stage that `when` picks. How long it took to end, s."""
+    """Request a stop during bring-up, 20 ms after the stage that `when` selects.
+
+    Return the time (s) that bring-up needed to end.
+    """
     asked = [float("inf")]
 
     def tell(stage: str) -> None:
@@ -43,7 +46,7 @@ def test_a_slow_boot_is_not_waited_for(tmp_path: Path) -> None:
     foreign.wait(31.0)
     foreign.wire.sent.clear()
     took = stopped_at(foreign, lambda stage: stage.startswith("waiting for the boot-up"), boot_timeout=60.0)
-    assert took < 4 * 0.5  # its last words to a node that does not answer: three questions of half a second
+    assert took < 4 * 0.5  # the last requests to a silent node: three time-outs of 0.5 s
     assert foreign.sent(RPDO, SYNC) == []
     assert foreign.sent(NMT)[0] == (NMT, b"\x82\x01")
     assert foreign.sent(NMT)[-1][1][0] in (0x02, 0x80)

@@ -1,4 +1,4 @@
-"""Stacks of other authors: durand as a drive under our master, python-canopen's BaseNode402 over our plant."""
+"""Third-party stacks: a drive on durand with this package's master, and the plant with python-canopen's BaseNode402."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 durand_drive = pytest.importorskip("tests.drives.durand_drive")
 
 _channels = itertools.count()
-# What such a drive needs to be accepted: nothing watches there, and it has no max motor speed reaction of its own.
+# The drive has no watchdog, so it is accepted only with require_watchdog = false.
 AXIS = AxisNodes(name="knee", drive=DriveSettings(node_id=3, require_watchdog=False))
 
 
 class OnDurand(Foreign):
-    """The master of `Foreign`, its drive on durand."""
+    """The master of `Foreign` with a drive on durand."""
 
     def __init__(self) -> None:
         self.wire = Recording()
@@ -71,7 +71,7 @@ def test_a_drive_on_durand_comes_up_pulls_stops_and_comes_up_again() -> None:
 
 
 def test_the_torque_offset_of_a_drive_on_durand_is_neutralised() -> None:
-    """It was left at 120 per mille, which turns the motor at command 0."""
+    """The drive has an offset of 120 per mille, which turns the motor at command 0. The startup sets it to 0."""
     master = OnDurand()
     drive = master.durand.drive
     drive.node.object_dictionary.write(0x6041, 0, durand_drive.ENABLED)
@@ -112,7 +112,7 @@ def test_a_drive_on_durand_in_a_process_of_its_own_on_a_vcan(vcan: str) -> None:
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-        period = 0.01  # s; a Python stack on a busy machine
+        period = 0.01  # s; slow enough for a Python stack on a loaded machine
         supervisor = Supervisor(SupervisionSettings(tolerated_misses=50, enable_timeout=10.0))
         bring_up(bus, settings, [AXIS], [DriveProfile()], period)
         rig = Rig(bus, settings, [AXIS], [DriveProfile()])
@@ -140,7 +140,7 @@ def test_a_drive_on_durand_in_a_process_of_its_own_on_a_vcan(vcan: str) -> None:
 
 @pytest.fixture
 def plant(tmp_path: Path) -> Iterator[tuple[str, Machine, Path]]:
-    """Our plant with one drive in a thread, its channel and the EDS that it writes of itself."""
+    """Run a plant with one drive in a thread. Yield its channel, the machine and the EDS file that it writes."""
     channel = f"third-{next(_channels)}"
     text = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"
     path = plant_file(tmp_path, text)
@@ -159,7 +159,7 @@ def plant(tmp_path: Path) -> Iterator[tuple[str, Machine, Path]]:
 
 
 def test_a_master_on_python_canopen_enables_the_plant_and_pulls(plant: tuple[str, Machine, Path]) -> None:
-    """BaseNode402 by the EDS of `tsa plant --eds`: states, mode, target torque by SDO, fault and its reset."""
+    """BaseNode402 uses the EDS of `tsa plant --eds` for states, mode, target torque by SDO, fault and fault reset."""
     channel, machine, eds = plant
     network = canopen.Network()
     network.connect(interface="virtual", channel=channel)

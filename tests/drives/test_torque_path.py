@@ -1,4 +1,4 @@
-"""The start on drives that another tool left with an offset, a limit or a ramp of the torque."""
+"""Startup of drives in which another tool left an offset, a limit or a ramp of the torque."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_offset_of_a_second_axis_is_its_own(tmp_path: Path) -> None:
 
 
 def test_an_offset_that_the_drive_keeps_is_refused(tmp_path: Path) -> None:
-    """The drive confirms the write and keeps its own value."""
+    """The drive confirms the write but keeps its old value."""
     foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}")
     write = foreign.node.dictionary.write
 

@@ -1,4 +1,4 @@
-"""What drives of others do, as data: keys of the plant's [axis.drive], the lines that mend it, and what must follow."""
+"""Variations of drives as data: keys of the plant's [axis.drive], the remedy, and the required result."""
 
 from __future__ import annotations
 
@@ -10,9 +10,13 @@ Keys = dict[str, Any]
 
 @dataclass(frozen=True)
 class Variation:
-    """`quirks`: of the plant's [axis.drive]; `profile`, `drive`, `supervision`: lines of the profile and of the
-    controller's [axis.drive] and [bus.supervision]. `refused`: part of the message, where it does not start; `told`:
-    part of what is said, where it does.
+    """A drive, its configuration and the required result.
+
+    `quirks`: keys of the plant's [axis.drive].
+    `profile`: keys of the profile.
+    `drive`, `supervision`: keys of the controller's [axis.drive] and [bus.supervision].
+    `refused`: required part of the error if the start is rejected.
+    `told`: required part of an event if the drive runs.
     """
 
     name: str
@@ -22,12 +26,12 @@ class Variation:
     supervision: Keys = field(default_factory=dict)
     refused: str = ""
     told: str = ""
-    kind: str = ""  # a profile that is shipped, in place of `profile`
+    kind: str = ""  # name of a shipped profile that replaces `profile`
     rate: float = 250.0  # Hz
 
 
 def _objects(**values: int) -> Keys:
-    """`_objects(x1019_0=10)`: another power-on value of 0x1019:0."""
+    """Return keys that change power-on values: `_objects(x1019_0=10)` changes 0x1019:0."""
     return {"objects": {f"0x{key[1:].replace('_', ':')}": value for key, value in values.items()}}
 
 
@@ -47,7 +51,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("Ingenia Summit 1.8.1", {"kind": "ingenia"}, kind="ingenia", refused="lack cyclic synchronous torque"),
     Variation("EPOS4 under no profile", _EPOS4, refused="a factor of 1000"),
     Variation("Elmo Gold under no profile", _ELMO, refused='absent = ["SI unit velocity"]'),
-    # objects that are not there
+    # missing objects
     Variation("no 0x6502", {"absent": [0x6502]}, told="does not report which modes"),
     Variation("no 0x60C2", {"absent": [0x60C2]}),
     Variation("no 0x1029", {"absent": [0x1029]}),
@@ -70,7 +74,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("no 0x60A9", {"absent": [0x60A9]}, refused='absent = ["SI unit velocity"]'),
     Variation("no 0x60A9, speed from position", {"absent": [0x60A9]}, drive={"velocity_source": "position"}),
     Variation("two PDOs each way", {"absent": [0x1402, 0x1403, 0x1802, 0x1803]}),
-    # objects that cannot be written
+    # read-only objects
     Variation("reactions read-only, ending without torque", {"read_only": ["0x605A", "0x605E"]}, told=_CANNOT),
     Variation(
         "fault reaction read-only, the maker's own", {"read_only": ["0x605E"], **_objects(x605E_0=-1)},
@@ -88,7 +92,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("0x6080 read-only", {"read_only": ["0x6080"]}, refused='absent = ["max motor speed"]'),
     Variation("mapping fixed, as wanted", {"fixed_mapping": True}),
     Variation("mapping fixed, another", {"read_only": ["0x1600", "0x1A00"]}, refused="with the maker's tool"),
-    # left by another tool
+    # values left by another tool
     Variation("SYNC counter and period left", _objects(x1019_0=10, x1006_0=5000)),
     Variation("torque offset left", _objects(x60B2_0=120)),
     Variation("torque offset that cannot be written", {"read_only": ["0x60B2"], **_objects(x60B2_0=120)},
@@ -105,7 +109,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("makes SYNC itself", {"sync_producer": True}, refused="produces_sync = true"),
     Variation("makes SYNC itself, and the profile says so", {"sync_producer": True}, {"produces_sync": True}),
     Variation("mode left at 10", _objects(x6060_0=10)),
-    # the start
+    # startup
     Variation("boots after 2.5 s", {"boot_time": 2.5}),
     Variation("boots after 3.5 s", {"boot_time": 3.5}, refused="more boot_timeout"),
     Variation("boots after 3.5 s, and the profile says so", {"boot_time": 3.5}, {"boot_timeout": 5.0}),
@@ -121,7 +125,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("no node id", {"node_id_unset": True}, refused="node_id"),
     Variation("rated torque in uN*m", {"rated_torque_unit": 1e-6}, refused="[units] rated_torque"),
     Variation("position and velocity modes only", {"modes": ["csp", "csv"]}, refused="commands torque"),
-    # the state machine
+    # state machine
     Variation("mode shows once operational", {"mode_shows": "operational"}, refused=_LATE),
     Variation(
         "mode shows once operational, and the profile says so", {"mode_shows": "operational"},

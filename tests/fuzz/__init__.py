@@ -1,1 +1,4 @@
-"""Nonsense from every side: never may a crash, a torque or a leak come of it; campaign/fuzz runs all at length."""
+"""Fuzz tests: invalid input must not cause a crash, an unpermitted torque or a leak.
+
+campaign/fuzz runs all of them at length.
+"""

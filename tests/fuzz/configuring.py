@@ -1,4 +1,4 @@
-"""Bring-up over a bus that spoils frames: it succeeds or says in one line why not, and commands no torque."""
+"""Bring-up over a bus that corrupts frames succeeds or raises a one-line error, and never commands torque."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import Bus, BusFault, Counters, Frame
 from tsa_ctrl.errors import TsaError
 
-QUICK = (  # time-outs, s: nobody here is slow
+QUICK = (  # time-outs (s), short because the simulated nodes answer at once
     (session, "_LISTENING", 0.01),
     (module, "START_TIMEOUT", 0.3),
     (checks, "BOOT_TIMEOUT", 0.3),
@@ -32,7 +32,7 @@ PATIENCE = DriveProfile(boot_timeout=0.3, answer_timeout=0.05)
 
 
 class SpoiledBus:
-    """A `Bus` that corrupts received frames, and sometimes sent frames."""
+    """A `Bus` that corrupts some received frames and fails to send some frames."""
 
     def __init__(self, bus: Bus, draw: random.Random, rate: float, part: Part) -> None:
         self.name = bus.name
@@ -114,7 +114,7 @@ class SpoiledBus:
 
 @contextmanager
 def quick() -> Iterator[None]:
-    """Short time-outs."""
+    """Shorten the time-outs within the block."""
     kept = [(where, name, getattr(where, name)) for where, name, _ in QUICK]
     for where, name, value in QUICK:
         setattr(where, name, value)
@@ -126,7 +126,7 @@ def quick() -> Iterator[None]:
 
 
 def run(attempts: int, seed: int) -> Part:
-    """This many attempts to bring one axis up, from a bus that is hardly spoiled to one that is."""
+    """Try to bring one axis up this many times, with 0 to 20 % of the received frames corrupted."""
     part = Part("bring-up")
     with quick(), part.quiet_threads():
         for number in range(attempts):
@@ -153,7 +153,7 @@ def _attempt(draw: random.Random, part: Part, number: int) -> None:
 
 
 def _check(sent: list[Frame], part: Part, number: int) -> None:
-    """No RPDO, no controlword but "off", no target torque."""
+    """Report RPDOs, controlwords other than 0 and target torques other than 0 as problems."""
     for can_id, data in sent:
         if 0x200 < can_id < 0x280:
             part.blame(f"attempt {number}: an RPDO was sent")

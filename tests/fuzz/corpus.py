@@ -1,4 +1,4 @@
-"""Inputs of a target: its seeds, those that once reached a new line (a file of each target), and changed copies."""
+"""Inputs of a fuzz target: its seeds, a file of inputs that once covered a new line, and changed copies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ INTERESTING = (b"\0", b"\xff", b"\x7f", b"\x80", b"-1", b"nan", b"1e999", b"9" *
 
 @dataclass(frozen=True)
 class Target:
-    """`call` takes any bytes, and catches the errors that it may raise; `tokens`: words of its language."""
+    """A fuzz target. `call` accepts any bytes and catches the permitted errors. `tokens` are words of the format."""
 
     name: str
     call: Callable[[bytes], None]
@@ -25,13 +25,13 @@ class Target:
 
     @property
     def inputs(self) -> list[bytes]:
-        """Seeds and corpus."""
+        """Return the seeds and the corpus."""
         path = FOLDER / f"{self.name}.txt"
         lines = path.read_text(encoding="ascii").split() if path.is_file() else []
         return [*self.seeds, *(zlib.decompress(base64.b85decode(line)) for line in lines)]
 
     def changed(self) -> st.SearchStrategy[bytes]:
-        """Draw a copy in which pieces are replaced by words, by bytes, or by nothing."""
+        """Return a strategy for copies in which pieces are replaced by tokens, by bytes, or by nothing."""
         piece = st.sampled_from((*self.tokens, *INTERESTING)) | st.binary(max_size=4)
         edits = st.lists(st.tuples(st.floats(0.0, 1.0), st.sampled_from((0, 1, 2, 16, 64)), piece), max_size=4)
         return st.builds(_edited, st.sampled_from(self.inputs), edits)

@@ -1,4 +1,4 @@
-"""Configuration files with something wrong: each reader takes them or says in one line why not."""
+"""Corrupted configuration files: each reader accepts the file or raises a one-line error."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ READERS: dict[str, tuple[Path, Reader]] = {
 
 
 def run(files: int, seed: int) -> Part:
-    """This many files, each a spoiled copy of an example."""
+    """Read this many files, each a corrupted copy of an example."""
     part = Part("files")
     draw = random.Random(seed)
     with tempfile.TemporaryDirectory() as name:
@@ -92,7 +92,10 @@ def run(files: int, seed: int) -> Part:
 
 
 def _spoil(text: str, draw: random.Random) -> bytes:
-    """Defaults become keys, values become others, lines move, bytes flip."""
+    """Return a corrupted copy of the text.
+
+    Commented defaults become keys, values are replaced, lines are copied, deleted or inserted, and a byte may change.
+    """
     lines = text.splitlines()
     for _ in range(draw.choice((1, 1, 2, 4))):
         at = draw.randrange(len(lines))

@@ -1,4 +1,4 @@
-"""Frames that nobody should send: random ones, and real ones with something wrong."""
+"""Invalid CAN frames: random frames and corrupted copies of real ones."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ def any_frame(draw: random.Random) -> Frame:
 
 
 def spoil(frame: Frame, draw: random.Random) -> list[Frame]:
-    """Return a frame that is lost, doubled, shortened, lengthened, with a flipped bit, or foreign."""
+    """Return the frames that arrive in place of this one.
+
+    The frame is lost, doubled, shortened, lengthened, changed in one bit or in all bytes, or follows a foreign frame.
+    """
     can_id, data = frame
     kind = draw.randrange(7)
     if kind == 0:
@@ -46,7 +49,7 @@ def spoil(frame: Frame, draw: random.Random) -> list[Frame]:
 
 
 def sdo_request(draw: random.Random, objects: tuple[tuple[int, int], ...]) -> bytes:
-    """A request that an SDO server has to think about: mostly a known object, mostly a valid command."""
+    """Return an SDO request, mostly for an existing object and mostly with a valid command."""
     index, sub = draw.choice(objects) if draw.random() < 0.9 else (draw.randrange(1 << 16), draw.randrange(256))
     command = draw.choice((0x23, 0x27, 0x2B, 0x2F, 0x22, 0x40, 0x21, 0x60, 0x70, 0x00, 0x10, 0x0D, 0x80, 0xA0, 0xC1))
     if draw.random() < 0.1:

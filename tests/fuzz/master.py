@@ -1,8 +1,10 @@
-"""Run the daemon's loop on a bus with random frames, and a judge that uses the frames only.
+"""Run the daemon's loop on a bus with random frames. A judge checks the torque from the frames alone.
 
-The judge is a second reading of the rules, of its own words: torque only while the drive's last answer says that it is
-enabled and follows, in mode 10, answers are missing for no longer than tolerated, every heartbeat is there, and nothing
-has happened since the last enable: no emergency, no boot-up, no other master, no bus-off.
+The judge implements the rules a second time, independently. Torque is permitted only under these conditions:
+
+- The last answer of the drive reports that it is enabled, follows the command and is in mode 10.
+- No more answers are missing than tolerated, and every heartbeat is present.
+- There was no emergency, boot-up, other master or bus-off since the last recovery.
 """
 
 from __future__ import annotations
@@ -21,20 +23,20 @@ from tests.fuzz.part import Holdings, Part
 from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
-CYCLES = 700  # of an episode
-AFTERWARDS = 60  # cycles that are still watched after the first fault
-TOLERATED = 2  # cycles without answers; the default of the configuration
-HEARTBEAT = 0.2 + 1e-3  # s; the default, and a period
-LENGTHS = {0x181: 8, 0x281: 7, 0x1A0: 4}  # answers without which an axis is not fresh
+CYCLES = 700  # length of an episode
+AFTERWARDS = 60  # cycles of the episode after the first fault
+TOLERATED = 2  # cycles without all answers; the default of the configuration
+HEARTBEAT = 0.2 + 1e-3  # s; the default plus one period
+LENGTHS = {0x181: 8, 0x281: 7, 0x1A0: 4}  # answers that each cycle requires, with their lengths in bytes
 FOLLOWING = 0x1000
 
 
 class OverError(Exception):
-    """The end of an episode."""
+    """The episode has ended."""
 
 
 class Judge:
-    """Reads the frames on the bus, and returns the reason why torque is not permitted now."""
+    """Read the frames on the bus and determine the reason why torque is not permitted now."""
 
     def __init__(self) -> None:
         self.statusword = self.mode = 0
@@ -44,7 +46,7 @@ class Judge:
         self._heard = dict.fromkeys((1, 32, 64), math.inf)
 
     def cycle(self, frames: list[Frame], now: float) -> None:
-        """One SYNC and what came after it. What stops by an event does so at the latest one cycle later."""
+        """Evaluate one SYNC and the frames after it. An event forbids torque from the next cycle on."""
         self.reason = self.reason or self._later
         expected = dict(LENGTHS)
         for can_id, data in frames:
@@ -69,7 +71,7 @@ class Judge:
         return "bus-off" if can_id >> 28 == 2 and can_id & 0x040 else ""
 
     def forbids(self, now: float) -> str:
-        """Why the torque must be 0; empty when it need not be."""
+        """Return the reason why the torque must be 0, or an empty string."""
         if self.statusword & 0x6F != 0x27 or not self.statusword & FOLLOWING:
             return f"statusword 0x{self.statusword:04X}"
         if self.mode != 10:
@@ -80,12 +82,15 @@ class Judge:
         return self.reason or (f"no heartbeat of {silent}" if silent else "")
 
     def forgive(self) -> None:
-        """Somebody asked for a recovery."""
+        """Clear the events, because a recovery was requested."""
         self.reason = self._later = ""
 
 
 class Hostile(Drive):
-    """A drive that works, on a bus that spoils its frames and adds others; each command is shown to the judge."""
+    """A working drive on a bus that corrupts its frames and adds others.
+
+    The judge checks each command.
+    """
 
     def __init__(self, seed: int, part: Part) -> None:
         super().__init__()
@@ -95,7 +100,7 @@ class Hostile(Drive):
         self._seed = seed
         self._draw = random.Random(seed)
         self._from = self._draw.randrange(20, 400)
-        self._rate = 10.0 ** self._draw.uniform(-3.5, -0.5)  # of frames that are spoiled, or come from nowhere
+        self._rate = 10.0 ** self._draw.uniform(-3.5, -0.5)  # probability of a corrupted or an added frame
         self._kinds = self._draw.choice(("spoil", "add", "lie", "all"))
         self._end = CYCLES
         self._recover = self._draw.random() < 0.4
@@ -135,7 +140,7 @@ class Hostile(Drive):
         return found
 
     def _recover_once(self) -> None:
-        """Some time after the first fault the episode ends, or somebody asks for a recovery."""
+        """After the first fault, either end the episode soon or schedule one recovery request."""
         assert self.machine is not None
         if not self.machine.events.faults or self._end < CYCLES:
             return
@@ -159,12 +164,12 @@ class Hostile(Drive):
             self._part.blame(f"seed {self._seed}, cycle {self.beats}: torque {target} per mille, but {reason}")
         if controlword == 0x0F and self.judge.reason:
             self._part.blame(f"seed {self._seed}, cycle {self.beats}: enabled, but {self.judge.reason}")
-        if abs(target) > 2000:  # [axis.limits] torque = 2 N*m of 1 N*m rated
+        if abs(target) > 2000:  # [axis.limits] torque is 2 N*m, the rated torque is 1 N*m
             self._part.blame(f"seed {self._seed}, cycle {self.beats}: torque {target} per mille is above the limit")
 
 
 def run(frames: int, seed: int) -> Part:
-    """Episodes until this many frames were received."""
+    """Run episodes until this many frames were received."""
     part = Part("loop")
     episode = 0
     with tempfile.TemporaryDirectory() as folder:

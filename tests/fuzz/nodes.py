@@ -1,4 +1,7 @@
-"""The simulated nodes under random frames and SDO requests: answers in form, no torque when off, back at a reset."""
+"""Simulated nodes under random frames and SDO requests.
+
+Their answers are valid, a disabled drive delivers no torque, and a reset restores every node.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,13 @@ from tests.fuzz.part import Holdings, Part
 from tests.plant.bench import Bench
 from tsa_ctrl.bus.wire.bus import Frame
 
-BATCH = 2000  # frames between two looks at whether the nodes can be brought back
-DEVICE_TYPES = {1: 0x0192, 32: 0x0196, 64: 0x0194}  # low words
+BATCH = 2000  # frames between two resets
+DEVICE_TYPES = {1: 0x0192, 32: 0x0196, 64: 0x0194}  # low words of 0x1000
 NMT = (0x01, 0x02, 0x80, 0x81, 0x82, 0x00, 0xFF)
 
 
 def run(frames: int, seed: int) -> Part:
-    """This many frames, in batches that each end with a reset that must work."""
+    """Send this many frames in batches. A reset must restore the nodes after each batch."""
     part = Part("plant")
     draw = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -69,7 +72,7 @@ def _frame(draw: random.Random, objects: dict[int, tuple[tuple[int, int], ...]])
 
 
 def _check(bench: Bench, answers: list[Frame], part: Part) -> None:
-    """Answers fit on a bus; there is torque only in operation enabled."""
+    """Check that answers are valid frames, and that there is torque only in OPERATION_ENABLED."""
     for can_id, data in answers:
         if not (0 <= can_id < 0x800 and len(data) <= 8):
             part.blame(f"sent 0x{can_id:X} with {len(data)} bytes")
@@ -84,7 +87,7 @@ def _check(bench: Bench, answers: list[Frame], part: Part) -> None:
 
 
 def _come_back(bench: Bench, part: Part) -> None:
-    """After a reset each node has its identity again, and the drive is off."""
+    """Reset the nodes. Each must report its device type again, and the drive must be disabled."""
     with part.surviving("reset"):
         bench.send(0x000, b"\x81\x00")
         for node, low_word in DEVICE_TYPES.items():

@@ -1,4 +1,4 @@
-"""Report the findings of a part of the fuzzing, and its cost for this process."""
+"""Findings of one part of the fuzzing, and its memory and open descriptors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-MOST = 20  # problems kept of each part
+MOST = 20  # problems kept for each part
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -30,7 +30,10 @@ class Holdings:
 
 @dataclass
 class Part:
-    """`inputs`: what was thrown at it; `counts`: what came of it, so that one sees that it was not idle."""
+    """The result of one part of the fuzzing.
+
+    `inputs` is the number of inputs. `counts` shows that the inputs had an effect.
+    """
 
     name: str
     inputs: int = 0
@@ -46,7 +49,7 @@ class Part:
 
     @contextmanager
     def surviving(self, what: str) -> Iterator[None]:
-        """An exception in the block is a problem, with the place where it came from."""
+        """Record an exception in the block as a problem with its source line."""
         try:
             yield
         except Exception as error:
@@ -55,7 +58,7 @@ class Part:
 
     @contextmanager
     def quiet_threads(self) -> Iterator[None]:
-        """An exception that ends a thread is also a problem."""
+        """Record an exception that ends a thread as a problem."""
         kept = threading.excepthook
         threading.excepthook = lambda hook: self.blame(f"thread: {hook.exc_type.__name__}: {hook.exc_value}")
         try:

@@ -1,4 +1,7 @@
-"""The local socket under nonsense: strict answers, only bounded commands in the mailbox, no growth of its process."""
+"""Invalid requests to the local socket.
+
+The answers are strict, the mailbox receives only commands within their bounds, and the server process does not grow.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +36,13 @@ PIECES = (
     *(b'"', b"{", b"}", b"[", b"]", b",", b":", b"null", b"true", b'"verb"', b'"stop', b"\\u0000", b"\xff", b"\0"),
     *(b"NaN", b"1e999", b"-1e308", b"99999999999999999999999", b"-0", b"0.1e-400", b" " * 50, b"[" * 300),
 )
-BOUNDS = {0: (0.0, 1.2), RECOVER: (0.0, 0.0)}  # by parameter
-MOST = 2.0  # N*m, of a set-point
-LINES = 40  # in one connection
+BOUNDS = {0: (0.0, 1.2), RECOVER: (0.0, 0.0)}  # allowed values of each parameter
+MOST = 2.0  # N*m, largest set-point
+LINES = 40  # most lines of one connection
 
 
 def run(lines: int, seed: int) -> Part:
-    """This many lines, in connections that end in any way a connection can."""
+    """Send this many lines. Some connections close without reading the answers."""
     part = Part("socket")
     draw = random.Random(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -70,7 +73,7 @@ def _idle(pid: int, descriptors: int) -> Holdings:
 
 
 def _line(draw: random.Random) -> bytes:
-    """A good request, mostly with something wrong."""
+    """Return a valid request with up to four random changes."""
     line = bytearray(draw.choice(GOOD))
     for _ in range(draw.randrange(5)):
         at = draw.randrange(len(line) + 1)
@@ -98,7 +101,7 @@ def _connection(serving: Serving, draw: random.Random, part: Part) -> None:
         with contextlib.suppress(BrokenPipeError, ConnectionResetError):
             connection.sendall(data)
             if draw.random() < 0.3:
-                return  # without waiting for an answer
+                return  # close without reading an answer
             connection.shutdown(socket.SHUT_WR)
             answers = b""
             while piece := connection.recv(1 << 16):
@@ -114,7 +117,7 @@ def _connection(serving: Serving, draw: random.Random, part: Part) -> None:
 
 
 def _take(serving: Serving, part: Part) -> None:
-    """Values that reach the loop are within their bounds."""
+    """Check that the values that reach the loop are within their bounds."""
     while (command := serving.mailbox.take()) is not None:
         part.counts["commands"] += 1
         low, high = BOUNDS.get(command.parameter, (math.inf, -math.inf))

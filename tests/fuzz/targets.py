@@ -1,4 +1,7 @@
-"""What is fuzzed by coverage: everything that takes bytes from outside. Each call raises only what is a defect."""
+"""Targets of coverage-guided fuzzing: everything that reads external bytes.
+
+A call raises an exception only for a defect.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,7 @@ CONFIG = ROOT / "config"
 
 @cache
 def _kept() -> tempfile.TemporaryDirectory[str]:
-    """As long as the process: files in it are written over and over."""
+    """Return a temporary folder that exists as long as the process. Its files are overwritten by each input."""
     return tempfile.TemporaryDirectory(prefix="tsa-fuzz-")
 
 
@@ -56,7 +59,7 @@ def _folder() -> Path:
 
 
 def _in_file(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes], None]:
-    """A reader of files; it may refuse in one line."""
+    """Return a target that writes the input to a file and reads it. A one-line UsageError is permitted."""
 
     def call(data: bytes) -> None:
         path = _folder() / f"input{suffix}"
@@ -71,7 +74,10 @@ def _in_file(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes], N
 
 
 def _frames(data: bytes) -> None:
-    """Byte by byte: an identifier, a length, the data; the highest identifiers end a cycle with a command."""
+    """Decode the input as CAN frames: an identifier, a length and the data.
+
+    The highest identifiers end a cycle with a command.
+    """
     rig, bus, _ = one_axis_rig(Responder())
     target = objects.TARGET_TORQUE
     held = [Row(objects.MAX_TORQUE, 0, 3000), Row(objects.STATUSWORD, 0, 7)]
@@ -108,13 +114,13 @@ class _Answers:
         if not 0x600 < frame[0] < 0x680:
             return []
         answer, self._data = self._data[:8], self._data[8:]
-        if answer[:1] == b"\xfe":  # the object that was asked for, with what follows
+        if answer[:1] == b"\xfe":  # insert the requested object into the answer
             answer = bytes((0x43 | answer[1] % 4 << 2 if len(answer) > 1 else 0x41,)) + frame[1][1:4] + answer[4:]
         return [(0x580 + (frame[0] & 0x7F), answer)] if answer else []
 
 
 def _sdo(data: bytes) -> None:
-    """Reads, texts and writes of a session; a one-line bus error is also an answer."""
+    """Read and write objects in a session. A one-line error is permitted."""
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     bus = FakeBus(FakeClock(), _Answers(data))
     with Session(bus, BusSettings()) as session:
@@ -135,7 +141,7 @@ def _sdo(data: bytes) -> None:
 
 
 def _requests(data: bytes) -> None:
-    """A server in this process, and one client that sends these lines."""
+    """Send the lines of one client to a server in this process."""
     path = _folder() / "tsa.sock"
     path.unlink(missing_ok=True)
     listener = socket.socket(socket.AF_UNIX)
@@ -164,7 +170,7 @@ def _requests(data: bytes) -> None:
 
 
 class _Feed:
-    """A request that a page may send; the daemon behind it is away."""
+    """Replace the dashboard's connection to the daemon. No daemon is running."""
 
     def status(self) -> dict[str, Any]:
         return {"error": "nobody answers"}
@@ -182,7 +188,7 @@ class _Feed:
 
 
 def _http(data: bytes) -> None:
-    """A request as it was parsed: method and path, headers, an empty line, the body in two pieces."""
+    """Pass a request to the dashboard: method and path, headers, an empty line, and the body in two pieces."""
     head, _, body = data.partition(b"\n\n")
     first, *lines = head.split(b"\n")
     method, _, path = first.partition(b" ")
@@ -213,7 +219,7 @@ def _http(data: bytes) -> None:
 
 
 def _log(path: Path) -> None:
-    """A whole reading: blocks, notes, angles of the other joints."""
+    """Read a whole log: blocks, notes and the angles of the other joints."""
     log = LogFile(path)
     for axis, block in log.blocks(log.fields):
         assert axis in log.axes
@@ -225,7 +231,7 @@ def _log(path: Path) -> None:
 
 
 def _serial(data: bytes) -> None:
-    """In pieces, for a sensor with a unit and one without."""
+    """Parse the input in pieces, for a sensor with a unit and one without."""
     for settings in (
         SerialSensorSettings(port="/dev/x", quantity="tau_j"),
         SerialSensorSettings(
@@ -264,7 +270,7 @@ MOST_MCAP = 3000
 
 @cache
 def targets() -> tuple[Target, ...]:
-    """Return all of them."""
+    """Return all targets."""
     return (
         Target(
             "frames",

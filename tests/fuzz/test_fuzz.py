@@ -17,7 +17,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.safety.supervisor import Supervisor
 
-DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, inputs, what must have happened
+DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, number of inputs, required events
     (master.run, 30_000, ("cycles with torque", "faults")),
     (nodes.run, 20_000, ("answers", "frames with torque", "resets")),
     (configuring.run, 6, ("succeeded",)),
@@ -29,7 +29,7 @@ DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part
 @pytest.mark.slow
 @pytest.mark.parametrize(("run", "dose", "happened"), DOSES, ids=[run.__module__.split(".")[-1] for run, *_ in DOSES])
 def test_nonsense_does_no_harm(run: Callable[[int, int], Part], dose: int, happened: tuple[str, ...]) -> None:
-    """No crash, no torque that may not be, no descriptor left open; and it was not idle."""
+    """There are no problems and no leaked descriptors, and each required event occurred."""
     part = run(dose, 1)
     assert part.problems == []
     assert all(part.counts[name] for name in happened), part.counts
@@ -37,7 +37,7 @@ def test_nonsense_does_no_harm(run: Callable[[int, int], Part], dose: int, happe
 
 
 def test_judge_sees_a_supervisor_that_is_blind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a supervisor that watches nothing, the judge finds torque where there may be none."""
+    """The checks of the supervisor are disabled, and the judge reports problems."""
     monkeypatch.setattr(Supervisor, "_watch", lambda self, image, now: None)
     monkeypatch.setattr(Supervisor, "_check_running", lambda self, image, state, now: None)
     assert master.run(20_000, 1).problems
@@ -52,7 +52,7 @@ def test_judge_sees_a_supervisor_that_is_blind(monkeypatch: pytest.MonkeyPatch) 
     ],
 )
 def test_files_that_were_found_by_it(tmp_path: Path, line: str, words: str) -> None:
-    """Inputs that once caused a traceback, or were accepted, give one line."""
+    """Inputs that once caused a traceback or were wrongly accepted give a one-line error."""
     path = tmp_path / "a.toml"
     path.write_text(line, encoding="utf-8")
     with pytest.raises(UsageError, match=words) as found:
@@ -62,7 +62,7 @@ def test_files_that_were_found_by_it(tmp_path: Path, line: str, words: str) -> N
 
 @pytest.mark.parametrize("name", ["a\0b", "a" * 5000])
 def test_names_that_are_no_paths(name: str) -> None:
-    """An error of the file system is also one line."""
+    """A file name that the file system rejects gives a UsageError."""
     with pytest.raises(UsageError):
         load_model(name)
 
@@ -81,9 +81,9 @@ def test_what_once_reached_a_new_line_is_taken_or_refused_in_words(target: Targe
         target.call(data)
 
 
-FOUND = {  # by fuzzing led by coverage; each was a traceback, or several lines
-    "set-point": b"time,x\n0,0\n",  # none of the wanted columns
-    "csv": b"t,tau_j\n0,1\n\xe4\n",  # a row of a wrong length that is no text
+FOUND = {  # by coverage-guided fuzzing; each once caused a traceback or several lines
+    "set-point": b"time,x\n0,0\n",  # none of the required columns
+    "csv": b"t,tau_j\n0,1\n\xe4\n",  # a row of the wrong length that is not UTF-8
     "mcap": None,
     "eds": b"[6072]\n=0x1000\n",
     "http": b"GET /?to\xc0en=secret\nhost: localhost:8123\n\n",

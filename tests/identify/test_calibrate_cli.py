@@ -112,7 +112,7 @@ def test_what_was_done_to_several_logs_is_said_once(folder: Path, capsys: pytest
 
 
 def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Halve the joint torque, as of a drive with half the gain and friction of the pulleys and the model."""
+    """Return the log with half the joint torque, like a drive with half the gain and half the friction."""
     return {**log, "tau_j": 0.5 * log["tau_j"]}
 
 

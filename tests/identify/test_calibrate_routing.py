@@ -65,7 +65,7 @@ def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]]
     t1, t3 = tension - tau_m / (2.0 * r_m), tension + tau_m / (2.0 * r_m)
     tau_j = r_j * (t3 * np.exp(-sigma * mu * bent_b) - t1 * np.exp(sigma * mu * bent_a))
     stiffness = slope / 0.0006
-    elongation = (tau_m / r_m + tau_j / r_j) / (4.0 * stiffness)  # bends in the middle: the mean of both ends
+    elongation = (tau_m / r_m + tau_j / r_j) / (4.0 * stiffness)  # curvature in the middle: the mean of both ends
     noise = [scale * rng.standard_normal(t.size) for scale in (0.004, 0.004, 1e-6)]
     log = {"t": t, "tau_m": tau_m + noise[0], "tau_j": tau_j + noise[1], "omega_j": speed, "q_j": q, "q_j.hip": hip}
     log["q_m"] = (r_j * q + elongation + noise[2]) / r_m + 0.1

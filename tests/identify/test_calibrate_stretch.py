@@ -112,7 +112,7 @@ def test_the_verb_writes_what_it_found(
 ) -> None:
     """Without a joint torque sensor the command writes a file that loads.
 
-    The file contains the interval of the half loop.
+    The file contains the interval of the friction torque.
     """
     model, log, out = tmp_path / "a.toml", tmp_path / "log.csv", tmp_path / "b.toml"
     save_model(dataclasses.replace(NOMINAL, bending_centre=0.3), model)
@@ -170,7 +170,7 @@ def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -
 
 @pytest.mark.parametrize("turned", [("tau_m",), ("q_m", "q_j")])
 def test_a_torque_that_turns_against_both_angles_is_refused(turned: tuple[str, ...]) -> None:
-    """The tendons are stiff and elongate in proportion to the motor torque, by a formula."""
+    """The tendons elongate in proportion to the motor torque. The torque or both angles have the wrong sign."""
     data = rows()
     data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
     data["q_m"] = data["q_m"] + data["tau_m"] / 40.0

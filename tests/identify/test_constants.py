@@ -10,7 +10,7 @@ import pytest
 import tsa_ctrl.identify
 
 MODULES = sorted(Path(tsa_ctrl.identify.__file__).parent.rglob("*.py"))
-FEWEST_WORDS = 3  # a unit alone is no reason; "at most" of a quantity is one
+FEWEST_WORDS = 3  # a unit alone is not a reason; "at most" with a quantity is one
 
 
 def reasons(source: str) -> dict[str, str]:

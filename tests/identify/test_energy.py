@@ -1,4 +1,4 @@
-"""Reversed channels are rejected with their names; unusual logs are not.
+"""Reversed channels are rejected with their names. Unusual logs are accepted.
 
 The logs come from the equilibrium of two tendons.
 """

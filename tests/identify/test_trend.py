@@ -72,7 +72,7 @@ def runs(values: np.ndarray, name: str = "axial_stiffness", half: float = 0.0, w
 def test_false_alarms_are_as_rare_as_is_said() -> None:
     """400 rigs of twelve runs have random scatter only.
 
-    It is a tenth, so that the minimum change does not suppress alarms.
+    The scatter is 10 %, so that the minimum change does not suppress alarms.
     """
     rng = np.random.default_rng(1)
     told = sum(bool(judged(runs(6e4 * (1.0 + 0.1 * rng.standard_normal(12)))).changes) for _ in range(400))

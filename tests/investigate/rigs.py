@@ -31,24 +31,27 @@ from tsa_ctrl.tune.excitation import Bounds, Waveform
 Effects = dict[str, dict[str, Any]]
 
 RATE = 500.0  # Hz of the loop
-ELASTIC = 0.01  # rad, in which the friction of stiff tendons turns over
+ELASTIC = 0.01  # rad of travel over which the friction of stiff tendons reverses
 LEG, KNEE, GEARED = "leg", "knee", "geared"
 ROUTED = "routing_by_joint"
 DRIVE = geared.Drive(ratio=9.0, efficiency=0.85, coulomb=0.6, viscous=0.15)
-FINE = 8  # steps of the simulated gear in one sample
+FINE = 8  # simulation steps of the gear per sample
 GEAR_NOISE = 0.01  # N*m RMS of the joint torque sensor
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Describe a rig. `inside`: the cause is in the catalogue; `alike`: causes that no motion separates from it."""
+    """Describe a rig.
+
+    `inside` is True if the cause is in the catalogue. `alike` lists the causes that no motion separates from it.
+    """
 
     name: str
     load: str
     effects: Effects
     inside: bool = True
     alike: tuple[str, ...] = ()
-    reach: float = 1.0  # of the motion of a joint that is moved from outside
+    reach: float = 1.0  # factor of the prescribed joint motion
 
     @property
     def cause(self) -> str:
@@ -67,7 +70,7 @@ class Rig:
 
 
 def _of_the_loop(cause: dict[str, Any]) -> bool:
-    """Return True for the delay of the velocity by two cycles, and for elastic tendons, as on every rig."""
+    """Return True for causes of every rig: a velocity delay of two cycles, and elastic tendons."""
     limits = {"velocity_lag": ("time_constant", 2.0 / RATE), "presliding_hysteresis": ("presliding_distance", ELASTIC)}
     if cause["effect"] not in limits:
         return False
@@ -115,7 +118,7 @@ OUTSIDE = {
     "cubic spring": "2.0*q_j**3",
     "a slow second lag": "0.6*(tau - lag(tau, 0.4))",
 }
-SWINGS = {"gain that swings with the angle": "0.15*tau*sin(9*q_j)", "cubic spring": "6.0*q_j**3"}  # of a gear
+SWINGS = {"gain that swings with the angle": "0.15*tau*sin(9*q_j)", "cubic spring": "6.0*q_j**3"}  # with a gear
 INSIDE = (
     ("viscous_friction", "imposed"),
     ("direction_asymmetric_friction", "imposed"),
@@ -141,7 +144,7 @@ INSIDE = (
 
 
 def rigs(seed: int) -> list[Rig]:
-    """All rigs, their sizes drawn by `seed`."""
+    """Return all rigs. `seed` determines the sizes of the effects."""
     out = [Rig("healthy", "imposed", {}), Rig("healthy spring", "spring", {})]
     for name, load in INSIDE:
         out.append(Rig(f"{name}, {load}", load, _draw(name, _generator(name + load, seed))))
@@ -205,7 +208,7 @@ def write(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
 
 
 def _write_leg(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
-    """Write the leg of `tsa init --leg`; the file of the knee lacks the routing if that is the hidden cause."""
+    """Write the leg of `tsa init --leg`. The knee's file lacks the routing if that is the hidden cause."""
     for files in leg():
         for name, text in files.items():
             (folder / name).parent.mkdir(exist_ok=True)
@@ -230,7 +233,7 @@ def _write_leg(folder: Path, hidden: Rig, seed: int) -> tuple[Path, Path]:
 
 
 def _of_the_gear(name: str, rng: np.random.Generator) -> Effects:
-    """A hidden effect of the simulated gear; torques at the joint reach 6 N*m, those of the motor 0.7 N*m."""
+    """Return a hidden effect of the gear. The joint torque reaches 6 N*m, and the motor torque 0.7 N*m."""
     table: dict[str, dict[str, Any]] = {
         "torque_saturation": {"limit": float(rng.uniform(0.35, 0.5))},
         "torque_sensor_lag": {"time_constant": float(rng.uniform(0.03, 0.08))},
@@ -241,7 +244,7 @@ def _of_the_gear(name: str, rng: np.random.Generator) -> Effects:
 
 @dataclass
 class Gear:
-    """Play set-points on a simulated gear, whose joint is moved from outside."""
+    """Play set-points on a simulated gear with a prescribed joint motion."""
 
     hidden: Rig
     seed: int
@@ -250,7 +253,7 @@ class Gear:
 
     @property
     def nominal(self) -> GearedDrive:
-        """The file of the rig, whose numbers differ from the true ones by up to a fifth."""
+        """Return the model file of the rig. The true losses differ from its values by up to 18 %."""
         rng = _generator("gear", self.seed)
         efficiency, coulomb, viscous = (
             value * float(rng.uniform(0.85, 1.15)) for value in (DRIVE.efficiency, DRIVE.coulomb, DRIVE.viscous)
@@ -258,7 +261,7 @@ class Gear:
         return GearedDrive(DRIVE.ratio, efficiency, coulomb, viscous)
 
     def play(self, name: str, wave: Waveform) -> tuple[list[Dataset], Path]:
-        """Return the log of one set-point, and a folder that is not written."""
+        """Return the log of one set-point, and the path of a folder that is not created."""
         rng = _generator(f"{self.hidden.name}/{name}", self.seed)
         period = 1.0 / RATE
         t = np.arange(0.0, wave.seconds, period / FINE)

@@ -26,7 +26,7 @@ ASYMMETRIC = NOMINAL.with_effects({"direction_asymmetric_friction": {"viscous_di
 
 
 def driven(seconds: float = 10.0, inertia: float = 0.02, spring: float = 0.6, damping: float = 0.15) -> Dataset:
-    """A joint with a spring that the torque moves, integrated here, without friction in the sheaths."""
+    """Return a log of a joint with a spring. The torque moves the joint, and the sheaths have no friction."""
     period = 0.002
     t = np.arange(0.0, seconds, period)
     torque = 0.4 * np.sin(2.0 * np.pi * 0.5 * t) + 0.2 * np.sin(2.0 * np.pi * 1.3 * t)
@@ -39,7 +39,7 @@ def driven(seconds: float = 10.0, inertia: float = 0.02, spring: float = 0.6, da
 
 
 def one_way(sign: float = 1.0) -> Dataset:
-    """A joint that turns one way only, moved from outside: speed and its size are one."""
+    """Return a log of a joint with a prescribed motion in one direction only."""
     t = np.arange(0.0, 8.0, 0.002)
     omega = sign * (0.8 + 0.5 * np.sin(2.0 * np.pi * 0.7 * t))
     torque = 0.3 * np.sin(2.0 * np.pi * 0.31 * t)
@@ -48,7 +48,7 @@ def one_way(sign: float = 1.0) -> Dataset:
 
 
 def test_the_equation_of_motion_is_that_of_the_joint() -> None:
-    """1/J of the torque, damping and spring over J."""
+    """The coefficients are 1/J for the torque and -b/J for the velocity."""
     terms = Joint.of([driven()], NOMINAL).terms
     assert terms is not None
     assert terms[0] == pytest.approx(1.0 / 0.02, rel=0.05)
@@ -64,7 +64,7 @@ def test_a_joint_that_others_move_repeats_its_motion() -> None:
 
 
 def test_more_torque_never_leaves_the_speed_and_travel_given() -> None:
-    """The prediction of the chosen motion stays inside, though the torque alone would reach four times as far."""
+    """The predicted motion stays within the limits. Full torque would deflect the spring four times as far."""
     bounds = Bounds(torque=1.0, speed=1.5, travel=(-0.4, 0.4))
     log = driven()
     found = Designer(Joint.of([log], NOMINAL), bounds, [log], 0.01, 1).best([Pair(("a", "b"), VISCOUS, PLAIN)])
@@ -75,7 +75,7 @@ def test_more_torque_never_leaves_the_speed_and_travel_given() -> None:
 
 
 def test_what_one_direction_hides_both_directions_show() -> None:
-    """b omega and b abs(omega) are the same while omega > 0; a joint that the torque moves can turn back."""
+    """b omega and b abs(omega) are equal while omega > 0. A joint that the torque moves can reverse."""
     pair = Pair(("viscous_friction", "direction_asymmetric_friction"), VISCOUS, ASYMMETRIC)
     bounds = Bounds(torque=1.0, speed=4.0)
     outside = one_way()
@@ -86,7 +86,7 @@ def test_what_one_direction_hides_both_directions_show() -> None:
 
 
 def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
-    """The same friction with a pretension that is a tenth higher."""
+    """The competing model differs only by a pretension that is 10 % higher, which other parameters can reproduce."""
     log = driven()
     designer = Designer(Joint.of([log], NOMINAL), Bounds(1.0, 4.0), [log], 0.01, 1)
     found = designer.best([Pair(("a", "b"), PLAIN, NOMINAL.recalibrated(pretension=1.1 * NOMINAL.pretension))])
@@ -119,7 +119,7 @@ def investigated(folder: Path, hidden: Rig, capsys: pytest.CaptureFixture[str], 
     ],
 )
 def test_the_hidden_cause_is_the_answer(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Each motion has a folder with its log and its report."""
+    """The hidden cause is identified. Each motion has a folder with its log and its report."""
     hidden = next(each for each in rigs(SEED) if each.name == name)
     found = investigated(tmp_path, hidden, capsys)
     causes, steps = found["causes"], found["steps"]
@@ -134,7 +134,7 @@ def test_the_hidden_cause_is_the_answer(name: str, tmp_path: Path, capsys: pytes
     assert (tmp_path / "out/report.html").read_text(encoding="utf-8").count("<tr>") == 1 + len(steps)
     extended = load_model(tmp_path / "out/extended.toml")
     assert isinstance(extended, TendonSheath)
-    assert extended.origin.source == "simulated"  # a run on hardware rejects it
+    assert extended.origin.source == "simulated"  # a run on hardware rejects such a file
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""`tsa investigate` on a simulated rig on a vcan: a hidden cause, and Ctrl-C under torque."""
+"""`tsa investigate` on a simulated rig on a vcan: a hidden offset, and Ctrl-C while torque is applied."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.tune import rig
 from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.system.process_supervisor import plant, tsa
 
-RATE = 250.0  # Hz, that a guest keeps
+RATE = 250.0  # Hz, a rate that a virtual machine can keep
 SHORT = ("--yes", "--json", "--seconds", "10", "--most", "2", "--out", "out")
 PATIENCE = 120.0  # s
 
@@ -45,7 +45,7 @@ def test_an_interruption_keeps_the_motions_so_far(tmp_path: Path, vcan: str) -> 
         while not (tmp_path / "out/motion-1/motion-1.csv").exists():
             assert time.monotonic() < end
             time.sleep(0.05)
-        time.sleep(4.0)  # under torque
+        time.sleep(4.0)  # the interrupt comes while torque is applied
         run.send_signal(signal.SIGINT)
         out, _ = run.communicate(timeout=60)
     assert run.returncode == 1

@@ -1,4 +1,4 @@
-"""`tsa live` as an independent WebSocket client reads it, next to a real socket server."""
+"""Test `tsa live` with an independent WebSocket client and a real socket server."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tsa_ctrl.live.server import Publisher, write_layouts  # noqa: E402 (after t
 
 
 class Loop:
-    """Play the loop of a daemon with 1 kHz, and publish it live."""
+    """Simulate the loop of a daemon at 1 kHz and publish its signals."""
 
     def __init__(self, path: Path, settable: bool) -> None:
         self.serving = Serving(path, ["knee", "hip"])
@@ -95,7 +95,7 @@ def loop(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Loop]:
 
 
 def test_a_client_reads_the_signals_of_each_axis_with_their_times(loop: Loop) -> None:
-    """Each cycle at most once, in order; a value that is not known is left out."""
+    """Each cycle arrives at most once and in order. A signal without a value is omitted."""
     reader = Reader(loop.publisher.port)
     assert set(reader.channels) == {
         "/knee/signals", "/knee/status", "/hip/signals", "/hip/status", "/joint_states", "/events",

@@ -1,4 +1,4 @@
-"""A ring of two axes, as the loop has it."""
+"""A ring with two axes for the tests of the log."""
 
 from __future__ import annotations
 

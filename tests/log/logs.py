@@ -1,4 +1,4 @@
-"""Small logs to test with."""
+"""Small logs for tests."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ HEADER = LogHeader(
 
 
 def records(count: int, first: int = 0, **columns: NDArray[np.float64] | float) -> NDArray[np.float64]:
-    """`count` records at 1 kHz, shape (count, fields), nan but for t, cycle, state and `columns`."""
+    """Return `count` records at 1 kHz, (count, fields).
+
+    All fields are NaN except t, cycle, state and `columns`.
+    """
     block = np.full((count, len(FIELDS)), np.nan)
     number = np.arange(first, first + count)
     for name, values in {"t": number * 1e-3, "cycle": number, "state": 3.0, **columns}.items():
@@ -37,20 +40,20 @@ def records(count: int, first: int = 0, **columns: NDArray[np.float64] | float) 
 
 
 def push(ring: RingWriter, count: int, first: int = 0) -> None:
-    """`count` cycles of two axes."""
+    """Push `count` cycles of two axes into the ring."""
     for row in records(count, first).tolist():
         for axis in range(2):
             ring.push(axis, row)
 
 
 def motion(count: int) -> dict[str, NDArray[np.float64]]:
-    """Signals of a turning joint, as a log has them."""
+    """Return the signals of a moving joint as columns of a log."""
     t = np.arange(count) * 1e-3
     return {"tau_m": 0.8 * np.cos(5.0 * t), "tau_j": np.cos(5.0 * t), "omega_j": np.sin(5.0 * t)}
 
 
 def write_log(path: Path, chunks: int = 4, per_chunk: int = 100, header: LogHeader = HEADER) -> None:
-    """A whole log: every axis has the same records but for tau_m, which is the axis' number."""
+    """Write a complete log. All axes have the same records except for tau_m, which is the index of the axis."""
     file = McapFile(path, header)
     for chunk in range(chunks):
         blocks = [
@@ -61,7 +64,7 @@ def write_log(path: Path, chunks: int = 4, per_chunk: int = 100, header: LogHead
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:
-    """Poll until `condition` holds; False after `seconds`."""
+    """Poll until `condition` holds. Return False after `seconds`."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if condition():
@@ -71,7 +74,7 @@ def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:
 
 
 def kill_an_owner(path: Path) -> None:
-    """A process that owns a ring and its log pushes 700 cycles of two axes and is killed."""
+    """Start a process that owns a ring and its log, pushes 700 cycles of two axes and kills itself."""
     code = f"""
         import os
         from pathlib import Path

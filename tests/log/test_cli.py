@@ -1,4 +1,4 @@
-"""`tsa log info` and `tsa log convert`."""
+"""Test `tsa log info` and `tsa log convert`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Logs to tables and back."""
+"""Conversion of logs to tables and back."""
 
 from __future__ import annotations
 

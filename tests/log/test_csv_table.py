@@ -1,4 +1,4 @@
-"""CSV files of any shape to columns, and one line about each that is not one."""
+"""CSV files of any dialect are read into columns. Other files give a one-line error."""
 
 from __future__ import annotations
 
@@ -121,7 +121,10 @@ def test_text_in_a_signal_is_an_error_even_when_all_columns_are_read(tmp_path: P
 @pytest.mark.parametrize("end", ["", "\n"])
 @pytest.mark.parametrize("size", [40, 1 << 20, (1 << 20) + 1, 1 << 22, (1 << 22) + 3])
 def test_a_blank_line_before_the_last_row_is_found_wherever_a_block_ends(tmp_path: Path, size: int, end: str) -> None:
-    """`size`: bytes up to the end of the blank line; a file is read in blocks of some power of two."""
+    """`size` is the number of bytes up to the end of the blank line.
+
+    A file is read in blocks whose size is a power of two.
+    """
     head, row = "t,tau_m\n", "0,1.5\n"
     rows, more = divmod(size - len(head) - 1, len(row))
     text = head + row * (rows - 1) + f"0,{'1':0>{3 + more}}\n"
@@ -137,7 +140,7 @@ def test_an_empty_field_is_nan(tmp_path: Path) -> None:
 
 
 def test_more_than_one_column_may_have_no_name(tmp_path: Path) -> None:
-    """As spreadsheets leave them behind."""
+    """Spreadsheets export empty columns without a name."""
     columns, _, _ = read_csv(written(tmp_path, "t,,tau_m,\n0,,1.5,\n"))
     assert (columns["t"].tolist(), columns["tau_m"].tolist()) == ([0.0], [1.5])
 
@@ -149,7 +152,7 @@ def test_a_column_may_be_changed_by_who_reads_it(tmp_path: Path) -> None:
 
 
 def test_a_column_may_turn_from_numbers_to_text_late(tmp_path: Path) -> None:
-    """Nobody asked for it: it is left out, however many numbers came first."""
+    """The column is not required, so it is left out although its first 300,000 values are numbers."""
     columns, left_out, _ = read_csv(written(tmp_path, "t,note\n" + "0,1\n" * 300_000 + "1,late\n"))
     assert (list(columns), left_out, len(columns["t"])) == (["t"], ["note"], 300_001)
 
@@ -173,7 +176,7 @@ def test_every_number_reads_back_as_float_does(
     "entry", ["9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0", "1_000"]
 )
 def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> None:
-    """Halfway between two doubles, subnormal, too large, without digits on one side of the point."""
+    """Examples are halfway between two doubles, subnormal, too large, or lack digits on one side of the point."""
     columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))
     assert repr(columns["tau_m"][0].item()) == repr(float(entry))
 
@@ -183,7 +186,10 @@ def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> Non
 def test_a_small_table_is_the_same_with_and_without_duckdb(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, delimiter: str, end: str
 ) -> None:
-    """Numbers in every notation, empty fields and spaces; a small file does not load DuckDB."""
+    """The table has numbers in several notations, empty fields and spaces.
+
+    Small files are read without DuckDB. Both readers give the same columns.
+    """
     path = tmp_path / "table.csv"
     random = np.random.default_rng(3)
     formats = ("{:.17g}", "{:e}", "{:.3f}", "{:+g}", " {:g} ", "{:.0f}", "{:.0f}.")

@@ -1,4 +1,4 @@
-"""A small file that unpacks to gigabytes is one line, and what a log holds is read."""
+"""Files that unpack to more than the limit give a one-line error. Normal logs and tables are read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tsa_ctrl.log.table import read_table
 
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bounds that a small file of this test can reach."""
+    """Lower the limits so that a small file exceeds them."""
     monkeypatch.setattr(reader, "ALWAYS", 10_000)
     monkeypatch.setattr(reader, "RATIO", 5)
 
@@ -44,7 +44,10 @@ def test_a_compressed_table_is_bounded_too(tmp_path: Path) -> None:
 
 
 def test_a_frame_that_is_larger_than_its_chunk_declares_is_not_unpacked(tmp_path: Path) -> None:
-    """The declared size of a chunk counts, not that of the frame inside."""
+    """A frame is not read if it exceeds the size that its chunk declares.
+
+    The declared size counts towards the limit.
+    """
     (tmp_path / "x").write_bytes(b"x" * 100)
 
     def chunk(size: int, data: bytes) -> bytes:

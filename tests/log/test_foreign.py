@@ -1,4 +1,7 @@
-"""Tables that other programs wrote: what they show is understood, what they do not show is asked for in one line."""
+"""Tables of other programs.
+
+Their format is detected automatically. A one-line error requests the information that a table lacks.
+"""
 
 from __future__ import annotations
 

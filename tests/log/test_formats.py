@@ -1,4 +1,4 @@
-"""Each format, written by a library of others, becomes the same log."""
+"""Files of every format give the same log. Most of the files are written by third-party libraries."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def mat73(folder: Path) -> Path:
 
 
 def simulink(folder: Path) -> Path:
-    """Structure with time, one signal, as the block To Workspace writes."""
+    """Write a structure with time and two signals, like the block To Workspace."""
     scipy_io: Any = importlib.import_module("scipy.io")
     signals = np.array([(TORQUE, "motor_torque"), (T, "other")], dtype=[("values", object), ("label", object)])
     scipy_io.savemat(folder / "run.mat", {"out": {"time": T, "signals": signals}})
@@ -47,7 +47,7 @@ def simulink(folder: Path) -> Path:
 
 
 def dspace(folder: Path) -> Path:
-    """A capture of ControlDesk: X with the time, Y with Name and Data of each signal."""
+    """Write a capture of ControlDesk: X contains the time, Y the name and data of each signal."""
     scipy_io: Any = importlib.import_module("scipy.io")
     kind = [("Name", object), ("Data", object)]
     x, y = np.array([("time", T), ("t2", T)], dtype=kind), np.array([("motor_torque", TORQUE), ("b", T)], dtype=kind)
@@ -56,7 +56,7 @@ def dspace(folder: Path) -> Path:
 
 
 def controldesk(folder: Path) -> Path:
-    """Two rasters of a recorder of ControlDesk, as programs of others read them."""
+    """Write two rasters of a ControlDesk recorder, in the layout that third-party readers expect."""
     parts = []
     for n, name in ((10, "slow"), (N, "motor_torque")):
         rows = [f"{a!r},{b!r}" for a, b in zip(T[:n].tolist(), TORQUE[:n].tolist(), strict=True)]
@@ -100,7 +100,7 @@ def tdms(folder: Path) -> Path:
 
 
 def lvm(folder: Path) -> Path:
-    """As LabVIEW's Write To Measurement File documents its text."""
+    """Write the documented text format of LabVIEW's Write To Measurement File."""
     head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\nChannels\t1\t\t\nSamples\t50\t\t\n"
     rows = "".join(f"{a!r}\t{b!r}\n" for a, b in zip(T.tolist(), TORQUE.tolist(), strict=True))
     (folder / "run.lvm").write_text(f"{head}***End_of_Header***\t\t\nX_Value\tmotor_torque\tComment\n{rows}")

@@ -1,4 +1,4 @@
-"""Test the delivered torque of a run between the fade-in and the stop."""
+"""Loading the part of a run between the fade-in and the stop, and errors for unusable runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tsa_ctrl.log.table import load_run
 
 
 def log_of(path: Path, tau_j: float = 1.0, torque_from: int = 1000, count: int = 4000) -> str:
-    """Torque from a cycle on, at 1 kHz; the axis is hip."""
+    """Write a log at 1 kHz with torque from one cycle on. Return its path with the axis hip."""
     wanted = np.where(np.arange(count) >= torque_from, 0.5, 0.0)
     file = McapFile(path, HEADER)
     file.write([records(count, tau_j_des=wanted, tau_m_cmd=wanted, tau_j=tau_j, q_j=0.1), records(0)])

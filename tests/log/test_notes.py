@@ -70,7 +70,7 @@ def test_info_tells_them_and_convert_leaves_the_table_as_it_was(
 
 
 def test_notes_survive_a_disk_in_trouble(ring: RingWriter, tmp_path: Path) -> None:
-    """A note that could not be written is written when the disk is back."""
+    """A note that could not be written is written once the folder exists."""
     folder = tmp_path / "later"
     writer = LogWriter(RingReader(ring.fd), folder / "x.mcap", HEADER)
     ring.note(FAULT.encoded())
@@ -113,7 +113,7 @@ def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
     def noted() -> bool:
         try:
             return LogFile(path).read_notes() != []
-        except (OSError, UsageError):  # not there yet, or not yet with its header
+        except (OSError, UsageError):  # the file or its header is missing
             return False
 
     assert wait_for(noted)

@@ -1,4 +1,4 @@
-"""Test Parquet files of another program (the two next to this file: pyarrow 26), and those that cannot be read."""
+"""Parquet files of another program and unreadable ones. pyarrow 26 wrote the two files next to this file."""
 
 from __future__ import annotations
 

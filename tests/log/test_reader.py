@@ -1,4 +1,4 @@
-"""Logs read back: whole, cut off, damaged, and by the format's own library."""
+"""Reading logs: complete, truncated, damaged, and by the library of the format."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def content(path: Path) -> tuple[object, ...]:
 def test_a_flipped_bit_is_reported_or_changes_nothing(
     log: Path, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int
 ) -> None:
-    """By an error or among the problems; in head, chunks and end of a log."""
+    """A flipped bit in header, chunks or end of a log causes an error, a reported problem, or no change."""
     data = bytearray(log.read_bytes())
     data[int(place * len(data))] ^= 1 << bit
     path = tmp_path_factory.mktemp("flipped") / "run.mcap"
@@ -74,7 +74,7 @@ def test_a_flipped_bit_is_reported_or_changes_nothing(
 def test_a_chunk_that_no_longer_looks_like_one_is_counted(log: Path, tmp_path: Path) -> None:
     """A flipped bit of its first byte makes it an index, which is not read."""
     data = bytearray(log.read_bytes())
-    position = 8  # after the magic
+    position = 8  # after the magic bytes
     while data[position] != Opcode.CHUNK:
         position += 9 + int.from_bytes(data[position + 1 : position + 9], "little")
     data[position] ^= 1
@@ -95,7 +95,7 @@ def test_a_log_cut_at_any_byte_reads_up_to_its_last_whole_chunk(
     try:
         t = LogFile(cut).columns("hip", ["t"])["t"]
     except UsageError:
-        return  # cut off within its head
+        return  # truncated within its header
     assert len(t) % 100 == 0
     np.testing.assert_array_equal(t, np.arange(len(t)) * 1e-3)
 

@@ -1,4 +1,4 @@
-"""The time of a log: period, jitter, skips."""
+"""The time of a log: period, jitter and skipped cycles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The log writer: what reaches the file, and what happens when it, its disk or its owner fails."""
+"""The log writer: contents of the file, and failures of the writer, its disk and its owner."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def times(path: Path, axis: str = "hip") -> list[int]:
 
 
 class FullDisk:
-    """A file that takes `space` more bytes and then none, until it is given more."""
+    """A file that accepts `space` more bytes and then raises ENOSPC."""
 
     def __init__(self, file: Any, space: int) -> None:
         self._file = file
@@ -87,7 +87,7 @@ def test_a_full_disk_leaves_a_readable_file_and_is_tried_again(ring: RingWriter,
 def test_the_disk_stores_the_log_once_a_second_and_its_error_is_said(
     ring: RingWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing is lost by it, and nothing is written twice."""
+    """A failed fsync is reported. No record is lost or written twice."""
     calls: list[int] = []
 
     def fails_once(descriptor: int) -> None:
@@ -169,7 +169,7 @@ def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, t
     push(ring, 300, 300)
     os.kill(log.pid, signal.SIGKILL)
     assert wait_for(lambda: not log.alive)
-    push(ring, 300, 600)  # the loop goes on
+    push(ring, 300, 600)  # the loop continues
     health = log.end()
     assert health.state is not WriterState.ENDED
     assert times(path)[:300] == list(range(300))
@@ -214,7 +214,10 @@ def test_a_writer_that_hangs_is_killed(ring: RingWriter, tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_a_writer_in_anothers_place_goes_on_where_that_one_was(ring: RingWriter, tmp_path: Path) -> None:
-    """Killed in the middle: what the ring still holds is in the next file, and no record is lost or counted as such."""
+    """The worker is killed while the ring contains unwritten records.
+
+    Its successor writes them to the next file. No record is lost.
+    """
     log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
     push(ring, 300)
     assert wait_for(lambda: log.health().written >= 600)
@@ -253,10 +256,10 @@ def test_dated_names_are_not_taken(tmp_path: Path) -> None:
 
 
 def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter, tmp_path: Path) -> None:
-    """Each file is complete and has the configuration; no record is lost or written twice."""
+    """Each file is complete and contains the configuration. No record is lost or written twice."""
     limits = LogLimits(file_age=60.0)
     log = LogWriter(RingReader(ring.fd), tmp_path / "log.mcap", HEADER, limits)
-    for step in range(4):  # a file begins with its first record: at 0 s and at 140 s
+    for step in range(4):  # the age of a file counts from its first record: at 0 s and at 140 s
         push(ring, 100, first=100 * step)
         log.step(70.0 * step)
     push(ring, 100, first=400)
@@ -281,13 +284,13 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
 
 
 def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWriter, tmp_path: Path) -> None:
-    """Other files stay, and so does a log that changed a moment ago. The new log names the deleted ones."""
+    """Other files and a recently changed log are kept. The new log lists the deleted ones."""
     for age, name in ((50, "tsa-1.mcap"), (40, "tsa-2.mcap"), (30, "tsa-3.mcap"), (0, "tsa-4.mcap"), (60, "my.mcap")):
         (tmp_path / name).write_bytes(b"x" * 1000)
         os.utime(tmp_path / name, (time.time() - age,) * 2)
     log = LogWriter(RingReader(ring.fd), tmp_path / "tsa-5.mcap", HEADER, LogLimits(folder_size=6500.0))
     log.step(0.0)
-    assert 3500 < (tmp_path / "tsa-5.mcap").stat().st_size < 4500  # its head: room for two logs, not for three
+    assert 3500 < (tmp_path / "tsa-5.mcap").stat().st_size < 4500  # its header, which leaves room for two logs
     log.end()
     assert {path.name for path in tmp_path.iterdir()} == {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap"}
     notes = [note.text for note in LogFile(tmp_path / "tsa-5.mcap").read_notes()]

@@ -21,7 +21,7 @@ ACTUATOR = TendonSheath(
     bending_angle=2.6,
     pretension=45.0,
 )
-LOSS = 2.0 * 45.0 * 0.025 * np.sinh(0.26)  # N*m, half loop 2 T_p r_J sinh x
+LOSS = 2.0 * 45.0 * 0.025 * np.sinh(0.26)  # N*m, friction torque 2 T_p r_J sinh x
 SLOPE = 0.025 / 0.020 * np.cosh(0.26)  # slope of (3.55), dimensionless
 
 

@@ -1,8 +1,7 @@
 """A pair of tendon-sheaths by direct integration of the capstan equation, without the package under test.
 
 Along each tendon, from the motor end, dT/dTheta = +-sigma mu T, and the strain is T/EA. Springs in series elongate by
-the
-local tension. The two tensions at the motor follow from the motor torque and the common path length.
+the local tension. The two tensions at the motor follow from the motor torque and the common path length.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ STEPS = 300  # steps of the Runge-Kutta method of fourth order per piece: 1e-12 
 
 @dataclass(frozen=True)
 class Pair:
-    """A pair in SI units. `points`: (fraction of the length, fraction of the bending) from the motor end."""
+    """A pair of tendons in SI units. `points` are (share of the length, share of the wrap angle) from the motor end."""
 
     points: tuple[tuple[float, float], ...]
     x: float  # mu Theta

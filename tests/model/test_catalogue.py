@@ -23,7 +23,7 @@ def test_order_of_the_table_is_the_order_of_composition() -> None:
 
 
 def test_effects_within_a_stage_keep_their_order() -> None:
-    """Gain precedes ripple and motor friction; bending precedes stiffness and relaxation."""
+    """Gain precedes ripple and motor friction. Bending precedes stiffness and relaxation."""
     names = list(CATALOGUE)
     chain = [
         ("torque_constant_error", "torque_ripple", "motor_side_friction"),
@@ -122,7 +122,7 @@ def test_logs_that_cannot_show_an_effect() -> None:
 
 
 def test_without_a_motor_angle_nothing_follows_it() -> None:
-    """There is no ripple, and presliding depends on the joint alone."""
+    """Torque ripple is not searched, and presliding depends on the joint alone."""
     blind = dataclasses.replace(SCALES, motor_step=math.nan)
     assert not CATALOGUE["torque_ripple"].search("torque_ripple", blind)
     labels = [v.label for v in CATALOGUE["presliding_hysteresis"].search("presliding_hysteresis", blind)]

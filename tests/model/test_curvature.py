@@ -37,7 +37,7 @@ def test_uniform_curvature(x: float) -> None:
 
 
 def test_joint_end_curvature_leaves_the_length() -> None:
-    """With all curvature at the joint end there is no friction before the end: alpha = beta = l_us."""
+    """With all curvature at the joint end, the tendon has no friction before the end: alpha = beta = l_us."""
     assert alpha_and_beta("joint_end", 0.6) == (1.0, 1.0)
 
 
@@ -89,7 +89,7 @@ def test_centre_of_the_named_profiles(profile: str, centre: float) -> None:
 
 
 def test_centre_is_the_mean_place_of_the_bends() -> None:
-    """A tenth of the bending is at 0, 0.3 about 0.15, a tenth at 0.3, and half about 0.85."""
+    """A tenth of the wrap angle is at 0, 0.3 of it around 0.15, a tenth at 0.3, and half around 0.85."""
     assert Profile.of(S_BENT).centre == pytest.approx(0.1 * 0.0 + 0.3 * 0.15 + 0.1 * 0.3 + 0.5 * 0.85)
 
 

@@ -81,7 +81,7 @@ def test_a_formula_without_a_value_is_said_with_its_place() -> None:
         "1.5*tau",
         "0.2*sin(40*tau)",
         "tau*abs(omega_j)",
-        "0.1*dahl(tau, 0.05)",  # after a reversal its slope is four times that of the torque
+        "0.1*dahl(tau, 0.05)",  # its slope is 4 after a reversal
         "tau - 2*lag(tau, 1)*tanh(q_j)",
     ],
 )

@@ -226,7 +226,10 @@ class TestDomain:
         assert pretension - tau_m / 0.04 == pytest.approx(0.0, abs=1e-9)
 
     def test_motor_side_effects_come_on_top(self) -> None:
-        """The pulley may have 1.8 N*m. The drive's friction is added, and it helps in the other direction."""
+        """The bound at the pulley is 1.8 N*m.
+
+        Motor friction of 0.1 N*m raises the bound in the direction of motion and lowers it in the other direction.
+        """
         feedforward = Feedforward(with_effect("motor_side_friction", coulomb=0.1), PERIOD)
         assert feedforward.update(50.0, 1.0, 0.5) == pytest.approx(1.9)
         assert feedforward.update(-50.0, 1.0, 0.5) == pytest.approx(-1.7)
@@ -266,7 +269,7 @@ class TestMeasurements:
         assert feedforward.update(0.0, 1.0, 0.5, q_m=0.05, temperature=25.0) == pytest.approx(moved, rel=1e-12)
 
     def test_nan_wish_is_passed_on(self) -> None:
-        """The limiter rejects it."""
+        """A NaN desired torque gives a NaN command, which the limiter rejects."""
         assert math.isnan(Feedforward(ACTUATOR, PERIOD).update(NAN, 1.0, 0.5))
 
     def test_acceleration_is_derived_when_absent(self) -> None:

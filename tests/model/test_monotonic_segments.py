@@ -41,7 +41,7 @@ def maxwell_by_steps(path: Array, distance: float, elements: int, start: float) 
 def reversals_by_steps(path: Array, threshold: float) -> Array:
     """Return the last reversal for each sample: the extreme from which the path returned by more than `threshold`.
 
-    It applies from the sample after the extreme on; it is nan before the first reversal.
+    It applies from the sample after the extreme on. It is NaN before the first reversal.
     """
     out = np.full(len(path), math.nan)
     extreme, since, direction = path[0], 0, 0

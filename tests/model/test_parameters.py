@@ -84,7 +84,7 @@ def test_what_is_no_course_is_refused_in_one_line(tmp_path: Path, course: str, w
 
 
 def test_derived_quantities() -> None:
-    """x = mu Theta, k_t = EA/l_us, and there is no series length without a series element."""
+    """x = mu Theta and k_t = EA/l_us. The series length is 0 without a series element."""
     assert ACTUATOR.friction_angle == pytest.approx(0.26)
     assert ACTUATOR.tendon_stiffness == pytest.approx(50e3)
     assert ACTUATOR.series_length == 0.0

@@ -52,7 +52,7 @@ class TestBending:
         np.testing.assert_allclose(found, -2.0 * (45.0 + 17.5 * 0.4) * 0.025 * np.sinh(0.3), rtol=1e-12)
 
     def test_straightened_sheath_is_slack(self) -> None:
-        """A T_p0 below 0 is set to 0, so there is no torque without motor torque."""
+        """A T_p0 below 0 is set to 0, so the joint torque is 0 without motor torque."""
         found = predict(ACTUATOR, signals(np.arange(1.0), np.ones(1), theta=np.array([1.0])))
         assert found == pytest.approx([0.0])
 

@@ -18,7 +18,7 @@ def test_columns_of_unequal_length_are_refused() -> None:
 
 
 def test_empty_log_is_refused() -> None:
-    """There are no samples to predict."""
+    """A log without samples cannot be predicted."""
     with pytest.raises(UsageError, match="no samples"):
         Signals(t=T[:0], tau_m=T[:0], omega_j=T[:0])
 
@@ -76,5 +76,5 @@ def test_short_log_is_left_alone() -> None:
 
 
 def test_single_sample_has_no_derivative() -> None:
-    """The derivative is 0, and there is no error."""
+    """The derivative is 0 instead of an error."""
     np.testing.assert_array_equal(zero_phase_derivative(np.array([3.0]), 1.0), [0.0])

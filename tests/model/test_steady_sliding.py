@@ -102,7 +102,7 @@ def test_friction_at_the_motor_of_the_named_profiles(profile: str, f: float) -> 
 
 
 def test_simplified_model_is_all_bending_at_the_joint() -> None:
-    """(3.55) has the slope r_J/r_M cosh x, the half loop 2 T_p r_J sinh x and the centre at the joint."""
+    """(3.55) has the slope r_J/r_M cosh x, the friction torque 2 T_p r_J sinh x and the centre at the joint."""
     assert sliding(ACTUATOR) == pytest.approx((R_J / R_M * math.cosh(X), 2.0 * T_P * R_J * math.sinh(X)), rel=1e-14)
     assert sliding(ACTUATOR).motor_half_loop == pytest.approx(2.0 * T_P * R_M * math.tanh(X), rel=1e-14)
     assert bending_centre(ACTUATOR) == 1.0
@@ -115,7 +115,10 @@ def test_soft_spring_at_the_motor_leads_back_to_it() -> None:
 
 
 def test_soft_spring_at_the_joint_holds_the_pretension_there() -> None:
-    """T2 + T4 is constant: the slope is r_J/(r_M cosh x) and the half loop 2 T_p r_J tanh x, for any profile."""
+    """T2 + T4 is constant for any profile.
+
+    The slope is r_J/(r_M cosh x) and the friction torque 2 T_p r_J tanh x.
+    """
     soft = dataclasses.replace(model_of(S_BENT), series_stiffness=1e-6, series_at_joint=True)
     expected = (R_J / R_M / math.cosh(X), 2.0 * T_P * R_J * math.tanh(X))
     assert sliding(soft) == pytest.approx(expected, rel=1e-8)
@@ -140,7 +143,7 @@ def test_tension_dependence_gives_its_tangent() -> None:
 
 
 def test_angle_and_pretension_may_be_given() -> None:
-    """The values of an estimator can replace those of the file."""
+    """An estimator can replace the file's values."""
     assert sliding(ACTUATOR, 1.0, 0.5, 30.0) == pytest.approx(sliding(ACTUATOR.recalibrated(0.5, 30.0)), rel=1e-14)
 
 
@@ -160,7 +163,7 @@ def test_stiffness_of_the_reference_actuator() -> None:
 
 @pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
 def test_centre_of_the_bending(profile: str, centre: float) -> None:
-    """The centre s_c is that of the model's own profile."""
+    """The centre s_c follows from the model's own profile."""
     assert bending_centre(model_of(profile)) == pytest.approx(centre)
 
 

@@ -76,7 +76,7 @@ def test_angles_become_stretch() -> None:
 @pytest.mark.parametrize("x", [1e-6, 0.26, 0.9])
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
 def test_the_ends_of_the_tendons_make_the_stretch(points: Points, x: float, sigma: float) -> None:
-    """It holds for every profile, including all bends at the joint, in both directions.
+    """It holds for every profile, including all curvature at the joint, in both directions.
 
     The reference is the capstan equation.
     """

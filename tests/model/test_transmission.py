@@ -60,7 +60,7 @@ class TestFullModel:
         assert pretension == pytest.approx(T_P, rel=1e-14)
 
     def test_without_friction(self, sigma: float, tau_m: float) -> None:
-        """There is no loss at mu = 0."""
+        """At mu = 0 the transmission has no losses."""
         assert full("uniform", tau_m, 0.0)[0] == pytest.approx(R_J / R_M * tau_m, abs=1e-12)
 
 

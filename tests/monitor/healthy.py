@@ -1,4 +1,4 @@
-"""Frames of a sound axis as literal bytes: SYNC, command, two TPDOs of the drive, one of the encoder, heartbeats."""
+"""Frames of a healthy axis as literal bytes: SYNC, command, TPDOs of the drive and the encoder, heartbeats."""
 
 from __future__ import annotations
 
@@ -33,7 +33,10 @@ def watched(period: float = PERIOD, nodes: tuple[int, ...] = (1, 0x20, 0x40), **
 
 
 class Sound:
-    """An axis that swings by `amplitude` rad at 1 Hz while its torque follows the command; `sign` of the wire."""
+    """A healthy axis that swings by `amplitude` rad at 1 Hz. Its torque follows the command.
+
+    `sign` is the sign of the drive's torque, speed and position on the bus.
+    """
 
     def __init__(self, amplitude: float = 0.5, torque: float = 0.8, sign: int = 1) -> None:
         self.amplitude, self.torque, self.sign = amplitude, torque, sign
@@ -66,19 +69,19 @@ def frames(sound: Sound, seconds: float, edit: Edit = lambda t, frames: frames) 
 
 
 def play(monitor: Monitor, sound: Sound, seconds: float, edit: Edit = lambda t, frames: frames) -> Stop | None:
-    """Pass all frames to the monitor; return the cause."""
+    """Pass all frames to the monitor. Return the cause of its stop, or None."""
     for frame, now in frames(sound, seconds, edit):
         monitor.step(frame, now)
     return monitor.stop
 
 
 def changed(can_id: int, edit: Callable[[bytes], bytes], at: float) -> Edit:
-    """One identifier's data from `at` s on."""
+    """Return an edit that changes the data of one identifier from `at` s on."""
     return lambda t, frames: [(i, edit(data) if i == can_id and t >= at else data) for i, data in frames]
 
 
 def held(can_ids: tuple[int, ...], at: float, size: int = 8) -> Edit:
-    """The first `size` bytes of these identifiers stay as they are at `at` s."""
+    """Return an edit that freezes the first `size` bytes of these identifiers from `at` s on."""
     kept: dict[int, bytes] = {}
 
     def edit(t: float, frames: list[Frame]) -> list[Frame]:
@@ -95,5 +98,5 @@ def without(can_id: int, at: float) -> Edit:
 
 
 def added(at: float, *more: Frame, last: float = math.inf) -> Edit:
-    """More frames at the end of each cycle from `at` to `last` s."""
+    """Return an edit that adds frames at the end of each cycle from `at` to `last` s."""
     return lambda t, frames: [*frames, *more] if at <= t <= last else frames

@@ -1,4 +1,4 @@
-"""The monitor with the real loop and plant in virtual time, first observing only, then acting."""
+"""The monitor with the real loop and plant in virtual time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tsa_ctrl.virtual.script import Fault
 @pytest.mark.parametrize("name", TRIALS)
 @pytest.mark.parametrize("watchdogs", [True, False])
 def test_the_torque_is_gone_although_loop_and_drive_do_nothing(name: str, watchdogs: bool, tmp_path: Path) -> None:
-    """A drive without watchdogs does not react to NMT stop either: the controlword by SDO disables it."""
+    """A drive without watchdogs also ignores NMT stop. The controlword by SDO disables it."""
     finding, spoil, within = TRIALS[name]
     found = Trial(tmp_path, spoil, drive={"watchdogs": watchdogs})
     assert found.stop is not None

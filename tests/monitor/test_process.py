@@ -1,4 +1,4 @@
-"""The process of the monitor on its own bus, and its end. tests/system tests its output."""
+"""The process of the monitor on its own bus, and its termination. tests/system tests its output."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def given(output: OutputSettings | None = None, interface: str = "udp_multicast"
 
 
 class Bus:
-    """The other end of the bus: a loop and a drive whose frames the test sends."""
+    """The other end of the bus. The test sends the frames of a loop and a drive."""
 
     def __init__(self, interface: str = "udp_multicast", channel: str = GROUP) -> None:
         self._bus = open_bus(BusSettings(interface=interface, channel=channel))
@@ -52,7 +52,7 @@ class Bus:
             self._bus.send(*frame)
 
     def enable(self) -> None:
-        """The drive is enabled and commanded."""
+        """Send the frames of an enabled drive and a command."""
         self.send((HEARTBEAT, b"\x05"), (SYNC, b""), (MOTION, ON), (RPDO, b"\x0f\x00\x00\x00"))
 
     def until(self, condition: Callable[[], bool]) -> None:
@@ -129,7 +129,7 @@ def test_it_outlives_a_daemon_that_dies_until_the_torque_is_gone(bus: Bus, monit
 
 
 def _armed(bus: Bus, monitor: MonitorProcess) -> bool:
-    """A notice is only made while torque is on."""
+    """Send a frame that causes a notice while torque is on. Return True if there is one."""
     bus.send((0x100, bytes(6)))
     monitor.fault(time.monotonic())
     return bool(monitor.report.notices)

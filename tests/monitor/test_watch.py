@@ -1,4 +1,4 @@
-"""The monitor as a pure object: literal frames in, a cause out."""
+"""The monitor without a process or a bus: literal frames in, a cause out."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.monitor.healthy import (
 )
 from tsa_ctrl.monitor.watch import FINDINGS, Frame, Monitor
 
-AT = 1.0  # s, when the fault begins
+AT = 1.0  # s, start of the fault
 ONCE = {"last": AT}
 
 
@@ -39,11 +39,11 @@ def motion(torque: int | None = None, velocity: float = 1.0) -> Edit:
 
 
 def lost_counts(data: bytes) -> bytes:
-    """The joint encoder counts half of the motion."""
+    """Halve the counts of the joint encoder."""
     return struct.pack("<i", struct.unpack("<i", data)[0] // 2)
 
 
-TRIALS: dict[str, tuple[str, Edit, float]] = {  # finding, fault, s within which it is found
+TRIALS: dict[str, tuple[str, Edit, float]] = {  # finding, fault, longest time to detection (s)
     "command above the limit": ("command_torque", changed(RPDO, lambda data: b"\x0f\x00\x99\x08", AT), 0.001),
     "command jumps": ("command_step", changed(RPDO, lambda data: b"\x0f\x00\x20\x03", AT), 0.001),
     "torque above the limit": ("torque", motion(torque=2600), 0.02),

@@ -18,14 +18,17 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 from tsa_ctrl.virtual.simulation import Run, VirtualMonitor
 
-AT = 0.8  # s of the log, when the fault begins
+AT = 0.8  # s of the log, start of the fault
 RPDO, ENCODER = 0x201, 0x1A0
 
 Spoil = Callable[[Run], None]
 
 
 class Trial:
-    """One run of a limb with a fault at `AT`; `stop`: the monitor's finding, `late`: s after the fault."""
+    """One run with a fault at `AT`.
+
+    `stop` is the finding of the monitor. `late` is its delay after the fault (s).
+    """
 
     def __init__(
         self,
@@ -53,13 +56,13 @@ class Trial:
         self.late = np.nan if self.stop is None else self.stop.time - self.result.axes[0].start - AT
 
     def torque(self, after: float) -> float:
-        """Largest torque of the motor from `after` s after the fault on, N*m."""
+        """Return the largest motor torque (N*m) from `after` s after the fault on."""
         truth = self.result.truth
         return float(np.abs(truth["tau_m"][truth["clock"] >= self.result.axes[0].start + AT + after]).max(initial=0.0))
 
 
 def edited(edit: Callable[[int, bytes], list[Frame]]) -> Spoil:
-    """Change what goes over the wire."""
+    """Return a fault that changes frames on the wire."""
 
     def spoil(run: Run) -> None:
         wire, send = run._wire, run._wire.send
@@ -78,7 +81,7 @@ def intruder(*frames: Frame) -> Spoil:
 
 
 def killed(run: Run) -> None:
-    """Nothing comes from the loop any longer."""
+    """Suppress all frames of the loop."""
     wire, send = run._wire, run._wire.send
     wire.send = lambda sender, i, data: sender is wire.host or send(sender, i, data)  # type: ignore[method-assign]
 

@@ -1,4 +1,4 @@
-"""Joint torque from motor torque and model alone, against (3.55) written out."""
+"""Joint torque from motor torque and model alone, compared with an independent evaluation of (3.55)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_sliding_it_is_the_models_line(sigma: float) -> None:
 
 
 def test_standing_it_is_the_frictions_band() -> None:
-    """Both directions' lines lie inside, and the middle is told."""
+    """At standstill the band contains the lines of both directions. The estimate is their mean."""
     seen = ModelTorque(actuator(), PERIOD)
     seen.update(0.4, 0.0, 0.5 * STILL)
     assert seen.torque == pytest.approx(0.5 * (delivered(0.4, 1.0) + delivered(0.4, -1.0)))

@@ -1,7 +1,8 @@
-"""The friction torque that the sensors of an axis prove, on an evenly bent sheath with its own equations.
+"""Bounds of the friction torque from the sensors of an axis.
 
-With the bends in the middle the mean tension difference is the mean of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J.
-While the tendons slide tau_J = r_J/r_M (tau_M - sigma h) (stretch.md, to first order in x).
+The reference is an evenly bent sheath with separate equations. With even curvature, the mean tension difference is the
+mean of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J. While the tendons slide, tau_J = r_J/r_M (tau_M - sigma h)
+(stretch.md, to first order in x).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ FRICTION = 2.0 * 45.0 * 0.020 * 0.26  # N*m, h = 2 T_p0 r_M x
 
 
 class Joint:
-    """Strokes of a joint of 0.6 rad to and fro, a load on it, and what its sensors measure."""
+    """Simulate strokes of a joint with a load, and the signals of its sensors."""
 
     def __init__(
         self,
@@ -42,12 +43,12 @@ class Joint:
         self.zero, self.radius, self.sensor = zero, radius, sensor
         self.random = np.random.default_rng(seed)
         self.q = 0.0
-        self.bends = False  # another joint bends the sheath meanwhile: friction changes by half within a stroke
-        self.share = 1.0  # true friction over the modelled one
+        self.bends = False  # True: another joint bends the sheath, and friction changes by up to half within a stroke
+        self.share = 1.0  # ratio of true to modelled friction
         self.t = 0.0
 
     def move(self, way: float, speed: float = 1.0, turning: bool = False) -> list[tuple[float, float]]:
-        """Go `way` rad further; return the bounds of each cycle."""
+        """Move the joint by `way` rad and return the bounds of each cycle."""
         sigma = math.copysign(1.0, way)
         bounds = []
         for _ in range(round(abs(way) / speed / PERIOD)):
@@ -68,7 +69,7 @@ class Joint:
 
 
 def test_one_direction_of_the_elongation_proves_nothing() -> None:
-    """The zero hides the friction: any friction torque fits."""
+    """The zero of the elongation is unknown, so any friction torque fits."""
     joint = Joint(zero=3e-4)
     assert all(low == 0.0 and high > 2.0 * FRICTION for low, high in joint.move(0.6))
 
@@ -77,7 +78,10 @@ def test_one_direction_of_the_elongation_proves_nothing() -> None:
 @pytest.mark.parametrize("radius", [0.99, 1.0, 1.01])
 @pytest.mark.parametrize("stiffness", [0.92, 1.0, 1.08])
 def test_both_directions_bound_the_friction(zero: float, radius: float, stiffness: float) -> None:
-    """The zero, the radii and the stiffness of the file may be off: the bounds hold, and are near each other."""
+    """The zero, the radii and the file's stiffness may be wrong.
+
+    The bounds contain the friction torque and stay close to it.
+    """
     model = dataclasses.replace(MODEL, axial_stiffness=60e3 * stiffness)
     joint = Joint(model, zero=zero, radius=radius)
     for way in (0.6, -0.6, 0.6, -0.6, 0.6):
@@ -89,9 +93,9 @@ def test_both_directions_bound_the_friction(zero: float, radius: float, stiffnes
 @pytest.mark.parametrize("left", [0.1, 0.3, 0.5])
 @pytest.mark.parametrize("first", [0.6, -0.6])
 def test_friction_that_is_lost_between_the_first_two_strokes_is_never_proven(left: float, first: float) -> None:
-    """One stroke in each direction shows the sum of two frictions only: the second may have all, or nearly none.
+    """One stroke in each direction shows only the sum of two friction torques. The second may be all of it or nearly 0.
 
-    The strokes after the loss agree, and prove the rest.
+    The strokes after the loss agree and prove the remaining friction.
     """
     joint = Joint(zero=3e-4)
     joint.move(first)
@@ -104,7 +108,7 @@ def test_friction_that_is_lost_between_the_first_two_strokes_is_never_proven(lef
 
 @pytest.mark.parametrize("share", [0.6, 1.0, 1.3])
 def test_a_sheath_that_another_joint_bends_proves_the_ratio_of_true_to_modelled_friction(share: float) -> None:
-    """The friction torque changes by half either way within each stroke, and the bounds follow it."""
+    """The friction torque changes by up to half within each stroke, and the bounds follow it."""
     joint = Joint(zero=3e-4)
     joint.bends, joint.share = True, share
     for way in (0.6, -0.6, 0.6, -0.6, 0.6):
@@ -118,7 +122,7 @@ def test_a_sheath_that_another_joint_bends_proves_the_ratio_of_true_to_modelled_
 
 
 def test_strokes_in_one_direction_do_not_confirm_each_other() -> None:
-    """A joint that moves on after a rest, or after a return that was too short for a reading."""
+    """The joint repeats strokes in one direction. The returns between them are too short for a reading."""
     joint = Joint(zero=3e-4)
     joint.move(0.6)
     joint.friction = 0.1 * FRICTION
@@ -127,7 +131,7 @@ def test_strokes_in_one_direction_do_not_confirm_each_other() -> None:
 
 
 def test_the_third_stroke_of_a_healthy_joint_proves_what_the_file_left_open() -> None:
-    """The file permits 1.25 squared times its friction: at most 2 - 1.56 of it are proven by two strokes."""
+    """The file permits 1.25^2 = 1.56 times its friction, so two strokes prove at most 2 - 1.56 = 0.44 of it."""
     joint = Joint()
     joint.move(0.6)
     low, _ = joint.move(-0.6)[-1]
@@ -137,7 +141,10 @@ def test_the_third_stroke_of_a_healthy_joint_proves_what_the_file_left_open() ->
 
 
 def test_the_interval_of_a_calibration_counts_for_the_joint_that_was_tuned_only() -> None:
-    """It proves more by two strokes; of a file that may be another joint's, [uncertainty] counts."""
+    """With the interval of a calibration, two strokes prove more friction.
+
+    If the file may belong to another joint, [uncertainty] applies instead.
+    """
     half_loop = abs(sliding(MODEL).half_loop)
     found = {}
     for trusted in (False, True):
@@ -157,7 +164,10 @@ def test_a_joint_torque_sensor_proves_it_within_the_first_stroke() -> None:
 @pytest.mark.parametrize("sensor", [False, True])
 @pytest.mark.parametrize("left", [0.1, 0.5])
 def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, left: float) -> None:
-    """Within 0.03 rad the upper bound approaches the remaining friction, and the next strokes keep the zero."""
+    """After 0.05 rad the upper bound is close to the remaining friction.
+
+    The bounds stay correct in the next strokes.
+    """
     joint = Joint(sensor=sensor)
     for way in (0.6, -0.6, 0.6, -0.6):
         joint.move(way)
@@ -172,7 +182,10 @@ def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, l
 
 
 def test_the_swing_of_a_motor_of_unknown_inertia_moves_the_bounds_little() -> None:
-    """A limit that followed the swing would drive it: a seventh of it is left, and lost friction is seen in 0.3 s."""
+    """A torque limit that followed the motor's oscillation would excite it.
+
+    With unknown inertia the upper bound follows less than a seventh of it. A loss of friction is detected within 0.3 s.
+    """
     moved = {}
     for inertia in (1e-4, 0.0):
         joint = Joint(sensor=True, inertia=inertia)
@@ -189,7 +202,10 @@ def test_the_swing_of_a_motor_of_unknown_inertia_moves_the_bounds_little() -> No
 
 
 def test_a_reversal_and_a_turning_term_are_no_reading() -> None:
-    """The friction front runs through the sheath first: until then the bounds do not change."""
+    """The friction front must first pass through the sheath.
+
+    Until then, and while the friction term turns, the bounds do not change.
+    """
     joint = Joint(sensor=True)
     joint.move(0.3)
     before = joint.proven.low, joint.proven.high
@@ -202,7 +218,7 @@ def test_a_reversal_and_a_turning_term_are_no_reading() -> None:
 
 @pytest.mark.parametrize("more", [0.7, 1.4])
 def test_a_reading_holds_at_another_wrap_angle(more: float) -> None:
-    """Another joint bends the sheath: friction and model change alike, and the bounds follow."""
+    """Another joint bends the sheath. Friction and model change by the same ratio, and the bounds follow."""
     joint = Joint(sensor=True)
     joint.move(0.3)
     before = joint.proven.low, joint.proven.high
@@ -210,7 +226,7 @@ def test_a_reading_holds_at_another_wrap_angle(more: float) -> None:
     after = joint.move(-0.01)[-1]
     assert not joint.proven.reads
     assert after == pytest.approx((more * before[0], more * before[1]))
-    joint.friction = 0.5 * FRICTION  # and friction that is lost is seen as before
+    joint.friction = 0.5 * FRICTION  # a loss of friction is still detected
     assert joint.move(-0.2)[-1][1] < 0.6 * FRICTION
 
 
@@ -235,7 +251,7 @@ def test_the_zero_is_kept_over_a_disable_and_lost_in_a_long_gap() -> None:
 
 
 def test_a_tendon_that_slips_on_its_pulley_makes_it_begin_again() -> None:
-    """The elongation has another zero from then on: no stroke agrees with the earlier ones."""
+    """The slip changes the zero of the elongation, so no stroke agrees with the earlier ones."""
     joint = Joint()
     for way in (0.6, -0.6, 0.6, -0.6):
         joint.move(way)

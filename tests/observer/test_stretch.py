@@ -1,4 +1,4 @@
-"""Joint torque from stretch against the truth of the distributed plant, in the real loop, in virtual time."""
+"""Joint torque from the tendon elongation, compared with the distributed plant in the real loop in virtual time."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from tsa_ctrl.observer.stretch import (
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import simulate_loop
 
-SETTLED = 2.0  # s of the log, from which both directions have been slid in since it was known how the tendons lie
+SETTLED = 2.0  # s of the log by which the tendons have slid in both directions
 SHIPPED = Path(__file__).parents[2] / "config"
 COUNTS = (2.0 * math.pi / 65_536, 2.0 * math.pi / 1_048_576)
-OFF: dict[str, Any] = {"perturbation": {"friction_coefficient": 1.25, "pretension": 0.85}}  # true over the model's
+OFF: dict[str, Any] = {"perturbation": {"friction_coefficient": 1.25, "pretension": 0.85}}  # ratios to the model
 
 
 def errors(
     result: Simulation, by: TendonSheath | None = None, since: float = SETTLED
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Of the stretch's torque, which of the samples slide, and the torque's RMS; N*m.
+    """Return the errors of the torque from the elongation, which samples slide, and the RMS of the true torque.
 
-    `by`: what an observer of this model makes of the log, in place of the loop's own.
+    Torques are in N*m. If `by` is given, an observer with this model replaces the observer of the loop.
     """
     axis = result.axes[0]
     log = axis.log
@@ -53,7 +53,7 @@ def errors(
 
 
 def followed(log: Mapping[str, np.ndarray], model: TendonSheath) -> np.ndarray:
-    """The torque of an observer that is led through a log."""
+    """Return the torque of an observer that is updated with each row of a log."""
     seen = StretchObserver(model, 1e-3, COUNTS, 1e-4)
     told = []
     for values in zip(*(log[name].tolist() for name in ("tau_m", "omega_m", "q_m", "q_j")), strict=True):
@@ -68,7 +68,7 @@ def rms(values: np.ndarray) -> float:
 
 @pytest.fixture(scope="module")
 def gait(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
-    """A walk, of whose rig neither friction nor pretension is known."""
+    """Return a gait on a rig whose friction and pretension differ from the model."""
     return play_case(tmp_path_factory.mktemp("gait"), "gait", plant=OFF)
 
 
@@ -91,7 +91,7 @@ def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(ga
     ],
 )
 def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Path, case: str, curvature: str) -> None:
-    """3 % while sliding, 8 % through reversals and on a held joint, where the mean of the tensions has 25 %."""
+    """The RMS error is at most 3 % of the torque while sliding, and at most 8 % over the whole log."""
     result = play_case(tmp_path, case, curvature=curvature, plant=OFF)
     error, slides, size = errors(result)
     assert rms(error[slides]) <= 0.03 * size
@@ -101,7 +101,10 @@ def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Pa
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["gait", *(pytest.param(name, marks=pytest.mark.soak) for name in ("held", "weight"))])
 def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
-    """The file's is a fifth too high, and the torque would be off by as much; its bound says 25 %."""
+    """The file's stiffness is a fifth too high, and its uncertainty is 25 %.
+
+    Without learning, the torque would be wrong by a fifth.
+    """
     off = {"perturbation": {**OFF["perturbation"], "axial_stiffness": 0.83}}
     result = play_case(tmp_path, case, plant=off)
     error, slides, size = errors(result, by=dataclasses.replace(NOMINAL, axial_stiffness_uncertainty=0.25))
@@ -109,8 +112,8 @@ def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
     assert rms(error) <= 0.08 * size
 
 
-# A known limit: while the motor is without torque the observer learns a wrong stiffness, by 5 to 220 % of the torque as
-# the walk begins; with 30 % more friction than the file's it does not recover within 2.5 s.
+# Known limitation: without motor torque the observer learns a wrong stiffness. The error is 5 to 220 % of the torque at
+# the start of the walk. With 30 % more friction than in the file, the observer does not recover within 2.5 s.
 UNLOADED = "the observer learns from a walk without motor torque"
 
 
@@ -127,7 +130,10 @@ UNLOADED = "the observer learns from a walk without motor torque"
     ],
 )
 def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, rate: int, friction: float) -> None:
-    """The shipped files: the joint walks already when the loop begins, its tendons all slid one way by then."""
+    """The shipped files are used.
+
+    The joint already walks when the loop starts, so all tendons have slid in one direction by then.
+    """
     text = (SHIPPED / "controller.toml").read_text(encoding="utf-8").replace("rate = 1000.0", f"rate = {rate}.0")
     plant = (SHIPPED / "plant.toml").read_text(encoding="utf-8")
     (tmp_path / "controller.toml").write_text(text, encoding="utf-8")
@@ -136,7 +142,7 @@ def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, ra
     )
     shutil.copy(SHIPPED / "actuator.toml", tmp_path)
     result = simulate_loop(tmp_path / "controller.toml", tmp_path / "plant.toml", 5.0)
-    error, slides, size = errors(result, since=2.5)  # a friction that is 24 % off is learned in the third turn
+    error, slides, size = errors(result, since=2.5)  # a friction error of 24 % is learned by the third reversal
     assert rms(error[slides]) <= 0.03 * size
     assert rms(error) <= 0.08 * size
     assert not any("differs from the tendons' stretch" in str(event) for event in result.summary.events)
@@ -144,7 +150,10 @@ def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, ra
 
 @pytest.mark.slow
 def test_a_course_of_the_bends_that_is_off_teaches_no_friction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two bends that the file has for an even one, all else as it says: turns of a held joint, the torque after."""
+    """The sheath has two bends, but the file has an even curvature. The joint is locked.
+
+    TURN_DOUBT keeps friction reversals from distorting the torque while sliding.
+    """
     two_bends = [[0.0, 0.0], [0.1, 0.0], [0.35, 0.5], [0.65, 0.5], [0.9, 1.0], [1.0, 1.0]]
     result = play(tmp_path, "held", sine(0.5, 0.5), 4.5, curvature=two_bends)
     found = []
@@ -158,7 +167,10 @@ def test_a_course_of_the_bends_that_is_off_teaches_no_friction(tmp_path: Path, m
 
 @pytest.mark.slow
 def test_periods_without_a_cycle_count_for_what_the_motor_s_inertia_takes(gait: Simulation) -> None:
-    """On a machine that skips each second one the acceleration was taken for twice of what it is: error three times."""
+    """Regression test: on a machine that skipped every second cycle, the acceleration was doubled.
+
+    The error was more than twice as large.
+    """
     axis = gait.axes[0]
     rows = list(zip(*(axis.log[name].tolist() for name in ("tau_m", "omega_m", "q_m", "q_j")), strict=True))
     kept = axis.counted & (axis.log["t"] > SETTLED)
@@ -190,7 +202,7 @@ def test_a_long_time_without_a_cycle_is_one_without_measurements() -> None:
 
 @pytest.mark.slow
 def test_the_line_alone_is_far_off_on_a_held_joint(tmp_path: Path) -> None:
-    """What the slip fronts are worth."""
+    """On a locked joint, the line without slip fronts has more than three times the error of the observer."""
     from tsa_ctrl.model.stretch import stretch_line
 
     result = play_case(tmp_path, "held")
@@ -212,7 +224,10 @@ def test_bends_at_the_joint_are_said_and_nothing_is_guessed(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_a_wrong_torque_sensor_is_told_and_changes_nothing(tmp_path: Path) -> None:
-    """The sensor only checks: 0.4 N*m of offset do not reach the estimate. That none is told of a right one: above."""
+    """The sensor serves only as a check, so its offset of 0.4 N*m is reported but does not change the estimate.
+
+    A test above covers that a correct sensor is not reported.
+    """
     result = play(tmp_path, "imposed", GAIT, 5.0, plant={"torque_sensor": {"offset": 0.4}})
     assert any("joint torque sensor differs from the tendons' stretch" in str(event) for event in result.summary.events)
     error, _, size = errors(result)
@@ -229,7 +244,10 @@ def feed(seen: StretchObserver, seconds: float, tau_m: float = 0.0, fresh: bool 
 
 
 def test_in_a_turn_the_band_holds_another_course_of_the_bends() -> None:
-    """Even bends against two with a straight piece between, of one centre: by how much T4 - T2 differs in a turn."""
+    """The difference of T4 - T2 in a friction reversal is at most COURSE (RMS).
+
+    An even curvature is compared with two bends that have a straight piece between them and the same centre.
+    """
     two_bends = ((0.0, 0.0), (0.1, 0.0), (0.35, 0.5), (0.65, 0.5), (0.9, 1.0), (1.0, 1.0))
     model, phase = actuator(), np.linspace(0.0, 6.0 * np.pi, 6000)
     joint = np.diff(1.5e-3 * np.sin(phase), prepend=0.0)
@@ -240,13 +258,16 @@ def test_in_a_turn_the_band_holds_another_course_of_the_bends() -> None:
         _, end, slid = tendons.follow(pair, np.full(6000, 5.0), joint)
         told.append(np.where(slid > 0.0, end / (2.0 * model.pretension * model.friction_angle), np.nan))
     difference = told[1] - told[0]
-    turning = np.abs(difference) > 1e-3  # and both have slid once
+    turning = np.abs(difference) > 1e-3  # NaN before both have slid once
     assert 0.8 * COURSE < rms(difference[turning]) < COURSE
     assert np.mean(np.abs(difference[turning]) < BAND * COURSE) > 0.95
 
 
 def test_what_is_not_known_has_a_wide_band() -> None:
-    """Before anything slid, friction may hide half a loop either way; nothing at all before two measurements."""
+    """There is no torque before the second measurement.
+
+    Before the first sliding, the torque is uncertain by the friction torque in either direction.
+    """
     seen = observer()
     feed(seen, 1e-3)
     assert math.isnan(seen.torque)
@@ -285,7 +306,10 @@ def test_gaps_lose_the_fronts_and_long_ones_the_zero() -> None:
 
 
 def test_beyond_the_domain_nothing_is_told() -> None:
-    """2 T_p r_M = 1.8 N*m, and some more by friction; when it is over, it begins anew with what was learned."""
+    """One tendon is slack beyond 2 T_p r_M = 1.8 N*m plus some friction.
+
+    The torque is NaN there and finite again afterwards.
+    """
     seen = observer()
     feed(seen, 0.1)
     feed(seen, 0.01, tau_m=5.0)
@@ -296,7 +320,7 @@ def test_beyond_the_domain_nothing_is_told() -> None:
 
 
 def test_a_tendon_that_the_filter_leaves_without_tension_is_slack(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its logarithm would end the loop."""
+    """A filtered tension below 0 counts as slack, because its logarithm would end the loop."""
     seen = observer()
     feed(seen, 0.1)
 
@@ -322,7 +346,7 @@ def test_a_model_without_friction_or_pretension_is_refused() -> None:
 
 
 def test_a_sheath_that_is_bent_further_keeps_the_ratio_to_the_model() -> None:
-    """x and T_p0 of the model grow by 1.2 and 1.4: what was found follows, also after a reset."""
+    """x and T_p0 of the model grow by factors of 1.2 and 1.4. The estimates follow, also after a reset."""
     seen = StretchObserver(NOMINAL, 1e-3, COUNTS)
     x, pretension = NOMINAL.friction_angle, NOMINAL.pretension
     seen.bend(1.2 * x, 1.4 * pretension)

@@ -1,4 +1,4 @@
-"""The tendons' chain by itself: what it does is the capstan's, and what it remembers is friction's."""
+"""The chain of tendon contacts alone: it slides by the capstan equation and has return-point memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ R_M, R_J, X, TENSION = 0.020, 0.025, 0.26, 45.0
 
 
 def pair() -> np.ndarray:
-    """Two tendons of 60 kN, evenly bent, at their pretension."""
+    """Return two evenly bent tendons with EA = 60 kN at their pretension."""
     import dataclasses
 
     chain = pairs_of(dataclasses.replace(actuator(), axial_stiffness=60e3))[0].copy()
@@ -39,7 +39,10 @@ def test_a_joint_that_is_moved_slides_by_the_capstan(sigma: float, tau_m: float)
 
 
 def test_a_held_joint_feels_nothing_until_the_front_is_through() -> None:
-    """Both fronts begin at the motor; what has reached the joint comes back only after a whole loop."""
+    """The slip fronts start at the motor, so a small motor torque does not reach the joint.
+
+    Once torque has reached the joint, a small reversal of the motor torque does not change it.
+    """
     chain = pair()
     for tau in np.linspace(0.0, 0.2, 50):
         tendons.move(chain, tau / R_M, 0.0)
@@ -54,7 +57,7 @@ def test_a_held_joint_feels_nothing_until_the_front_is_through() -> None:
 
 
 def test_a_partial_reversal_closes_its_loop() -> None:
-    """Return-point memory: back to the torque that it left, every tension is what it was there."""
+    """Return-point memory: every tension returns to its value before the reversal when the motor torque does."""
     chain = pair()
     for tau in np.linspace(0.0, 0.8, 100):
         tendons.move(chain, tau / R_M, 0.0)
@@ -67,7 +70,7 @@ def test_a_partial_reversal_closes_its_loop() -> None:
 
 
 def test_one_step_or_many_end_alike() -> None:
-    """A step that passes all contacts at once is found, too."""
+    """A single step that passes all contacts gives the same joint torque as 200 small steps."""
     one, many = pair(), pair()
     for chain, steps in ((one, 1), (many, 200)):
         for target in (0.9, -0.4):

@@ -1,4 +1,4 @@
-"""CiA 301 frames as bytes, emergencies, error frames."""
+"""Test the bytes of CiA 301 frames, the emergency messages and the CAN error frames."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_emergency_reads_as_a_sentence() -> None:
     [
         (0x0000, "error reset or no error"),
         (0x8250, "RPDO time-out"),
-        (0x2311, "continuous over-current at the output"),  # 0x2310 is the nearest line
+        (0x2311, "continuous over-current at the output"),  # the nearest listed code is 0x2310
         (0x23F0, "current on the device's output side"),
         (0x2FFF, "current"),
         (0xFF01, "device specific"),

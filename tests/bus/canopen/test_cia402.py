@@ -1,4 +1,4 @@
-"""CiA 402 power state machine."""
+"""Test the CiA 402 power state machine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ S = PowerState
 
 
 def by_the_standard(statusword: int) -> PowerState:
-    """CiA 402-2, table of statusword bits, written as its rows: bits 6 5 3 2 1 0, x is any."""
+    """Return the state by the statusword table of CiA 402-2. The rows list bits 6 5 3 2 1 0 (x: any)."""
     rows = {
         "0x0000": S.NOT_READY_TO_SWITCH_ON,
         "1x0000": S.SWITCH_ON_DISABLED,
@@ -60,7 +60,7 @@ def test_statuswords_seen_on_drives(statusword: int, state: PowerState) -> None:
     assert decode(statusword) is state
 
 
-AFTER = {  # what a drive does with a command, CiA 402-2 transitions 2-12
+AFTER = {  # state of a drive after a command, CiA 402-2 transitions 2-12
     (S.SWITCH_ON_DISABLED, 0x06): S.READY_TO_SWITCH_ON,
     (S.READY_TO_SWITCH_ON, 0x06): S.READY_TO_SWITCH_ON,
     (S.READY_TO_SWITCH_ON, 0x07): S.SWITCHED_ON,
@@ -110,5 +110,5 @@ def test_cyclic_torque_is_bit_9_of_the_supported_modes() -> None:
 
 
 def test_bits_beside_the_state_are_those_of_the_standard() -> None:
-    """CiA 402-2: 4 voltage enabled, 7 warning, 9 remote, 11 internal limit active."""
+    """CiA 402-2 defines bit 4 voltage enabled, bit 7 warning, bit 9 remote and bit 11 internal limit active."""
     assert [VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT] == [0x0010, 0x0080, 0x0200, 0x0800]

@@ -1,4 +1,4 @@
-"""EDS files, good and broken."""
+"""Test reading valid and broken EDS files."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ SLIPS = {
 
 @pytest.mark.parametrize("slip", SLIPS)
 def test_a_slip_of_a_vendor_is_mended_and_told(tmp_path: Path, slip: str) -> None:
-    """The limits of 0x6072 are read, and a possible problem is reported."""
+    """An EDS with a common vendor error is read completely, with the expected number of notes."""
     old, new, told = SLIPS[slip]
     assert old in GOOD
     dictionary, notes = read_eds(write(tmp_path, GOOD.replace(old, new)))

@@ -1,4 +1,4 @@
-"""PDO plan: layout and mapping entries against the standard's numbers."""
+"""Compare layout and mapping entries of the PDO plan with the numbers of the standard."""
 
 from __future__ import annotations
 

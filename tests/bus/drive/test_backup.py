@@ -1,4 +1,4 @@
-"""Dump, restore and diff of a drive's objects, and their command."""
+"""Test dump, restore and diff of a drive's objects, and the command that runs them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def nodes() -> Iterator[Bench]:
 
 
 def run(nodes: Bench, *arguments: str) -> str:
-    """Return the stdout of the command on the bus of these nodes; exceptions pass through."""
+    """Run the command on the bus of these nodes and return its stdout. Exceptions are raised again."""
     channel = nodes.bus.name.partition(":")[2]
     options = ["--node", "1", "--interface", "virtual", "--channel", channel]
     result = CliRunner().invoke(command, [*arguments, *options])
@@ -69,7 +69,7 @@ def test_dump_holds_what_the_drive_has_and_no_command(nodes: Bench, tmp_path: Pa
 
 @pytest.mark.parametrize("name", ['5" drive', "back\\slash", "two\nlines", "tab\t", "'''", "\x7f\x00", "µ"])
 def test_any_name_in_a_backup_is_read_again(tmp_path: Path, name: str) -> None:
-    """A profile may name its own objects as it likes."""
+    """A profile may use any text as the name of an object, so special characters must survive writing and reading."""
     stored = [StoredObject(index=0x2000, subindex=n, type="i16", value=-n, name=name) for n in range(3)]
     backup = Backup(node_id=1, vendor_id=0xFB, product_code=1, object=stored)
     file = tmp_path / "drive.toml"
@@ -98,7 +98,7 @@ def test_a_backup_holds_every_basic_type(tmp_path: Path, kind: str, value: float
 
 
 def test_dump_and_diff_list_what_acts_on_the_torque(nodes: Bench, tmp_path: Path) -> None:
-    """A start sets the offset to 0 and reports the limit, on python-canopen as on any drive."""
+    """The dump contains torque offset and torque limit, and the diff reports both. A bring-up sets the offset to 0."""
     file = tmp_path / "drive.toml"
     run(nodes, "dump", "--out", str(file))
     found = {item.index: item.value for item in load_backup(file).object}
@@ -142,7 +142,7 @@ def test_restore_to_another_model_is_refused(nodes: Bench, tmp_path: Path) -> No
 
 
 def test_restore_of_another_nodes_backup_is_refused(nodes: Bench, tmp_path: Path) -> None:
-    """Its PDOs would get that node's identifiers: both drives would follow one command."""
+    """The PDOs would get the other node's identifiers, and both drives would follow the same command."""
     file = tmp_path / "drive.toml"
     run(nodes, "dump", "--out", str(file))
     file.write_text(file.read_text(encoding="utf-8").replace("node_id = 1\n", "node_id = 2\n", 1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Bring-up against nodes with an SDO server."""
+"""Test the bring-up with nodes that have an SDO server."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def test_sign_or_count_that_the_drive_makes_otherwise_is_refused(
     with bench(drive=changes) as nodes:
         with pytest.raises(UsageError, match=said):
             start(nodes)
-        assert all(command[0] != 0x01 for command in nodes.commands)  # none becomes operational
+        assert all(command[0] != 0x01 for command in nodes.commands)  # no node is set to operational
 
 
 @pytest.mark.parametrize(
@@ -204,7 +204,7 @@ def test_what_the_profile_says_it_lacks_is_not_compared() -> None:
 
 
 def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
-    """-1 is specific to the maker: it is not known to end without torque."""
+    """-1 is manufacturer-specific, so it is unknown whether the fault reaction ends without torque."""
     with bench(drive={(0x605E, 0): (I16, -1)}) as nodes:
         nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
         with pytest.raises(BusError, match=r"refuses 0x605E:0 fault reaction: Attempt to write a read only object"):
@@ -262,7 +262,7 @@ def test_rpdo_timeout_below_two_periods_is_refused() -> None:
 
 
 def test_fault_found_at_the_start_is_reset_only_on_request() -> None:
-    """The rising edge of bit 7 by SDO; without the request nothing is written to the controlword."""
+    """On request, the bring-up writes a rising edge of controlword bit 7. Otherwise it writes no controlword."""
     with bench(drive={(0x6041, 0): (6, 0x0218), (0x603F, 0): (6, 0x2310)}) as nodes:
         node = nodes.nodes[1]
 

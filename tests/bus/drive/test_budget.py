@@ -1,4 +1,4 @@
-"""Bus load in bits."""
+"""Test the bus load, counted in bits."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def leaner(number: int, torque_sensor: bool = False) -> AxisNodes:
 
 @pytest.mark.parametrize(("torque_sensor", "rates"), [(False, (2350, 1261, 859, 650)), (True, (1872, 989, 670, 505))])
 def test_limits_of_lean_axes(torque_sensor: bool, rates: tuple[int, ...]) -> None:
-    """Worked out by hand for 1 Mbit/s: a frame of 3 bytes on every 50th SYNC more or less is 0.4 %."""
+    """The rates were calculated by hand for 1 Mbit/s. A 3-byte frame on every 50th SYNC changes them by 0.4 %."""
     for number, rate in enumerate(rates, start=1):
         axes = [leaner(each, torque_sensor) for each in range(number)]
         assert load(BusSettings(), axes, 1.0).highest_rate(0.9) == pytest.approx(rate, rel=4e-3)
@@ -89,7 +89,7 @@ def test_torque_sensors_answer_every_second_sync_only_where_the_bit_rate_needs_i
 
 
 def followed(suggestion: str, settings: BusSettings, axes: list[AxisNodes], rate: float) -> None:
-    """Apply one suggestion; `check` raises if it does not help."""
+    """Apply one suggestion. `check` raises an error if the bus load is still too high."""
     if found := re.search(r"bitrate = (\d+)", suggestion):
         settings = replace(settings, bitrate=int(found[1]))
     if found := re.search(r"rate = (\d+) in \[controller\]", suggestion):

@@ -1,4 +1,4 @@
-"""Each drive that the plant impersonates comes up with its own profile, and with no other."""
+"""Each drive emulated by the plant completes the bring-up only with its own profile."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_the_velocity_unit_written_is_the_one_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_torque_and_speed_are_those_of_the_motor_in_every_makers_units(tmp_path: Path, kind: str) -> None:
-    """Half the rated torque and one revolution per second: in the drive's digits, and back by its profile."""
+    """Half the rated torque and one revolution per second are converted to drive units and back with the profile."""
     made = bench(tmp_path, kind)
     profile = load_profile(kind, CONFIG)
     scale = drive_scale(DriveSettings(node_id=1, max_torque=1.0), profile, "here")
@@ -78,7 +78,7 @@ def test_torque_and_speed_are_those_of_the_motor_in_every_makers_units(tmp_path:
 
 @pytest.mark.parametrize("path", sorted((CONFIG / "drives").glob("*.toml")), ids=lambda path: path.stem)
 def test_a_shipped_profile_says_where_it_comes_from_and_takes_its_rates(path: Path) -> None:
-    """Sources are named, and the usual rates can be written to the drive: whole milliseconds with exponent -3."""
+    """The profile lists its sources. The usual rates are written as whole milliseconds with exponent -3."""
     profile = load_profile(path.stem, CONFIG)
     assert profile.sources
     settings = DriveSettings(node_id=1, rpdo_timeout=0.1)

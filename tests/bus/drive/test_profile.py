@@ -1,4 +1,4 @@
-"""Drive profiles and scales."""
+"""Test drive profiles and scale factors."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name
 
 @pytest.mark.parametrize(("share", "value"), [(0.0011, 32751), (0.5, 24577), (1.0, 16387), (2.0, 7)])
 def test_a_clamp_that_counts_downwards_is_rounded_towards_no_torque(share: float, value: int) -> None:
-    """0x207F of an iPOS: 32767 less the current, 16380 digits of it at the rated one."""
+    """Object 0x207F of an iPOS is 32767 minus the current, where 16380 digits are the rated current."""
     clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
     profile = DriveProfile(absent=["max torque"], torque_clamp=clamp, units=Units(torque=16380.0))
     drive = DriveSettings(node_id=1, max_torque=share)
@@ -137,8 +137,8 @@ def test_velocity_unit_code_of_milli_rpm() -> None:
 def test_clamps_never_exceed_what_is_configured() -> None:
     drive = DriveSettings(node_id=1, rated_torque=0.3, gear_ratio=4.0, max_torque=1.0, max_speed=10.0)
     scale = drive_scale(drive, DriveProfile(), "axis")
-    assert scale.max_torque_digits == 833  # of 1.2 N*m at the pulley
-    assert scale.max_speed_digits == 381  # rpm of the motor: 40 rad/s are 381.97
+    assert scale.max_torque_digits == 833  # per mille of 1.2 N*m at the pulley
+    assert scale.max_speed_digits == 381  # motor speed in rpm: 40 rad/s are 381.97 rpm
 
 
 def test_torque_limit_beyond_the_object_is_refused() -> None:

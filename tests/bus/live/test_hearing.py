@@ -1,4 +1,4 @@
-"""Determine which command a drive received from its stored value and the sent commands alone."""
+"""Test the detection of commands that a drive did not receive, from its stored value and the sent commands."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ CYCLES = 2000
 def play(
     hearing: Hearing, commands: Iterator[int], hears: int, lag: int = 1, wait: int = 0, trembles: int = 0
 ) -> float:
-    """Return the share of lost commands; the drive takes each `hears`-th command, and reports it `lag` later.
+    """Return the share of commands counted as lost.
 
-    It is read every 20 or 21 cycles, and answers after `wait` cycles, with up to `trembles` cycles of jitter.
+    The drive receives every `hears`-th command, and its stored value follows `lag` cycles later. This value is read
+    every 20 or 21 cycles. The answer comes after `wait` cycles and may be up to `trembles` cycles older.
     """
     late = random.Random(1)
     before = hearing.asked, hearing.unheard
@@ -47,14 +48,20 @@ def test_a_drive_that_hears_all_is_never_accused_however_late_it_shows_them(lag:
 
 @pytest.mark.parametrize("trembles", [1, 2])
 def test_a_drive_whose_answers_are_not_in_step_is_never_accused(trembles: int) -> None:
-    """Its SDO server is another task than its PDOs: at times it shows a command of one or two cycles before."""
+    """A drive whose SDO server runs in a separate task may report a command that is one or two cycles old.
+
+    No command counts as lost.
+    """
     assert play(Hearing(), itertools.count(), 1, trembles=trembles) == 0.0
     assert play(Hearing(), itertools.count(), 1, wait=3, trembles=trembles) == 0.0
 
 
 @pytest.mark.parametrize(("hears", "share"), [(2, 0.0), (3, 0.0), (5, 0.4), (20, 0.85)])
 def test_of_a_drive_that_hears_each_nth_command_the_others_count(hears: int, share: float) -> None:
-    """From the start, or after it heard all of them: those that were more than two behind."""
+    """An answer counts as a loss if its command is more than two cycles old.
+
+    This holds from startup and after a time without loss.
+    """
     assert play(Hearing(), itertools.count(), hears) == pytest.approx(share, abs=0.1)
     hearing, commands = Hearing(), itertools.count()
     play(hearing, commands, 1)
@@ -62,7 +69,7 @@ def test_of_a_drive_that_hears_each_nth_command_the_others_count(hears: int, sha
 
 
 def test_what_a_drive_holds_before_it_heard_anything_is_no_measure_of_it() -> None:
-    """The first questions come before the first commands have arrived."""
+    """Requests that are answered before the first command arrives do not count as lost commands."""
     hearing, commands = Hearing(), itertools.chain([0], itertools.count())
     for _ in range(3):
         hearing.sent.append(next(commands))

@@ -1,4 +1,4 @@
-"""Test lean drives: PDOs at every 50th SYNC, and repeated, late or missing ones. Literal bytes."""
+"""Test lean drives: PDOs at every 50th SYNC, and repeated, late or missing PDOs. Frames are literal bytes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ STATE = 0x281
 
 
 class Nodes:
-    """Lean drive 1, encoder 32, torque sensor 64 on every second SYNC; `edit` changes the answers of a SYNC."""
+    """Lean drive 1, encoder 32, and torque sensor 64 that sends on every second SYNC.
+
+    `edit` changes the answers to a SYNC.
+    """
 
     def __init__(self, phase: int = 0) -> None:
         self.syncs, self.position, self.mode, self.speed = phase, 0, 10, 0
@@ -59,7 +62,7 @@ def test_every_cycle_is_fresh_and_no_mode_is_believed_before_it_came(phase: int)
     for _ in range(500):
         cycle(rig, bus)
         assert image.fresh
-        assert image.mode == (10 if nodes.syncs > 50 else 0)  # taken at the next SYNC
+        assert image.mode == (10 if nodes.syncs > 50 else 0)  # received at SYNC 50, used from the next SYNC on
     assert image.error_code == 0x7500
     assert image.tau_m == pytest.approx(0.1)
     assert image.omega_m == pytest.approx(10 / 65536 * 2.0 * math.pi / 0.001, rel=1e-3)
@@ -107,7 +110,7 @@ def test_one_that_comes_an_sync_late_is_no_repetition() -> None:
 
 @pytest.mark.parametrize(("can_id", "number"), [(0x181, 70), (STATE, 100), (STATE, 70), (0x1C0, 100), (0x1C0, 101)])
 def test_each_forged_frame_counts_as_repeated(can_id: int, number: int) -> None:
-    """One more in the same cycle, or in a cycle in which it was not due."""
+    """The frame is an additional one in its cycle, or comes in a cycle in which none is due. Its data are ignored."""
     rig, bus, nodes = lean_rig()
     forged = {0x181: bytes(8), STATE: struct.pack("<bH", 3, 0), 0x1C0: bytes(4)}[can_id]
     nodes.edit = lambda count, frames: [*frames, (can_id, forged)] if count == number else frames
@@ -118,7 +121,10 @@ def test_each_forged_frame_counts_as_repeated(can_id: int, number: int) -> None:
 
 
 def test_what_waits_before_the_next_sync_is_taken_if_it_is_seldom() -> None:
-    """Nobody waits for it, so on a busy bus it comes after the cycle has closed."""
+    """The loop does not wait for this frame, so on a busy bus it arrives after the end of the cycle.
+
+    The first such frame is used. A second one counts as repeated.
+    """
     rig, bus, nodes = lean_rig()
     nodes.edit = lambda number, frames: [frame for frame in frames if frame[0] != 0x1C0]
     cycle(rig, bus)

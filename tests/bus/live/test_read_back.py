@@ -1,4 +1,4 @@
-"""The values of nodes are compared with the written ones in spare bus time; a single answer is no fault."""
+"""Test the read-back of written values from the nodes in spare bus time. A single deviating answer is not a fault."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))
 
 
 class Node:
-    """Node 1, which answers a request when the test calls it; literal bytes."""
+    """Node 1, which answers a request when the test calls `answer`. Frames are literal bytes."""
 
     def __init__(self, bitrate: int = 1_000_000) -> None:
         self.asked: list[tuple[float, int, bytes]] = []
@@ -39,7 +39,7 @@ class Node:
         return self.reader.answer(1, change(data))
 
     def run(self, seconds: float) -> float | None:
-        """Cycles of 1 ms, each question answered at once; when something was found, s from now."""
+        """Run cycles of 1 ms and answer each request at once. Return the time until a change is found (s), or None."""
         start = self.now
         while self.now < start + seconds:
             count = len(self.asked)
@@ -101,8 +101,8 @@ def test_one_wrong_answer_accuses_nobody() -> None:
     "change",
     [
         lambda data: data[:7],
-        lambda data: b"\x4b\x72\x60\x00" + b"\x00" * 4,  # of another object
-        lambda data: b"\x41" + data[1:],  # more than fits into a frame
+        lambda data: b"\x4b\x72\x60\x00" + b"\x00" * 4,  # answer for another object
+        lambda data: b"\x41" + data[1:],  # segmented transfer, more data than one frame
     ],
 )
 def test_what_is_no_answer_to_the_question_says_nothing(change: Callable[[bytes], bytes]) -> None:
@@ -121,7 +121,7 @@ def test_a_node_that_refuses_or_is_silent_is_no_matter() -> None:
     assert node.run(1.0) is None
     for n in range(3000):
         node.now = 10.0 + 1e-3 * n
-        node.reader.update(node.now)  # never answered: once a second, of the next object
+        node.reader.update(node.now)  # without answers, one request per second, each for the next object
     assert [now for now, _, _ in node.asked if now >= 10.0] == [10.0, 11.0, 12.0]
     indices = [struct.unpack_from("<H", data, 1)[0] for _, _, data in node.asked]
     assert all(one != other for one, other in itertools.pairwise(indices))

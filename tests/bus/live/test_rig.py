@@ -1,4 +1,4 @@
-"""The cyclic side against a bus in memory."""
+"""Test the cyclic communication on a bus in memory."""
 
 from __future__ import annotations
 
@@ -159,11 +159,11 @@ def test_answers_that_come_one_by_one_until_the_deadline_are_all_taken() -> None
     frames = nodes.frames()
 
     def due() -> float:
-        """One frame each 140 us."""
+        """Return the arrival time of the next frame. Frames arrive every 140 us."""
         return start + 140e-6 * (5 - len(frames))
 
     def one_by_one(timeout: float) -> tuple[int, bytes] | None:
-        """A wait that is shorter gets nothing."""
+        """Return the next frame, or None if the time-out ends before it arrives."""
         if not frames or bus.clock.now + timeout < due():
             bus.clock.now += max(0.0, timeout)
             return None
@@ -186,7 +186,10 @@ def test_answers_that_come_one_by_one_until_the_deadline_are_all_taken() -> None
 
 
 def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
-    """At first the one of the lowest priority is thought to; when another does, again and again, that one is."""
+    """At first the frame with the lowest priority is expected last.
+
+    If another frame repeatedly comes last, the bus waits for that one.
+    """
     rig, bus, nodes = one_axis_rig()
     assert bus.bell == 0x281
     last = nodes.frames()[0]
@@ -198,7 +201,7 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
 
 
 def test_a_frame_that_is_no_answer_is_never_listened_for() -> None:
-    """A heartbeat after the last answer does not end a cycle."""
+    """A heartbeat comes after the last answer in each batch, and the bus still waits for the last answer."""
     rig, bus, nodes = one_axis_rig()
     bus.answers = lambda timeout, most: []  # type: ignore[method-assign]
     bus.recv = lambda timeout: None  # type: ignore[method-assign]
@@ -211,7 +214,10 @@ def test_a_frame_that_is_no_answer_is_never_listened_for() -> None:
 
 
 def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() -> None:
-    """An answer that comes after it woke, but before its time, is late like one that waited."""
+    """The rig measures a wake-up latency of 50 us and shortens its waits by it.
+
+    An answer that arrives between the wake-up and the start of the cycle counts as late.
+    """
     bus = FakeBus(FakeClock(), Responder())
     rig = Rig(bus, BusSettings(), [axis_nodes()], [DriveProfile()], bus.clock, wake_early=2e-4)
     rig.start()
@@ -230,7 +236,7 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
     assert begun[0] == pytest.approx(50e-6)
     assert all(0.0 <= late < 12e-6 for late in begun[100:])
     assert max(asked) == pytest.approx(start + 0.199 - 50e-6, abs=2e-6)
-    rig.sync()  # nobody answers it in time
+    rig.sync()  # no answer arrives in time
     del asked[:]
     waking = 20e-6
     assert rig.wait(start + 0.2) - start - 0.2 < 12e-6
@@ -239,7 +245,10 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
 
 
 def test_how_long_answers_are_waited_for_is_said_before_the_sleep() -> None:
-    """As long as in the previous cycle; unknown before the first."""
+    """Before the sleep, the rig sets the time by which it expects the answers of the next cycle.
+
+    The answers are expected to take as long as in the previous cycle. Before the first cycle this is unknown.
+    """
     rig, bus, _ = one_axis_rig()
     start = rig.wait(bus.clock.now + 0.001)
     assert bus.expected is None
@@ -278,7 +287,7 @@ def test_answer_that_waited_before_the_sync_is_not_believed() -> None:
     cycle(rig, bus)
     nodes.silent = {0x181}
     cycle(rig, bus)
-    bus.waiting.append((0x181, struct.pack("<Hhi", 0x1637, 999, 0)))  # late: of the cycle before
+    bus.waiting.append((0x181, struct.pack("<Hhi", 0x1637, 999, 0)))  # late answer to the previous cycle
     cycle(rig, bus)
     image = rig.axes[0].image
     assert (image.fresh, image.tau_m, image.nodes[0].late) == (False, 0.0, 1)
@@ -387,7 +396,7 @@ def test_boot_up_emergency_and_nmt_change_are_events() -> None:
     image = rig.axes[0].image
     bus.waiting.extend([(0x701, b"\x00"), (0x0A0, b"\x00\x81\x11" + bytes(5)), (0x740, b"\x7f")])
     cycle(rig, bus)
-    assert image.events == 4  # boot-up counts as a change of NMT state too
+    assert image.events == 4  # a boot-up message also counts as a change of the NMT state
     assert [node.boot_ups for node in image.nodes] == [1, 0, 0]
     assert (image.nodes[1].emcys, image.nodes[2].nmt_state) == (1, 0x7F)
     assert str(image.emcy).startswith("EMCY 0x8100 (communication monitoring")

@@ -1,4 +1,4 @@
-"""Answers at the right rate before any torque."""
+"""Test the startup check: all nodes must answer at the configured rate before any torque is sent."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def test_nodes_that_answer_each_sync_pass_and_get_no_command() -> None:
     check_startup(rig, 0.001, 50)
     sent = [can_id for can_id, _ in bus.sent]
     assert (sent.count(0x080), sent.count(0x201)) == (50, 0)
-    assert sent.count(0x77F) == 3  # our heartbeat goes on: every 20 ms
+    assert sent.count(0x77F) == 3  # the host heartbeat continues every 20 ms
 
 
 @pytest.mark.parametrize(

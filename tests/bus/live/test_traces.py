@@ -1,6 +1,6 @@
-"""Traces of a bus, in the formats of candump and ASC, through the cyclic side: one for each defect that a trace shows.
+"""Replay bus traces in candump and ASC format through the cyclic communication, one trace for each defect.
 
-`T` marks the frames of the controller, which are left out: the rig under test sends its own.
+`T` marks the frames of the controller. They are skipped, because the rig under test sends its own frames.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ SYNC = "080#"
 
 
 def candump(*cycles: tuple[str, ...]) -> str:
-    """A trace as `candump -L -x` writes it, one cycle a millisecond."""
+    """Return a trace in the format of `candump -L -x` with one cycle per millisecond."""
     lines = []
     for number, frames in enumerate(cycles):
         start = 1.7e9 + 1e-3 * number
@@ -53,7 +53,7 @@ def replayed(path: Path) -> Image:
     rig.start()
     for _ in cycles:
         cycle(rig, bus)
-        rig.wait(clock.now)  # takes what came after the answers
+        rig.wait(clock.now)  # reads the frames after the answers
     return rig.axes[0].image
 
 

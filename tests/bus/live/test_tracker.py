@@ -1,4 +1,4 @@
-"""Counts to angle and velocity."""
+"""Test the conversion of encoder counts to angle and velocity."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ TORQUE = (0x201, b"\x0f\x00\x01\x02")
 
 @pytest.fixture
 def channel() -> str:
-    """A bus that no other test uses at the same time."""
+    """Return the name of a bus that no other test uses at the same time."""
     return f"test-{os.getpid()}-{time.monotonic_ns()}"
 
 
@@ -109,7 +109,7 @@ def test_a_participant_that_is_killed_leaves_nothing_behind_and_may_return(chann
         finally:
             process.kill()
             process.communicate()
-    assert bus.send(*TORQUE)  # to nobody, as on a bus without other nodes
+    assert bus.send(*TORQUE)  # without receivers, as on a bus without other nodes
     assert bus.fault is None
     assert bus.counters.dropped == 0
     bus.close()
@@ -164,7 +164,7 @@ def test_a_name_that_is_not_allowed_is_one_line(name: str) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_each_user_has_buses_of_his_own(three: list[DatagramBus], channel: str) -> None:
-    """The same name is another bus for another user, who then neither receives nor sends anything here."""
+    """For another user the same name is a separate bus, so no frame is exchanged in either direction."""
     code = f"""
 import os
 from tsa_ctrl.bus.wire.datagram import DatagramBus

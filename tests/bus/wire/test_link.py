@@ -1,4 +1,4 @@
-"""The kernel's answer about a link, as bytes; and a vcan made and switched."""
+"""Test parsing the kernel's answer about a link from bytes, and creating and switching a vcan."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_truncated_answer_does_no_harm(length: int) -> None:
 
 
 def test_an_answer_ends_with_its_acknowledgement() -> None:
-    """A dump comes in several datagrams, a link in one and the acknowledgement in the next."""
+    """A dump comes in several datagrams. A single link comes in one datagram and the acknowledgement in the next."""
     bodies: list[bytes] = []
     assert not interface.answer(message(16, link()) + message(16, link(b"vcan")), bodies)
     assert interface.answer(message(16, link()) + message(2, struct.pack("=i", 0)), bodies)

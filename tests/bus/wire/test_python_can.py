@@ -1,4 +1,4 @@
-"""python-can's buses behind the seam."""
+"""Test python-can buses behind the package's bus interface."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tsa_ctrl.errors import BusError, UsageError
 
 @pytest.fixture
 def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
-    """Two ends of a bus in this process."""
+    """Yield two ends of a bus in this process."""
     first, second = (PythonCan("virtual", "test-pythoncan", 1_000_000) for _ in range(2))
     yield first, second
     first.close()
@@ -40,7 +40,7 @@ def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: tuple[Pyth
 
 
 def group(number: int) -> str:
-    """A multicast group that no other run of these tests uses at the same time."""
+    """Return a multicast group that no other run of these tests uses at the same time."""
     return f"239.{74 + number}.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF}"
 
 
@@ -69,7 +69,10 @@ def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
 
 
 def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Between the opening of its socket and the word that it is to hear its own group only."""
+    """A frame of another group arrives after the socket is opened and before it is restricted to its own group.
+
+    The bus discards this frame.
+    """
     told = python_can._hear_own_group_only
     heard_before = []
 
@@ -168,7 +171,7 @@ def test_session_sends_our_heartbeat_and_ends_with_one(pair: tuple[PythonCan, Py
 
 @pytest.fixture
 def slcan() -> Iterator[tuple[int, str]]:
-    """A serial line without an adapter: our end of a pseudo-terminal and the name of the other."""
+    """Yield a serial line without an adapter: one end of a pseudo-terminal and the name of the other end."""
     ours, theirs = os.openpty()
     tty.setraw(ours)
     tty.setraw(theirs)
@@ -203,7 +206,7 @@ def test_slcan_speaks_the_adapters_language(slcan: tuple[int, str]) -> None:
 
 
 class SlcanAdapter:
-    """A serial adapter on a pseudo-terminal: it repeats each standard frame with the next identifier."""
+    """A serial adapter on a pseudo-terminal that repeats each standard frame with the next identifier."""
 
     def __init__(self) -> None:
         self._master, slave = pty.openpty()
@@ -242,7 +245,7 @@ def test_frames_pass_a_serial_adapter() -> None:
 
 
 def served(connection: socket.socket) -> None:
-    """A server of socketcand for one client, that repeats each frame with the next identifier."""
+    """Serve one socketcand client and send one received frame back with the next identifier."""
     connection.sendall(b"< hi >")
     for _ in ("open", "rawmode"):
         connection.recv(64)
@@ -275,7 +278,7 @@ def test_frames_pass_socketcand() -> None:
 def test_adapters_are_opened_for_a_fixed_rate(
     interface: str, options: dict[str, object], expected: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The options of the file replace the defaults."""
+    """The bit rate is passed to python-can, and options of the file replace the defaults."""
     opened: list[dict[str, object]] = []
     monkeypatch.setattr(can, "Bus", lambda **arguments: opened.append(arguments))
     PythonCan(interface, "x", 500_000, options)  # type: ignore[arg-type]

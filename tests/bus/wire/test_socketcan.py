@@ -1,4 +1,4 @@
-"""Raw SocketCAN on a real vcan."""
+"""Test raw SocketCAN on a real vcan."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_nothing_is_waited_for_its_time_and_not_much_longer(pair: tuple[SocketCa
         assert pair[0].recv(0.0005) is None
         waits.append(time.monotonic() - start)
     assert min(waits) >= 0.0005
-    assert min(waits) < 0.005  # not rounded up to the kernel's tick
+    assert min(waits) < 0.005  # the wait is not rounded up to a kernel tick
 
 
 @pytest.mark.vcan
@@ -67,7 +67,7 @@ def test_burst_is_received_in_order(pair: tuple[SocketCan, SocketCan]) -> None:
 @pytest.mark.vcan
 def test_what_has_come_is_taken_at_once(pair: tuple[SocketCan, SocketCan]) -> None:
     first, second = pair
-    frames = [(0x100 + number, bytes(range(number % 9))) for number in range(150)]  # more than one call of the kernel
+    frames = [(0x100 + number, bytes(range(number % 9))) for number in range(150)]  # more than one system call
     for frame in frames:
         assert first.send(*frame)
     until = time.monotonic() + 0.01
@@ -104,22 +104,22 @@ def test_the_last_answer_is_waited_for_and_brings_the_others(pair: tuple[SocketC
 @pytest.mark.vcan
 def test_a_timer_set_before_ends_the_wait_for_answers_once(pair: tuple[SocketCan, SocketCan]) -> None:
     first, second = pair
-    second.expect(time.monotonic() - 1.0)  # before it listens for one: of no effect
+    second.expect(time.monotonic() - 1.0)  # no effect before `listen_for`
     second.listen_for(0x1C0)
     until = time.monotonic() + 0.05
     second.expect(until)
     assert second.answers(600.0, 9) == []
     assert until <= time.monotonic() < until + 300.0
     first.send(0x1C0, b"")
-    second.expect(time.monotonic() + 600.0)  # an answer comes before it
+    second.expect(time.monotonic() + 600.0)  # the answer arrives before this time
     assert second.answers(1200.0, 9) == [(0x1C0, b"")]
     second.gather(0.0, 9)
     second.expect(time.monotonic() - 1.0)
-    assert second.answers(600.0, 9) == []  # over already
+    assert second.answers(600.0, 9) == []  # this time has already passed
     second.expect(time.monotonic() + 600.0)
-    assert second.answers(0.01, 9) == []  # the time-out holds, too
+    assert second.answers(0.01, 9) == []  # the time-out ends the wait first
     start = time.monotonic()
-    assert second.answers(0.02, 9) == []  # set for one wait only
+    assert second.answers(0.02, 9) == []  # `expect` applied to the previous wait only
     assert time.monotonic() - start >= 0.02
 
 
@@ -150,7 +150,7 @@ def test_missing_interface_is_one_line_with_those_that_are_there(vcan: str) -> N
 
 @pytest.fixture
 def own_vcan(vcan: str) -> Iterator[str]:
-    """A vcan that a test may take down; needs the rights that tools/vcan has."""
+    """Yield a vcan that the test may take down. This requires the same rights as tools/vcan."""
     name = "vcan9"
     made = subprocess.run(["ip", "link", "add", "dev", name, "type", "vcan"], capture_output=True, check=False)
     if made.returncode:

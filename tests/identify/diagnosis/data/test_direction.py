@@ -1,8 +1,7 @@
 """Hidden direction of motion: the torque reveals it where velocity noise hides it.
 
 The diagnosis reports it and derives no cause from it. Torque and motion come from the independent plant of the blind
-benchmark or are
-synthesised in this module.
+benchmark or are synthesised in this module.
 """
 
 from __future__ import annotations

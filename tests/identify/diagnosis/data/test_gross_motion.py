@@ -1,7 +1,7 @@
-"""Frequency band of the motion that friction follows: full where friction follows the encoder, narrower where it does
-not.
+"""Frequency band of the motion that friction follows.
 
-The torque is synthesised from a separate friction state along an exactly known motion.
+The band is full if friction follows the encoder, and narrower otherwise. The torque is synthesised from a separate
+friction state along an exactly known motion.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def test_what_is_held_out_has_its_share() -> None:
 
 @pytest.mark.slow
 def test_a_diagnosis_uses_the_logs_that_tell_most_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of 12 logs, 100 s are used. The same limit for fifty logs (below) is 600 s."""
+    """The diagnosis uses 100 s out of 12 logs. The limit for fifty logs (below) is 600 s."""
     monkeypatch.setattr(prepare, "informative", functools.partial(informative, longest=100.0))
     drive = RigidDrive(coulomb_friction=0.25, viscous_friction=0.06)
     found = diagnose([log(f"{number:02d}", 0.5 + 0.2 * number, spring=0.2) for number in range(12)], drive)

@@ -1,4 +1,4 @@
-"""Whitening of noise, compared with the covariance of the process; values that are not finite raise an error."""
+"""Whitening of noise, compared with the covariance of the process. Values that are not finite raise an error."""
 
 from __future__ import annotations
 

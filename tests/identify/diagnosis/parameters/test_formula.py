@@ -1,4 +1,4 @@
-"""A law outside the catalogue is reported as a formula that a model file accepts; noise is not.
+"""A law outside the catalogue is reported as a formula that a model file accepts. Noise is not.
 
 The data are synthetic.
 """

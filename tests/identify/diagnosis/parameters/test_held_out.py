@@ -1,6 +1,7 @@
 """Judgement of causes on held-out logs.
 
-A cause that the held-out logs cannot show is kept. A cause that they do show and that increases the error is worthless.
+A cause that the held-out logs cannot reveal is kept. A cause that they can reveal and that increases the error is
+rejected.
 """
 
 from __future__ import annotations

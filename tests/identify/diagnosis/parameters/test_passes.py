@@ -44,9 +44,9 @@ def fitted(torque: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def shares_held(seeds: int) -> tuple[float, float]:
-    """Return the coverage of the 95 % intervals of spring, friction and drag.
+    """Return the coverage of the 95 % intervals of spring, friction and drag, with and without widening.
 
-    The first share is that of the widened intervals, the second that of intervals from the noise alone.
+    Intervals without widening follow from the noise alone.
     """
     truth, cells, factor = np.array([SPRING, FRICTION, DRAG]), states(OMEGA, Q), student(12).ppf(0.975)
     inside, before = [], []

@@ -1,4 +1,4 @@
-"""An interval excludes values; an interval that would exclude nothing is not reported.
+"""An interval excludes values. An interval that would exclude nothing is not reported.
 
 The covariances are synthetic.
 """

@@ -1,4 +1,7 @@
-"""An identified cause must beat every simpler prediction on held-out data; otherwise the diagnosis reports it."""
+"""An identified cause must beat every simpler prediction on held-out data.
+
+Otherwise the diagnosis reports this.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A step and a wave in time are found with their moment and frequency; a drifting zero has neither.
+"""A step and a wave in time are found with their moment and frequency. A drifting zero has neither.
 
 The data are synthetic.
 """

@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.report.experiment import parted_by
 def test_a_pair_is_parted_by_what_one_of_the_two_says(names: tuple[str, ...], words: list[str]) -> None:
     """The order of the pair does not matter.
 
-    A pair without an own rule gets the experiment that separates most pairs.
+    A pair without a specific rule gets the experiment that separates most pairs.
     """
     found = parted_by(names)
     assert len(found) == len(words)

@@ -31,7 +31,10 @@ def diagnosed(case: Case) -> Diagnosis:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "shape"), list(zip(NAMES, ("even", "joint", "motor", "joint"), strict=True)))
 def test_each_is_named_alone_with_its_numbers(name: str, shape: str) -> None:
-    """The size is found within 5 % and the torque gains nothing. A slip occurs once and is not part of the model."""
+    """The parameter is found within 5 %, and the prediction of the torque does not change.
+
+    A slip occurs once and is not part of the model.
+    """
     case = two_encoder_case(f"{name}:{shape}", 0, short=True)
     found = diagnosed(case)
     (cause,) = found.causes

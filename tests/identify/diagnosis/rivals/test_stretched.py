@@ -32,7 +32,7 @@ def names(case: Case) -> list[set[str]]:
 def test_the_stretch_parts_shape_from_torque_constant(seed: int) -> None:
     """The torque sensor cannot distinguish them.
 
-    Friction ahead of the bends elongates the tendons; a scale error of the motor does not.
+    Friction ahead of the bends elongates the tendons. A scale error of the motor torque does not.
     """
     case = two_encoder_case("elongation_or_gain:joint", seed, short=True)
     (group,) = names(without_motor_angle(case))
