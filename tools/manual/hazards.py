@@ -1,4 +1,4 @@
-"""The table of hazards, from the campaign in virtual time and its catalogue."""
+"""Generate the table of hazards from the catalogue and the results of the campaign in virtual time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ HEAD = (
     "joint at worst: rad/s, rad, J", "residual risk", "safe of trials",
 )  # fmt: skip
 HARDWARE = (
-    ("the motor gives torque though its drive says that it is off", "safe torque off, by a switch in reach"),
+    ("the motor has torque although its drive reports that it is off", "safe torque off, by a switch in reach"),
     ("a limb falls when the torque ends", "a brake, a counterweight or springs; a mechanical end stop"),
-    ("both measurements of a quantity lie alike", "a second sensor of another kind; a slipping clutch"),
-    ("a tendon that does not pull tears: the other pulls with its pretension", "an end stop; less pretension"),
+    ("both measurements of a quantity have the same error", "a second sensor of another kind; a slipping clutch"),
+    ("the unloaded tendon tears, and the other pulls with its pretension", "an end stop; less pretension"),
 )
 WHOLE = len(HAZARDS) * len(plan.PHASES) * plan.MOMENTS  # trials of the campaign
 PAIRS = plan.PAIRS
@@ -27,13 +27,13 @@ STOPS = "latched"
 
 
 def load() -> dict[str, Any]:
-    """What `tools/run campaign/virtual --keep` wrote."""
+    """Return the results that `tools/run campaign/virtual --keep` wrote."""
     found: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8"))
     return found
 
 
 def rows() -> list[tuple[str, ...]]:
-    """A line for each hazard of the catalogue, in its order."""
+    """Return a line for each hazard with results, in the order of the catalogue."""
     found = load()["hazards"]
     return [_line(hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found]
 
@@ -61,7 +61,7 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _open(hazard: Hazard, row: dict[str, Any]) -> str:
-    """What is known not to be met: how often, on which joints, by how much, and what limits it."""
+    """Return the known unsafe trials of a hazard in words: their number, joints and excess, and the limits."""
     if not hazard.open:
         return ""
     beyond = row.get("beyond")
@@ -79,6 +79,6 @@ def _open(hazard: Hazard, row: dict[str, Any]) -> str:
 
 
 def not_shown() -> list[str]:
-    """Causes of the supervisor that no trial of the campaign ended by."""
+    """Return the titles of the causes that are not among the main causes of any hazard."""
     shown = {cause_id for row in load()["hazards"].values() for cause_id in row["cause_ids"]}
     return [cause.title for cause in Cause if cause.id not in shown]

@@ -1,4 +1,4 @@
-"""The faults of the campaign in virtual time, as data: what is done, and what must follow while the loop runs."""
+"""The faults of the campaign in virtual time, with the required reaction of the running loop."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Hazard:
-    """A fault with what it may do to the wearer.
+    """A fault and its hazard to the wearer.
 
-    `lines`: of the plant, as on its control socket, or `act`: a key of `ACTS`. `cause`: a regular expression, one of
-    whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
-    miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does;
-    it does not heal, and nor does what `stays`. `sticks`: whether the joint moves on or sticks
-    afterwards hangs on a hair. `goes_on`: why the loop may go on. `residual`: what is left, in words. `axes`: how many
-    it needs. `open`: that it is not always met safely is known, and where.
+    Attributes:
+        cause: Regular expression that a latched fault must match. If it is empty, no fault is required.
+        lines: Commands to the plant, as on its control socket.
+        act: Key of `ACTS`, instead of commands.
+        lie: The fault cannot be detected at once, so the trial is judged by the effect on the joint.
+        goes_on: Reason why the loop may continue.
+        residual: Description of the residual risk.
+        axes: Number of axes that the fault needs.
+        released: Friction or pretension that holds the joint is lost permanently, independent of the motor.
+        stays: The fault is permanent.
+        sticks: Small differences decide if the joint moves or sticks afterwards.
+        open: Description of the known unsafe trials; empty if none are known.
     """
 
     name: str
@@ -44,8 +50,8 @@ _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
 _LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
 _TORN = "a limb falls with its weight, or the other tendon pulls with its pretension: an end stop"
 _UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
-# Measures for hazards that are unsafe in some trials: what limits the hazard now, and what else can limit it. The table
-# lists the number of these trials, the joints and the excess.
+# Hazards that are unsafe in some trials: their present limits, and additional measures. The table lists the number of
+# these trials, the joints and the excess.
 _LATE = (
     "the motor's torque is beyond the limit from the first period on, which only the drive's own current limit bounds; "
     "where the torque changes by a thirtieth of its limit, the tendons' stretch tells it, where it rests only a joint "
