@@ -291,7 +291,7 @@ def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
 
 
 def test_creeping_apart_is_noticed() -> None:
-    """The reference is the position at the enable, not that of the last cycle."""
+    """The reference is the position at the enable, not the position in the last cycle."""
     check = at_rest(slip=0.25)
     found = [look(check, 0.01 * n, q_m=0.01 * n) for n in range(40)]
     assert [bool(text) for text in found] == [False] * 27 + [True] * 13
