@@ -36,7 +36,7 @@ def listing() -> str:
     found = commands()
     width = max(map(len, found)) + 2
     lines = [f"  {name:{width}}{text}" for name, text in found.items()]
-    return "\n".join([f"{USAGE}; each tells its options with --help", "", *lines])
+    return "\n".join([f"{USAGE}; --help lists the options of each command", "", *lines])
 
 
 def main(arguments: list[str]) -> int:

@@ -66,7 +66,7 @@ def report(everything: list[Row], seed: int) -> Iterator[Table | str]:
     """Yield the coverage by curvature profile and kind of log."""
     rows = [row for row in everything if "refused" not in row]
     refused = sorted({row["refused"] for row in everything if "refused" in row})
-    yield f"{len(rows)} logs, seed {seed}: share of 95 % intervals that hold the truth (Clopper-Pearson)"
+    yield f"{len(rows)} logs, seed {seed}: share of 95 % intervals that contain the truth (Clopper-Pearson)"
     lines = []
     for profile, kind in dict.fromkeys((row["profile"], row["kind"]) for row in rows):
         part = [row for row in rows if (row["profile"], row["kind"]) == (profile, kind)]

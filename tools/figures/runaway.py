@@ -67,5 +67,5 @@ def main() -> int:
     ]
     axes[0].legend(handles=marks, loc="upper left", fontsize=7)
     look.save(figure, options.out, "runaway.png")
-    print(f"{agree} of {total} points lie on the side of the line that the condition says")
+    print(f"{agree} of {total} points are on the side of the line that the condition predicts")
     return 0

@@ -185,7 +185,7 @@ class Guest:
 
     def _last_words(self) -> str:
         lines = (self._folder / "console").read_text(errors="replace").split("\n")
-        return " | ".join([line.strip() for line in lines if line.strip()][-3:]) or "it said nothing"
+        return " | ".join([line.strip() for line in lines if line.strip()][-3:]) or "no output"
 
 
 def _write_request(kernel: Kernel, command: list[str], environment: dict[str, str], folder: Path) -> None:

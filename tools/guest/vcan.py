@@ -78,11 +78,11 @@ def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
         return guest.run(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits)
     except UnavailableError as reason:
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
-            end(FAILED, f"no vcan to be had: {reason}")
+            end(FAILED, f"no vcan available: {reason}")
         if os.environ.get("TSA_VCAN_ELSE") == "datagram":
-            print(f"tools/vcan: no vcan to be had: {reason}; local sockets take its place", file=sys.stderr)
+            print(f"tools/vcan: no vcan available: {reason}; local sockets are used instead", file=sys.stderr)
             run_here(command, f"{SUBSTITUTE}{interface}", limits)
-        end(SKIPPED, f"skipped, no vcan to be had: {reason}")
+        end(SKIPPED, f"skipped, no vcan available: {reason}")
 
 
 def found_or_created(name: str) -> str | None:
@@ -102,7 +102,7 @@ def found_or_created(name: str) -> str | None:
             link.make_vcan(name)
     except OSError:
         return None
-    print(f"tools/vcan: made {name}, which stays until 'ip link del {name}'", file=sys.stderr)
+    print(f"tools/vcan: created {name}; remove it with 'ip link del {name}'", file=sys.stderr)
     return name
 
 
@@ -111,7 +111,7 @@ def memory() -> int:
     match = re.fullmatch(r"(\d+)([MG])", value)
     size = int(match[1]) << {"M": 20, "G": 30}[match[2]] if match else 0
     if size < 128 << 20:
-        end(USAGE, f"TSA_VCAN_MEMORY={value}: a size from 128M on is wanted, as 512M or 2G")
+        end(USAGE, f"TSA_VCAN_MEMORY={value}: a size from 128M on is required, for example 512M or 2G")
     return size
 
 
@@ -120,7 +120,7 @@ def seconds() -> float | None:
     if not value:
         return None
     if not re.fullmatch(r"\d+(\.\d+)?", value) or not float(value):
-        end(USAGE, f"TSA_VCAN_TIMEOUT={value}: a number of seconds greater than 0 is wanted")
+        end(USAGE, f"TSA_VCAN_TIMEOUT={value}: a number of seconds greater than 0 is required")
     return float(value)
 
 

@@ -40,13 +40,13 @@ def rows() -> list[tuple[str, ...]]:
 
 def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
     stopped, running = row["stopped"], row["running"]
-    goes_on = hazard.goes_on or "nothing to see within 0.45 s"
+    goes_on = hazard.goes_on or "no effect within 0.45 s"
     if not running:
-        reaction = "not tried with torque in this sample"
+        reaction = "no trial with torque in this sample"
     elif not stopped:
-        reaction = "the drive's own time-out" if hazard.act == "die" else f"goes on: {goes_on}"
+        reaction = "the drive's time-out" if hazard.act == "die" else f"continues: {goes_on}"
     elif stopped < running:
-        reaction = f"{STOPS} in {stopped} of {running}, else goes on: {goes_on}"
+        reaction = f"{STOPS} in {stopped} of {running}, otherwise continues: {goes_on}"
     else:
         reaction = STOPS
     detected = "; ".join(row["causes"]) or "-"
@@ -66,12 +66,12 @@ def _open(hazard: Hazard, row: dict[str, Any]) -> str:
         return ""
     beyond = row.get("beyond")
     if beyond is None:
-        return f"open, though met in all of these: {hazard.open}"
+        return f"open, although all these trials were safe: {hazard.open}"
     count = sum(row["unsafe"].values())
     joints = ", ".join(f"{name} {times}" for name, times in beyond["joints"].items())
     worst = f"{beyond['speed']:.1f} rad/s, {beyond['travel']:.2f} rad, {beyond['energy']:.2f} J"
     if beyond["peak"] > LIMIT:
-        worst += f", {beyond['peak']:.1f} N*m of the motor"
+        worst += f", {beyond['peak']:.1f} N*m at the motor"
     return (
         f"open in {count} of {row['trials']} (joint {joints}; {beyond['blind']} of them without a torque sensor; at "
         f"worst {worst}): {hazard.open}"

@@ -70,7 +70,7 @@ def main() -> int:
     settings.write_text(FILE, json.dumps(rows, indent=1, sort_keys=True) + "\n")
     strange = [name for name, row in rows.items() if not COMPATIBLE.search(str(row["licence"]))]
     for name in strange:
-        print(f"{name}: {rows[name]['licence']}: is this compatible?")
+        print(f"{name}: {rows[name]['licence']}: check if this licence is compatible")
     return int(bool(strange))
 
 

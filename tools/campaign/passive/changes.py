@@ -187,7 +187,7 @@ def _at(row: Row, compensation: float) -> Case | None:
 def words(row: Row) -> str:
     """Return the measurement as a line."""
     if not row["change"]:
-        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")
+        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", reported" if row["told"] else "")
     added = f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late"
     reported = "not reported" if row["reported"] is None else f"reported after {row['reported']:.3f} s"
     return f"{added}, {abs(row['speed']):.1f} rad/s at the change, {row['peak']:.1f} at most, {reported}"

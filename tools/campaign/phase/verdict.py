@@ -96,7 +96,7 @@ class Judge:
         if seen.crashed:
             wrong.append(f"the loop ended by {seen.crashed}")
         if seen.injected is None and not seen.refused:
-            wrong.append(f"the phase {self._trial.phase} never came")
+            wrong.append(f"the phase {self._trial.phase} was not reached")
         peak = max(
             (float(np.abs(each["torque_loop"][each["clock"] >= self._since]).max(initial=0.0)) for each in seen.axes),
             default=0.0,
@@ -127,7 +127,7 @@ class Judge:
         asked_since = seen.asked >= self._since  # torque may return if a client requested it after the fault
         wrong = []
         if rows and rows[-1] > min(seen.stopped, 1e9) + STOP_TIME + self._bound:
-            wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was asked for")
+            wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was requested")
         if trial.phase == "fault" and rows and not asked_since:
             wrong.append("torque although a fault was latched")
         must = [hazard for hazard in self._hazards if (hazard.cause or hazard.act == "die") and not hazard.lie]
@@ -143,10 +143,10 @@ class Judge:
         first = rows[0] if early else self._since
         if rows[-1] - first > self._bound:
             within, allowed = 1e3 * (rows[-1] - first), 1e3 * self._bound
-            wrong.append(f"torque zero after {within:.0f} ms, allowed are {allowed:.0f}")
+            wrong.append(f"torque zero after {within:.0f} ms; the limit is {allowed:.0f} ms")
         named = [hazard for hazard in must if hazard.cause and _named(hazard, seen)]
         if not named and any(hazard.cause for hazard in must) and len(self._hazards) == 1:
-            wrong.append(f"nothing names its cause; told is: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
+            wrong.append(f"no fault reports the cause; reported: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
         return wrong
 
     def _motion(self) -> tuple[Excess, list[str]]:
@@ -183,7 +183,9 @@ class Judge:
         said = (
             (excess[0], SPEED, "rad/s of the joint"), (excess[1], TRAVEL, "rad of travel"), (excess[2], ENERGY, "J"),
         )  # fmt: skip
-        return excess, [f"{value:.2f} {unit} beyond, borne are {most:g}" for value, most, unit in said if value > most]
+        return excess, [
+            f"{value:.2f} {unit} in excess; the limit is {most:g}" for value, most, unit in said if value > most
+        ]
 
     def _wanted(self) -> Motion:
         """Return the motion of a startup without a fault, for as long as this trial was enabled after its recovery."""
