@@ -126,7 +126,7 @@ def test_a_third_time_leaves_nothing() -> None:
 
 
 def test_the_second_time_is_seen_by_half_of_it() -> None:
-    """20 % too much at 1 rad/s is detected within 3 mJ at first and within half soon after.
+    """An excess of 20 % at 1 rad/s is detected within 3 mJ the first time, and within half of it soon after.
 
     Forgiveness restores 3 mJ.
     """

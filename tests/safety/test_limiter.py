@@ -1,4 +1,4 @@
-"""The limiter: faults give 0 at once, limits reduce the torque, and the torque never exceeds the request."""
+"""The limiter: a fault sets the torque to 0 at once, limits reduce it, and it never exceeds the request."""
 
 from __future__ import annotations
 

@@ -220,7 +220,7 @@ def look(
 ) -> str:
     """Return the finding of one cycle with the joint at rest, or "".
 
-    The torque follows the command unless it is given.
+    Without an argument the torque follows the command.
     """
     feedback = (command if tau_m is None else tau_m, q_m, 0.0)
     wrong = check.update(time, command, feedback, 0.0, tau_j, (predicted(feedback[0], sigma),) * 2)

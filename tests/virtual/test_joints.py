@@ -133,7 +133,7 @@ def test_what_is_no_longer_driven_comes_to_rest(tmp_path: Path, load: str, delay
 
 @pytest.mark.slow
 def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None:
-    """The hand still moves the limb when a constant torque begins. Before, 210 of 300 mN*m were missing."""
+    """The hand still moves the limb when a constant torque begins. Earlier versions lost 210 of 300 mN*m."""
     hand = [[0.0, 40.0, 1.0, 0.3]]
     held = {"joint": {"load": "wearer", "hand": hand, "hand_repeat": False}}
     result = play(tmp_path, "wearer", {"kind": "constant", "offset": 0.3}, 1.5, plant=held)

@@ -54,7 +54,7 @@ BREAKS_AWAY = pytest.mark.xfail(
 def test_lost_friction_moves_no_joint(
     tmp_path: Path, load: str, setpoint: dict[str, Any], fault: str, most: float
 ) -> None:
-    """The joint gets at most J/2 (1 rad/s)^2, and nothing a second later. The loss is reported.
+    """The joint gets at most J/2 (1 rad/s)^2, and at most 1 mJ after a second. The loss is reported.
 
     All of the friction was compensated. The term follows the measured friction, so the guard need not report a second
     time, at which it would latch.

@@ -4,8 +4,8 @@ Usage: tools/run bench/leg [--only PART ...] [--json]
 The hip bends the knee's sheath (0.8 rad/rad, hip +-0.5 rad), with the demo's actuator at 500 Hz. The numbers are RMS
 errors of the knee's joint torque from 2 s on, in mN*m, if the row has no other unit. The goal of the first rows is 1.3
 times the error with a resting hip, or 6 mN*m more. A runaway is measured by the highest speed of a free knee in the
-last second at set-point 0. It ends four seconds after a push. The hip swings at 1 Hz, and the file has twice the true
-gain. --only selects parts.
+last second at set-point 0. A push occurs four seconds before the end. The hip swings at 1 Hz, and the file has twice
+the true gain. --only selects parts.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ def hazard_table() -> str:
         f"{about['safe']} safe."
     )
     missing = hazards.not_shown()
-    shown = f"Causes by which no trial ended first: {', '.join(missing)}." if missing else ""
+    shown = f"Causes that are not among the two most frequent of any hazard: {', '.join(missing)}." if missing else ""
     only = table(("hazard without a software remedy", "hardware remedy"), hazards.HARDWARE)
     return "\n\n".join(part for part in (counted, table(hazards.HEAD, hazards.rows()), shown, only) if part)
 
