@@ -1,1 +1,1 @@
-"""What measures, attacks, pictures and hosts the package: nothing that it imports."""
+"""Benchmarks, fault campaigns, figures and a guest kernel for the package, which imports none of them."""

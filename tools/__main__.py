@@ -1,7 +1,7 @@
-"""Starts the commands below this folder: `tools/run NAME [ARGUMENT...]`; without a name it lists them.
+"""Start a command of this folder with `tools/run NAME [ARGUMENT...]`. Without a name, list the commands.
 
-NAME is the path of a file: bench/cycle is tools/bench/cycle.py, whose `main` is called. tools/vcan and the first
-process of its guest start here, too, with a Python in which nothing is installed: standard library only.
+NAME is the path of a file: bench/cycle calls `main` of tools/bench/cycle.py. tools/vcan and the first process of its
+guest also start here. Their Python has no installed packages, so this module uses the standard library only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,10 @@ USAGE = "usage: tools/run NAME [ARGUMENT...]"
 
 
 def commands() -> dict[str, str]:
-    """First line of the text of each command, by its name; a command's text says how `tools/run` calls it."""
+    """Return the first line of the docstring of each command, by name.
+
+    A module is a command if its docstring contains its call with `tools/run`.
+    """
     found = {}
     for path in sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/*.py")]):
         name = path.relative_to(FOLDER).with_suffix("").as_posix()
@@ -29,15 +32,15 @@ def commands() -> dict[str, str]:
 
 
 def listing() -> str:
-    """The table that is printed without a name."""
+    """Return the table that is printed if no name is given."""
     found = commands()
     width = max(map(len, found)) + 2
     lines = [f"  {name:{width}}{text}" for name, text in found.items()]
-    return "\n".join([f"{USAGE}; each tells its options with --help", "", *lines])
+    return "\n".join([f"{USAGE}; --help lists the options of each command", "", *lines])
 
 
 def main(arguments: list[str]) -> int:
-    """Call the command's `main`; what it raises for people is one line."""
+    """Call `main` of the command. Print a TsaError as one line, and return its exit code."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(listing())
         return 0
@@ -53,7 +56,7 @@ def main(arguments: list[str]) -> int:
         sys.path[0] = str(FOLDER.parent)
     importlib.import_module("tools.compiled").use()
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")  # commands run a process per core: threads inside would be in the way
+        os.environ.setdefault(variable, "1")  # commands run a process per core, so libraries get one thread
     sys.argv = [f"tools/run {name}", *arguments[1:]]
     try:
         code = importlib.import_module(f"tools.{name.replace('/', '.')}").main()

@@ -1,4 +1,4 @@
-"""Shared parts of the commands: name, parser, tables, saved rows of a long run, a vcan, a pool of processes."""
+"""Functions that the commands share: parsers, tables, saved rows of long runs, a vcan, and a pool of processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-if TYPE_CHECKING:  # the guest's first process has the standard library alone
+if TYPE_CHECKING:  # the guest's first process has only the standard library
     from rich.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,28 +35,32 @@ Done = TypeVar("Done")
 
 
 def name_of(module: str) -> str:
-    """`bench/cycle` of the module `tools.bench.cycle`: what `tools/run` calls it."""
+    """Return the name of a command for `tools/run`, for example `bench/cycle` of the module `tools.bench.cycle`."""
     return module.removeprefix("tools.").replace(".", "/")
 
 
 def parser(module: str, doc: str | None) -> argparse.ArgumentParser:
-    """A parser whose help is the module's text."""
+    """Return a parser whose help text is the module's docstring."""
     prog = f"tools/run {name_of(module)}"
     return argparse.ArgumentParser(prog, description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
 
 
 SHARED: dict[str, dict[str, Any]] = {  # options of several commands
-    "--rows": {"type": Path, "help": "JSON lines: what is in the file is not run again"},
+    "--rows": {"type": Path, "help": "JSON lines of finished runs, which are not run again"},
     "--processes": {"type": int, "default": PROCESSORS, "choices": range(1, MOST_PROCESSES + 1)},
-    "--json": {"action": "store_true", "help": "a JSON object for each run, instead of the tables"},
-    "--seed": {"type": int, "help": "of all draws (default: a fresh one, which is printed)"},
+    "--json": {"action": "store_true", "help": "print a JSON object for each run instead of tables"},
+    "--seed": {"type": int, "help": "seed of all random choices (default: a new one, which is printed)"},
     "--sample": {"type": int, "default": 0, "metavar": "N", "help": "N drawn runs; 0: all"},
     "--rigs": {"type": int, "default": 10},
     "--first": {"type": int, "default": 0, "help": "number of the first rig"},
     "--sensors": {"nargs": "+", "choices": SENSORS, "default": SENSORS},
     "--compensation": {"type": float, "default": 0.95, "help": "share of the friction term (default 0.95)"},
-    "--axis": {"default": "", "metavar": "TOML", "help": "over the controller's [[axis]]: 'law.settle = 0.0'"},
-    "--file": {"default": "", "metavar": "TOML", "help": "over the controller's other tables"},
+    "--axis": {
+        "default": "",
+        "metavar": "TOML",
+        "help": "replace keys of the controller's [[axis]]: 'law.settle = 0.0'",
+    },
+    "--file": {"default": "", "metavar": "TOML", "help": "replace keys of the controller's other tables"},
 }
 
 
@@ -64,7 +68,7 @@ ALIASES = {"rows": ("--results", "--out"), "processes": ("--jobs",)}
 
 
 def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> None:
-    """Add shared options by their names, with another default where one is given."""
+    """Add shared options by their names. `defaults` replaces their default values."""
     for name in names.split():
         aliases = ALIASES.get(name, ())
         parser.add_argument(f"--{name}", *aliases, dest=name, **SHARED[f"--{name}"])
@@ -72,19 +76,19 @@ def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> No
 
 
 def seeded(chosen: argparse.Namespace) -> None:
-    """Draw the seed where --seed gives none."""
+    """Draw a random seed if --seed is not given."""
     if chosen.seed is None:
         chosen.seed = secrets.randbelow(10**6)
 
 
 def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
-    """Return --sample of the items, in an order drawn by --seed; all of them without it."""
+    """Return --sample random items in random order by --seed, or all items without --sample."""
     seeded(chosen)
     return random.Random(chosen.seed).sample(items, min(chosen.sample, len(items))) if chosen.sample else list(items)
 
 
 def process(module: str, *arguments: str) -> list[str]:
-    """The command line of a command here as a process of its own."""
+    """Return the command line that runs a command of this folder in a separate process."""
     return [sys.executable, str(ROOT / "tools"), name_of(module), *arguments]
 
 
@@ -99,7 +103,7 @@ def here() -> Row:
 
 
 def family(pid: int) -> list[int]:
-    """Return a process and all that it has started, and these; one that has ended has none."""
+    """Return the process ids of a process and all its descendants."""
     found = [pid]
     for each in found:
         with contextlib.suppress(OSError):
@@ -109,14 +113,17 @@ def family(pid: int) -> list[int]:
 
 
 def vcan(module: str) -> str:
-    """Name of the virtual CAN interface; where there is none this process becomes one under tools/vcan."""
+    """Return the name of the virtual CAN interface. Without TSA_VCAN, execute this command again under tools/vcan."""
     if "TSA_VCAN" not in os.environ:
         os.execv(ROOT / "tools" / "vcan", ["vcan", *process(module, *sys.argv[1:])])
     return os.environ["TSA_VCAN"]
 
 
 def measured_data(module: str) -> Path | None:
-    """Folder of the measured cable drive: TSA_DATA, else ../shared/data, else what was fetched; its lack is said."""
+    """Return the folder of the measured cable drive, or print that it is missing and return None.
+
+    It is searched in TSA_DATA, or without this variable in ../shared/data and the folder of fetched data.
+    """
     from tsa_ctrl.published import catalogue
 
     beside = [] if catalogue.VARIABLE in os.environ else [ROOT.parent / "shared" / "data"]
@@ -132,7 +139,10 @@ def measured_data(module: str) -> Path | None:
 
 
 def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int) -> Iterator[Done]:
-    """Yield `work(item)` of every item as it is done; the first one compiles what all need, before others begin."""
+    """Yield the results of `work` for all items in the order of completion.
+
+    The first item runs alone, so that it compiles the functions that all items need.
+    """
     first, rest = items[:1], items[1:]
     yield from map(work, first if processes > 1 and rest else items)
     if processes > 1 and rest:
@@ -153,7 +163,7 @@ def read_rows(path: Path | None) -> list[Row]:
 
 
 class Results:
-    """Rows by `key`; with a path each is on the disk before the next is made. What `counts` denies is left out."""
+    """Rows by key, which are also appended to a file if there is a path. Rows without `counts` are ignored."""
 
     def __init__(
         self, path: Path | None, key: Callable[[Row], Hashable], counts: Callable[[Row], bool] = lambda row: True
@@ -172,7 +182,7 @@ class Results:
         return self._rows[key]
 
     def add(self, row: Row) -> None:
-        """Keep a row."""
+        """Store a row, and append it to the file."""
         self._rows[self._key(row)] = row
         if self._path is not None:
             with self._path.open("a+b") as file:
@@ -188,7 +198,10 @@ def run_rows(
     chosen: argparse.Namespace,
     each: Callable[[Row], None] = lambda row: None,
 ) -> list[Row]:
-    """Return the row of every item, whose `key` is the item. What --rows holds is not run again; see `each` new one."""
+    """Return the row of every item. Items whose row is in --rows are not run again.
+
+    `key` returns the item of a row. `each` is called with every new row.
+    """
     kept = Results(chosen.rows, key)
     for row in parallel(work, [item for item in items if item not in kept], chosen.processes):
         kept.add(row)
@@ -210,7 +223,10 @@ def judged(
     words: Callable[[Row], str],
     tables: Callable[[list[Row]], Iterable[object]],
 ) -> int:
-    """Run the items that are not in --rows, print each that misses a goal and the tables; return 1 if one missed."""
+    """Run the items that are not in --rows, and print new rows that miss a goal and the tables.
+
+    Return 1 if any row misses a goal.
+    """
 
     def missed(row: Row) -> None:
         if not good(row) and not chosen.json:
@@ -233,7 +249,7 @@ def print_tables(rows: Sequence[Row], chosen: argparse.Namespace, tables: Callab
 
 
 def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | None = None) -> Table:
-    """Return a table of cells of any kind: None is "-", numbers have four digits."""
+    """Return a table. None becomes "-", and floating-point numbers have four digits."""
     from rich.table import Table
 
     found = Table(*head, title=title, title_justify="left")
@@ -264,20 +280,20 @@ def seconds_of(key: str, digits: int = 3) -> Callable[[Row], str | None]:
 
 
 def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
-    """Print a table; without a terminal it is as wide as its cells need, up to 250 characters."""
+    """Print a table, up to 250 characters wide if the output is not a terminal."""
     from rich.console import Console
 
     Console(width=None if sys.stdout.isatty() else 250).print(table(head, lines))
 
 
 def print_goals(rows: Sequence[Row]) -> None:
-    """Print a table of rows with "what", "goal" and "found"; a row whose value is at most its goal is met."""
+    """Print a table of rows with "what", "goal" and "found". A goal is met by a value of at most the goal."""
     lines = [(row["what"], f"{row['goal']:.1f}", f"{row['found']:.1f}", row["found"] <= row["goal"]) for row in rows]
     print_table(("row", "goal", "measured", "met"), lines)
 
 
 def show(rows: Sequence[Row], keys: Sequence[str], as_json: bool) -> None:
-    """Print one JSON object a line, or a table of these keys."""
+    """Print one JSON object per line, or a table with these keys as columns."""
     if as_json:
         print("\n".join(map(json.dumps, rows)), flush=True)
     else:

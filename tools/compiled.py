@@ -1,6 +1,6 @@
-"""The compiled build of this source in .cache, which `tools/run package/compiled` makes and every command then uses.
+"""Use the compiled build of this source in .cache, which `tools/run package/compiled` makes.
 
-Standard library only: `tools/__main__.py` imports it before anything else.
+This module uses the standard library only, because `tools/__main__.py` imports it first.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BUILDS = ROOT / ".cache" / "compiled"
 PART = f"{os.sep}.cache{os.sep}compiled{os.sep}"
-VARIABLE = "TSA_COMPILE"  # 0: interpret the source, although a compiled build exists
+VARIABLE = "TSA_COMPILE"  # 0: interpret the source even if a compiled build exists
 SAFE_PATH = "PYTHONSAFEPATH"  # without it the current folder, with the source, comes before PYTHONPATH
 
 
@@ -30,7 +30,7 @@ def build_folder() -> Path:
 def use() -> None:
     """Make this process and those that it starts import the compiled build of this source, if there is one."""
     inherited = [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-    paths = [path for path in inherited if PART not in path]  # not the build of another source
+    paths = [path for path in inherited if PART not in path]  # remove builds of another source
     if paths != inherited:
         os.environ.pop(SAFE_PATH, None)
     sys.path[:] = [path for path in sys.path if PART not in path]

@@ -1,7 +1,7 @@
-"""The jobs of `tools/run pins`: each returns the values of its rows, a tree of numbers, names and sentences for each.
+"""Define the jobs of `tools/run pins`. Each job returns a tree of numbers, names and sentences for each of its rows.
 
-They use the command line, `simulate_loop`, `diagnose` and the generators in tests/blind, and nothing else of the
-package. For this reason they also run on other revisions.
+The jobs mostly use the command line, `simulate_loop`, `diagnose` and the generators in tests/blind. Therefore they also
+run on other revisions.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from tools import command
 Values = dict[str, Any]
 
 CASES = tomllib.loads((command.ROOT / "tools" / "pins.toml").read_text(encoding="utf-8"))
-EVERY = 20  # samples: of a column every 20th value is kept, and the mean and RMS value of all
+EVERY = 20  # samples; a row keeps every 20th value of a column, and mean and RMS value of all
 BUS_LOAD = "bus load"  # the check of `doctor` that does not depend on the machine
 
 
 @dataclass(frozen=True)
 class Job:
-    """The names of the rows, and the function that returns their values; None: the measured data are absent."""
+    """The names of the rows, and the function that returns their values. None means that measured data are absent."""
 
     rows: tuple[str, ...]
     work: Callable[[Path], Sequence[Values | None]]  # gets an empty folder
 
     def __call__(self) -> dict[str, Values | None]:
-        """Return the values of each row; an error is a value."""
+        """Return the values of each row. After an exception its text is the value."""
         try:
             with tempfile.TemporaryDirectory(prefix="pins-") as name:
                 folder = Path(name).resolve()
@@ -54,7 +54,7 @@ class Job:
 
 
 def jobs() -> list[Job]:
-    """Return all jobs, long ones first; the first one compiles the plant for the others."""
+    """Return all jobs, commands first. The first job compiles the plant for the others."""
     lists: list[list[str]] = list(CASES["commands"].values())
     found = [Job(tuple(f"c tsa {line}" for line in lines), partial(_commands, lines)) for lines in lists]
     found += [Job((f"a measured {name}",), partial(_measured, *files)) for name, files in CASES["measured"].items()]
@@ -68,7 +68,7 @@ def jobs() -> list[Job]:
     axes = (virtual["joints"], virtual["set_points"], virtual["faults"])
     for (j, joint), (s, wanted), (f, fault) in itertools.product(*map(enumerate, axes)):
         sensors, shape = virtual["sensors"][(j + s + f) % 3], virtual["shapes"][(j + 2 * s + f) % 3]
-        if fault != "none" or wanted == "sine":  # until the fault begins, the runs are without one anyway
+        if fault != "none" or wanted == "sine":  # the time before a fault also tests a run without one
             name = f"b {joint}, {wanted}, fault {fault}, {sensors}, {shape}"
             found.append(Job((name,), partial(_loop, [joint], wanted, fault, sensors, shape)))
     two = ["weight", "limb"], "sine"
@@ -115,7 +115,10 @@ def _loop(joints: list[str], wanted: str, fault: str, sensors: str, shape: str, 
     controller, plant, model = (tomllib.loads((folder / f"{file}.toml").read_text()) for file in files)
     (axis,), (rig,) = controller["axis"], plant["axis"]
     model["effects"] = {"elongation_coupling": {"curvature_profile": shape}}
-    controller["controller"] |= {"rate": 1000.0 / len(joints), "settle_cycles": 20}  # Hz: two axes need more of the bus
+    controller["controller"] |= {
+        "rate": 1000.0 / len(joints),
+        "settle_cycles": 20,
+    }  # Hz; the bus limits the rate of two axes
     axis |= {"model": "model.toml", "setpoint": virtual["set_points"][wanted]}
     axis["law"] = {"fade_in": 0.2, "motor_inertia": 1e-4}
     rig["tendon"]["curvature"] = shape
@@ -143,7 +146,7 @@ def _placed(axis: Values, place: int, name: str) -> Values:
 
 
 def _columns(table: Mapping[str, Any]) -> Values:
-    """Return of each column how many values are finite, their mean and RMS value, and every 20th value."""
+    """Return, for each column, the number, mean and RMS of its finite values, and every 20th value."""
     found = {}
     for name, column in table.items():
         finite = column[np.isfinite(column)]
@@ -153,7 +156,7 @@ def _columns(table: Mapping[str, Any]) -> Values:
 
 
 def _table(text: str) -> Values:
-    """Return the columns of a CSV; words become nan."""
+    """Return the columns of a CSV file. Words become nan."""
     table = np.genfromtxt(text.splitlines(), delimiter=",", names=True)
     return _columns({name: table[name].reshape(-1) for name in table.dtype.names or ()})
 
@@ -162,7 +165,7 @@ READERS: dict[str, Callable[[str], Values]] = {".toml": tomllib.loads, ".json": 
 
 
 def _commands(lines: Sequence[str], folder: Path) -> list[Values | None]:
-    """Return the output and the files of each command; they run one after another in one folder."""
+    """Run the commands one after another in one folder, and return output and files of each command."""
     leg = data() / "legactuator" / "torqueripple1.txt"
     if "leg.txt" in lines[0] and not leg.is_file():
         return [None] * len(lines)

@@ -1,17 +1,17 @@
-"""Regression digests: which results does a change of the code change, and by how much?
+"""Compare results with regression digests, or with another revision, to find the results that a change affects.
 
 Usage: tools/run pins [--part a|b|c] [--only TEXT] [--quick] [--processes 1|2] [--write | --against REV | --show ROW]
 
 A row is one result: the diagnosis of a log (a), a run of the loop in virtual time (b), or the output and files of a
 command (c). tools/pins.toml lists the cases. Without an option, all rows are compared with the digests in
-tools/pins.json. A row is equal, or its values differ, or only its sentences. Numbers are rounded to ten digits before.
-With other versions than the file names, and without the measured data (TSA_DATA, else ../shared/data), a row is "not
-compared".
+tools/pins.json. Numbers are first rounded to ten digits. A row is equal, or its values differ, or only its text
+differs. If the versions differ from those in the file, or the measured data are missing (TSA_DATA, else
+../shared/data), a row is "not compared".
 
---write writes the digests of the chosen rows. --against REV also runs these rows on the package of another revision,
-and prints how many values of a row differ, with the largest change relative to its column; HEAD shows uncommitted
-changes. --show ROW prints both values of each difference, against REV or else against the commit that last changed
-the digests. --quick takes a cheap part of the rows. Exit code 1: a row differs.
+--write writes the digests of the chosen rows. --against REV also runs these rows on the package of another revision. It
+prints the number of values that differ in a row, and the largest change relative to its column. HEAD shows the effect
+of uncommitted changes. --show ROW prints both values of each difference, against REV or else against the commit that
+last changed the digests. --quick runs only some fast rows. Exit code 1: a row differs.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
 FILE = command.ROOT / "tools" / "pins.json"
-PLACE = WORKTREES / "pins"  # one worktree: numba's cache stays valid where files are equal
-ZERO = 1e-12  # SI units: smaller values are rounding errors
+PLACE = WORKTREES / "pins"  # always the same worktree, so that numba's cache stays valid for unchanged files
+ZERO = 1e-12  # in SI units; smaller values are rounding errors
 VARYING = ("sha256", "date", "version", "recorded_by", "build")  # keys that vary from run to run or with the release
 QUICK = r"a .* 90[04]$|b .* sine, fault none|c tsa (run|plant|init|data|doctor) "
 NOT_COMPARED = "not compared: "
-INDEX = re.compile(r"\[\d+\]$")  # of an item of a list in a path
+INDEX = re.compile(r"\[\d+\]$")  # index of a list item at the end of a path
 
 
 def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and value of each number, name and sentence, keys in order."""
+    """Yield path and value of each leaf of a tree, with sorted keys and without keys that vary."""
     if isinstance(tree, dict):
         for key in sorted(tree.keys() - VARYING):
             yield from leaves(tree[key], f"{path}.{key}")
@@ -63,19 +63,19 @@ def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def rounded(value: Any) -> str:
-    """Return a value as text: a number to ten digits."""
+    """Return a value as text. Numbers have ten digits."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     return f"{0.0 if abs(value) < ZERO else value:.9e}"
 
 
 def is_sentence(value: Any) -> bool:
-    """Return whether a value is text for people, not a number or a name."""
+    """Return True if a value is a text with spaces, and not a number or a name."""
     return isinstance(value, str) and " " in value
 
 
 def digest(tree: Values) -> str:
-    """Return two digests: of the numbers and names, and of the sentences."""
+    """Return two digests in one string, of the numbers and names, and of the sentences."""
     parts = {False: hashlib.sha256(), True: hashlib.sha256()}
     for path, value in leaves(tree):
         parts[is_sentence(value)].update(f"{path} {rounded(value)}\n".encode())
@@ -92,7 +92,7 @@ def machine() -> dict[str, str]:
 
 
 def outcome(values: Values | None, kept: str | None, same_machine: bool) -> str:
-    """Return how the values of a row compare with its kept digests."""
+    """Return the result of the comparison of a row with its saved digests, in words."""
     if values is None:
         return f"{NOT_COMPARED}no measured data"
     if kept is None or not same_machine:
@@ -102,9 +102,9 @@ def outcome(values: Values | None, kept: str | None, same_machine: bool) -> str:
 
 
 def differences(before: Values, now: Values) -> list[tuple[str, Any, Any, float]]:
-    """Return path, both values and change of each difference; a change of text is infinite.
+    """Return path, both values and relative change of each difference. A change of text is infinite.
 
-    The change of a number is relative to the largest one of its list, or to itself outside of a list.
+    The change of a number is relative to the largest number of its list. Outside a list it is relative to the number.
     """
     old, new = dict(leaves(before)), dict(leaves(now))
     sizes: dict[str, float] = {}
@@ -121,7 +121,7 @@ def differences(before: Values, now: Values) -> list[tuple[str, Any, Any, float]
 
 
 def compared(before: Values | None, now: Values | None) -> str:
-    """Return how a row compares with the same row of another revision, with its largest change."""
+    """Return the result of the comparison of a row with another revision, with its largest change, in words."""
     result = outcome(now, None if before is None else digest(before), True)
     if before is None or now is None or "differ" not in result:
         return result
@@ -133,7 +133,7 @@ def compared(before: Values | None, now: Values | None) -> str:
 
 
 def chosen(options: argparse.Namespace) -> dict[str, Job]:
-    """Return the rows to compare, each with its job."""
+    """Return the job of each row that the options select."""
     rows = {row: job for job in jobs() for row in job.rows if row.startswith(options.part) and options.only in row}
     rows = {row: job for row, job in rows.items() if options.show in (None, row)}
     rows = {row: job for row, job in rows.items() if not options.quick or re.search(QUICK, row)}
@@ -153,12 +153,12 @@ def run(rows: Mapping[str, Job], processes: int) -> dict[str, Values | None]:
 
 
 def reference(revision: str, processes: int, selection: list[str]) -> dict[str, Values | None]:
-    """Return the values of the selected rows on the package and configuration of a revision, in a worktree."""
+    """Run the selected rows with the package and configuration of a revision in a worktree, and return their values."""
 
     PLACE.parent.mkdir(parents=True, exist_ok=True)
     with PLACE.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        worktree(revision, PLACE, ("tools", "tests/blind"))  # with this revision's cases
+        worktree(revision, PLACE, ("tools", "tests/blind"))  # use the cases of the present revision
         values = PLACE.with_suffix(".json")
         call = [sys.executable, str(PLACE / "tools"), "pins", *selection, "--processes", str(processes)]
         environment = {**os.environ, "TSA_DATA": str(data())}
@@ -170,7 +170,7 @@ def reference(revision: str, processes: int, selection: list[str]) -> dict[str, 
 
 
 def write(values: Mapping[str, Values | None], whole: bool) -> int:
-    """Write the digests of the rows, and remove digests without measured data or without a case."""
+    """Write the digests of the rows, and remove digests whose case or measured data are missing."""
     kept = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() and not whole else {"rows": {}}
     if not whole and kept.get("machine") != machine():
         raise UsageError("the other digests are of other versions; --write all rows, or none")
@@ -183,7 +183,7 @@ def write(values: Mapping[str, Values | None], whole: bool) -> int:
 
 
 def report(results: Mapping[str, str]) -> int:
-    """Print the rows that are not equal, and the sums; return 1 when a row differs."""
+    """Print the rows that are not equal, and the totals. Return 1 if a row differs."""
     for row, result in sorted(results.items()):
         if result != "equal":
             print(f"{row}: {result}")
@@ -196,7 +196,7 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--part", choices=("a", "b", "c"), default="", help="a: diagnosis, b: loop, c: commands")
     parser.add_argument("--only", default="", metavar="TEXT", help="rows with TEXT in their name")
-    parser.add_argument("--quick", action="store_true", help="a cheap part of the rows")
+    parser.add_argument("--quick", action="store_true", help="only some fast rows")
     parser.add_argument("--processes", type=int, default=2, choices=range(1, command.MOST_PROCESSES + 1))
     parser.add_argument("--write", action="store_true", help="write the digests of these rows")
     parser.add_argument("--against", metavar="REV", help="another revision, on which the same rows are run")

@@ -1,7 +1,7 @@
-"""Another revision of the package, in a worktree, with these tools: what a command is compared with.
+"""Check out another revision of the package in a worktree, with a copy of the present tools, for comparisons.
 
-A module of the package may have moved since that revision. So each import of the copied tools is led to the module that
-defines the name there. A constant that the revision does not have yet is copied from here.
+A module of the package may have moved since that revision. Therefore each import of the copied tools is changed to the
+module that defines the name there. If the revision does not define a constant, its present value is copied.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def commit_of(revision: str) -> str:
     """Return the full hash of a revision.
 
     Raises:
-        UsageError: there is no such revision.
+        UsageError: The revision does not exist.
     """
     try:
         return _git(command.ROOT, revision, "rev-parse", "--verify", f"{revision}^{{commit}}")
@@ -32,10 +32,10 @@ def commit_of(revision: str) -> str:
 
 
 def worktree(revision: str, place: Path, copied: Sequence[str] = ("tools",)) -> None:
-    """Check `revision` out at `place`, with the folders `copied` of this one.
+    """Check `revision` out at `place`, and replace the folders `copied` by those of the present revision.
 
     Raises:
-        UsageError: there is no such revision, or git failed.
+        UsageError: The revision does not exist, or git failed.
     """
     commit = commit_of(revision)
     _git(command.ROOT, revision, "worktree", "prune")
@@ -107,7 +107,7 @@ def _lead_imports(path: Path, defined: dict[str, set[str]]) -> None:
 
 
 def _constant(module: str, name: str) -> str | None:
-    """Return the literal that a module of this revision assigns to a name, as source text; None if there is none."""
+    """Return the literal that a module of the present revision assigns to a name, as source text, or None."""
     path = command.ROOT / Path(*module.split(".")).with_suffix(".py")
     for node in ast.parse(path.read_text(encoding="utf-8")).body if path.is_file() else ():
         if isinstance(node, ast.Assign) and any(isinstance(at, ast.Name) and at.id == name for at in node.targets):

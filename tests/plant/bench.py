@@ -1,4 +1,4 @@
-"""A simulated machine without bus and real time: frames in by hand, frames out kept, time moved by the test."""
+"""Simulate a machine without bus and real time. The test sends the frames and advances the clock."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ def plant_file(folder: Path, text: str = "[[axis]]\nname = 'joint'\n") -> Path:
 
 
 def axis(folder: Path, step: float = 1e-4, **settings: Any) -> Axis:
-    """The mechanics alone; `settings` as the tables of an [[axis]], with no lag, no motor and no losses by default."""
+    """Return the mechanics of one axis, by default without lag, motor inertia and losses.
+
+    `settings` change the tables of its [[axis]].
+    """
     tables: dict[str, Any] = {
         "name": "joint",
         "actuator": settings.get("actuator") or actuator_file(folder),
@@ -60,7 +63,7 @@ def axis(folder: Path, step: float = 1e-4, **settings: Any) -> Axis:
 
 
 class Bench:
-    """One machine on a fake bus; `clock.now` moves only by `wait` and `cycle`."""
+    """A machine on a fake bus. Its time advances only by `wait` and `sync`."""
 
     def __init__(self, folder: Path, text: str = "[[axis]]\nname = 'joint'\n", plant: PlantSettings | None = None):
         self.clock = FakeClock()
@@ -90,7 +93,7 @@ class Bench:
         return self.bus.sent[before:]
 
     def sync(self, count: int = 1, rpdo: bytes | None = None) -> list[tuple[int, bytes]]:
-        """SYNC periods of 1 ms; the frames sent in the last one."""
+        """Send SYNC `count` times with a period of 1 ms, and return the frames sent in the last period."""
         frames: list[tuple[int, bytes]] = []
         for _ in range(count):
             self.clock.now += 1e-3
@@ -100,7 +103,7 @@ class Bench:
         return frames
 
     def download(self, node: int, index: int, sub: int, code: str, value: int) -> int:
-        """Expedited SDO download; the abort code, 0 when it was accepted."""
+        """Do an expedited SDO download. Return the abort code, or 0 if it was accepted."""
         data = struct.pack("<" + code, value)
         command = 0x23 | (4 - len(data)) << 2
         answers = self.send(0x600 + node, struct.pack("<BHB", command, index, sub) + data.ljust(4, b"\0"))
@@ -108,14 +111,14 @@ class Bench:
         return 0 if answer[0] == 0x60 else int(struct.unpack_from("<I", answer, 4)[0])
 
     def upload(self, node: int, index: int, sub: int, code: str) -> int:
-        """Expedited SDO upload of a number."""
+        """Do an expedited SDO upload of a number, and return it."""
         answers = self.send(0x600 + node, struct.pack("<BHB4x", 0x40, index, sub))
         answer = next(data for can_id, data in answers if can_id == 0x580 + node)
         assert answer[0] & 0xF3 == 0x43, answer.hex()
         return int(struct.unpack_from("<" + code, answer, 4)[0])
 
     def map_pdo(self, node: int, parameter: int, cob_id: int, transmission: int, *mapped: int) -> list[int]:
-        """The mapping procedure; the abort code of each step."""
+        """Do the procedure to map a PDO, and return the abort code of each step."""
         mapping = parameter + 0x200
         steps = [(parameter, 1, "I", 0x80000000 | cob_id), (mapping, 0, "B", 0)]
         steps += [(mapping, place, "I", entry) for place, entry in enumerate(mapped, 1)]
@@ -123,7 +126,7 @@ class Bench:
         return [self.download(node, *step) for step in steps]
 
     def set_up(self, rpdo_transmission: int = 1) -> None:
-        """The PDO plan of the drive, mode 10, all nodes operational."""
+        """Configure the PDOs of the drive and mode 10, and set all nodes operational."""
         self.map_pdo(1, 0x1400, 0x201, rpdo_transmission, 0x60400010, 0x60710010)
         self.map_pdo(1, 0x1800, 0x181, 1, 0x60410010, 0x60770010, 0x606C0020)
         self.map_pdo(1, 0x1801, 0x281, 1, 0x60640020, 0x60610008, 0x603F0010)
@@ -134,7 +137,7 @@ class Bench:
         return struct.pack("<Hh", controlword, per_mille)
 
     def enable(self, per_mille: int = 0) -> None:
-        """Walk to operation enabled."""
+        """Bring the drive to operation enabled."""
         for controlword in (0x06, 0x07, 0x0F):
             self.sync(2, self.command(controlword))
         self.sync(2, self.command(0x0F, per_mille))
@@ -144,6 +147,6 @@ class Bench:
 
 
 def tpdo1(frames: list[tuple[int, bytes]]) -> tuple[int, int, int]:
-    """Statusword, torque in per mille, velocity in mrpm of the drive's TPDO1."""
+    """Return statusword, torque (per mille) and velocity (mrpm) from the drive's TPDO1."""
     status, torque, velocity = struct.unpack("<Hhi", dict(frames)[0x181])
     return status, torque, velocity

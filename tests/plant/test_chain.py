@@ -1,4 +1,4 @@
-"""Distributed tendons: closed forms in the limit, slip fronts, energy, slack."""
+"""Test the distributed tendons: closed forms in the limit, slip fronts, energy, slack."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EA, LENGTH = 60e3, 1.2
 
 
 class Tendons:
-    """Both tendons with their ends in our hands; `pull(u, v)` moves motor and joint pulley, in m."""
+    """Both tendons with prescribed ends. `pull(u, v)` moves the tendons at motor and joint pulley, m."""
 
     def __init__(self, curvature: str = "uniform", elements: int = 40, x: float = X, bristle: float = 0.0) -> None:
         self.p = np.zeros(1, PARAMETERS)
@@ -35,7 +35,7 @@ class Tendons:
         self.taken = 0.0
 
     def pull(self, u: float, v: float, pretension: float = T_P0) -> NDArray[np.float64]:
-        """T1, T2, T3, T4 after the ends have moved there."""
+        """Move the ends, and return T1, T2, T3 and T4."""
         f = np.zeros(13)
         both = (pretension, pretension)
         totals = prepare_chains(self.p[0], both, (2.6, 2.6), (self.x, self.x), self.chains)
@@ -85,7 +85,7 @@ def test_the_error_falls_with_the_square_of_the_elements(tmp_path: Path) -> None
 def test_after_a_reversal_the_output_is_frozen_until_the_input_moved_by_exp_2x(x: float) -> None:
     tendons = Tendons(x=x)
     u = 0.0
-    for _ in range(4000):  # the motor winds up tendon b against a joint that stands still
+    for _ in range(4000):  # the motor winds up tendon b while the joint is at rest
         u += 1e-7
         pulled = tendons.pull(u, 0.0)
     assert pulled[3] == pytest.approx(pulled[2] * math.exp(-x), rel=1e-9)
@@ -106,7 +106,7 @@ def test_a_slip_front_travels_from_the_motor_end() -> None:
     for u in np.linspace(4e-4, 3.6e-4, 40):
         tendons.pull(u, 0.0)
         sliding_back = tendons.chains[1, Row.MODE, :-1] < 0
-        assert not np.any(np.diff(sliding_back.astype(int)) > 0)  # one front, from the motor
+        assert not np.any(np.diff(sliding_back.astype(int)) > 0)  # one front, which begins at the motor
         fronts.append(int(sliding_back.sum()))
     assert fronts == sorted(fronts)
     assert fronts[0] < fronts[-1] < 40

@@ -1,4 +1,4 @@
-"""The power state machine: every state against every controlword, literal tables of CiA 402."""
+"""Test the power state machine in every state with every controlword, against literal tables of CiA 402."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def machine_in(state: PowerState) -> PowerStateMachine:
 
 
 def expected(state: PowerState, controlword: int) -> PowerState:
-    """An independent implementation of the standard's figure, by bits."""
+    """Return the next state by an independent bitwise implementation of the standard's figure."""
     if state is FAULT:
         return DISABLED if controlword & 0x80 else FAULT
     if state in (NOT_READY, REACTION) or controlword & 0x80:

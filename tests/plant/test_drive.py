@@ -1,4 +1,4 @@
-"""The simulated CiA 402 drive: units, limits and reactions, read from its frames."""
+"""Test units, limits and reactions of the simulated CiA 402 drive by its frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def bench(tmp_path: Path) -> Bench:
 
 
 def settled(bench: Bench, per_mille: int, controlword: int = 0x0F) -> tuple[int, int, int]:
-    """TPDO1 after 50 ms of one command."""
+    """Return the TPDO1 values after 50 ms with one command."""
     bench.sync(50, bench.command(controlword, per_mille))
     return tpdo1(bench.sync())
 
@@ -97,7 +97,7 @@ def test_each_torque_limit_acts_on_its_side(bench: Bench, index: int, most: tupl
 
 @pytest.mark.parametrize(("mode", "reached"), [(10, 500), (4, 50)])
 def test_the_torque_slope_acts_in_profile_torque_only(tmp_path: Path, mode: int, reached: int) -> None:
-    """1000 per mille/s for 0.05 s."""
+    """The slope is 1000 per mille/s for 0.05 s."""
     bench = Bench(tmp_path, "[[axis]]\nname = 'j'\nmotion.kind = 'still'\ndrive.modes = ['cst', 'tq']\n")
     bench.set_up()
     bench.download(1, 0x6060, 0, "b", mode)

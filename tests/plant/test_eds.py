@@ -1,4 +1,4 @@
-"""The EDS that the plant writes of its nodes: canopen reads it, CANopenEditor's rules hold, our own reader agrees."""
+"""Test the EDS files of the plant with canopen, with the rules of CANopenEditor, and with the package's reader."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tsa_ctrl.bus.canopen.eds import read_eds
 from tsa_ctrl.cli import cli
 from tsa_ctrl.plant.process import eds_files
 
-# What CANopenEditor (libEDSsharp) insists on: sections with their keys, and how dates, times and accesses look.
+# Rules of CANopenEditor (libEDSsharp): sections with their keys, and formats of dates, times and access types.
 KEYS = {
     "FileInfo": "FileName FileVersion FileRevision EDSVersion Description CreationTime CreationDate CreatedBy "
     "ModificationTime ModificationDate ModifiedBy",

@@ -1,4 +1,4 @@
-"""Effects in the plant: its own equations against the reference values of the definitions."""
+"""Test the effects in the plant's own equations against the reference values of the definitions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tests.blind.plant import Tensions
 from tests.model.test_vectors import CASES, STATES
 from tests.plant.bench import R_J, R_M, axis
 
-APART = {"velocity_lag"}  # a sensor here, not a sign; stands below
-WINDOW = 0.05  # s of motion before the state that is looked at
+APART = {"velocity_lag"}  # an effect of a sensor in the plant, tested below
+WINDOW = 0.05  # s of motion before the evaluated state
 
 
 def delivered(folder: Path, effects: dict[str, dict[str, Any]], state: tuple[float, ...], phase_shift: float) -> float:
-    """Joint torque of the plant in one state of the table, reached by a motion of constant acceleration."""
+    """Return the plant's joint torque in one state of the table, reached by a motion with constant acceleration."""
     tau_m, omega, q, _, acceleration, temperature, t = state
     motion = folder / "motion.csv"
     rows = []
@@ -35,7 +35,7 @@ def delivered(folder: Path, effects: dict[str, dict[str, Any]], state: tuple[flo
         shifted["torque_ripple"]["phase"] += phase_shift
     joint = axis(
         folder,
-        1e-5,  # the ripple follows the motor's angle of the sub-step before
+        1e-5,  # the ripple depends on the motor's angle in the previous sub-step
         tendon={"curvature": "joint_end", "presliding": 1e-9},
         motion={"kind": "file", "file": str(motion), "repeat": False, "ramp": 0.0},
         environment={"temperature": [(0.0, temperature)]},
@@ -60,10 +60,10 @@ def test_the_plant_agrees_with_the_definitions(
 ) -> None:
     if APART & set(effects):
         pytest.skip("a sensor in the plant")
-    compared = len(STATES) if "tendon_slack" in effects else 4  # the plant's tendons always go slack
+    compared = len(STATES) if "tendon_slack" in effects else 4  # a tendon can always become slack in the plant
     for state, value in list(zip(STATES, expected, strict=True))[:compared]:
         shift = 0.0
-        if "torque_ripple" in effects:  # the plant's motor angle has the tendons' stretch in it
+        if "torque_ripple" in effects:  # the plant's motor angle contains the tendon elongation
             ripple = effects["torque_ripple"]
             gain = 1.0 + effects.get("torque_constant_error", {}).get("relative_error", 0.0)
             acting = gain * state[0] + ripple["amplitude"] * math.sin(
@@ -131,7 +131,7 @@ def test_presliding_follows_dahl(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stage", ["joint", "motor"])
 def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> None:
-    """k sin(3 q) + 0.1 tau tanh(omega) + 0.02 sigma: taken at the joint, or at the motor before the tendons."""
+    """k sin(3 q) + 0.1 tau tanh(omega) + 0.02 sigma reduces the torque at the joint or at the motor."""
     custom = {"expression": "k*sin(3*q_j) + 0.1*tau*tanh(omega_j) + 0.02*sigma", "stage": stage, "k": 0.05}
     for state in STATES[:4]:
         tau_m, omega, q, *_ = state
@@ -139,14 +139,14 @@ def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> Non
         found = delivered(tmp_path, {"custom": custom}, state, 0.0)
         tau = plain if stage == "joint" else tau_m
         taken = 0.05 * math.sin(3.0 * q) + 0.1 * tau * math.tanh(omega) + 0.02 * math.copysign(1.0, omega)
-        # At the motor it changes the slope's input: cosh x of these four states' actuator follows from two torques.
+        # At the motor it changes the input of the slope, cosh x, which follows from two motor torques.
         slope = 1.0 if stage == "joint" else (delivered(tmp_path, {}, (tau_m + 0.1, *state[1:]), 0.0) - plain) / 0.1
         assert plain - found == pytest.approx(slope * taken, abs=5e-6)
 
 
 @pytest.mark.parametrize("stage", ["joint", "motor"])
 def test_the_plant_remembers_as_the_formula_says(tmp_path: Path, stage: str) -> None:
-    """Two lags and a hysteresis, sub-step by sub-step: against the loops of the blind benchmark, and against scipy."""
+    """The reference of two lags and a hysteresis is a loop of the blind benchmark and scipy's lsim."""
     expression = "0.3*(tau - lag(tau, 0.05)) + 0.02*dahl(tau, 0.1) + 0.2*(ring(tau, 20, 0.3) - tau)"
     moving = {"motion": {"kind": "sine", "ramp": 0.0}, "motor": {"inertia": 1e-5, "damping": 1e-3}}
     plain = axis(tmp_path, **moving)
@@ -159,7 +159,7 @@ def test_the_plant_remembers_as_the_formula_says(tmp_path: Path, stage: str) -> 
         values = other.values()
         tau.append(values["torque_loop"] if stage == "motor" else values["tau_j"] + values["taken"])
         taken.append(values["taken"])
-        if stage == "joint":  # an imposed motion, so that the tendons know nothing of it
+        if stage == "joint":  # the motion is prescribed, so the formula does not affect the tendons
             assert tau[-1] == pytest.approx(plain.values()["tau_j"], abs=1e-12)
     x = np.array(tau)
     w, h = 2.0 * math.pi * 20.0, 1e-4
@@ -179,7 +179,7 @@ BESIDE: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("name", list(BESIDE))
 def test_what_only_the_angles_show(tmp_path: Path, name: str) -> None:
-    """r_M q_M - r_J q_J as the encoders have it, against the definitions; torque and mechanics know nothing of it."""
+    """The effect changes r_M q_M - r_J q_J of the encoders as defined, but not the joint torque."""
     plain = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0})
     other = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={name: BESIDE[name]})
     side, compared = 0.0, 0
@@ -194,10 +194,10 @@ def test_what_only_the_angles_show(tmp_path: Path, name: str) -> None:
         assert values["tau_j"] == plain.values()["tau_j"]
         before, side = side, math.copysign(1.0, values["t4"] - values["t2"])
         if side != before:
-            continue  # the play is being crossed
+            continue  # the joint is crossing the backlash
         compared += 1
         tensions = Tensions(*(np.array([values[key]]) for key in ("t1", "t2", "t3", "t4", "tau_j")))
-        clock = np.array([0.0, t])  # it starts creeping with the log
+        clock = np.array([0.0, t])  # the creep starts with the log
         expected = stretch_effects.added(name, BESIDE[name], tensions, clock, R_J)[-1]
         assert stretches[1] - stretches[0] == pytest.approx(expected, abs=3e-6)
     assert compared > 12

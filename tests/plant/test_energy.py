@@ -1,4 +1,4 @@
-"""Closed cycles of both ends create no energy, wherever the sheath bends, however the tendons are simulated."""
+"""Closed cycles of both ends create no energy, for any bends of the sheath and both tendon models."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ PROFILES: dict[str, Any] = {
     "s_bent": "s_bent",
     "one_bend": [(0.0, 0.0), (0.3, 0.0), (0.34, 1.0), (1.0, 1.0)],
 }
-POINTS = 800  # of one cycle
+POINTS = 800  # in one cycle
 LEAST = -1e-9  # J, rounding of a cycle's sum
 
 Path2 = NDArray[np.float64]
 
 
 def closed_path(seed: int, radius: float) -> Path2:
-    """Displacements of tendon at motor and joint, m, (POINTS, 2): three harmonics each, from 0 back to 0."""
+    """Return displacements of the tendon at motor and joint (m) for one cycle, (POINTS, 2), of three harmonics each."""
     rng = np.random.default_rng(seed)
     t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
     ends = []
@@ -98,7 +98,7 @@ def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str)
 
 
 def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
-    """The case that motivates the test above: the middle of the tendon, with all bending at one end."""
+    """The test above would fail for friction that follows the middle of the tendon, with all bends at one end."""
     joint = axis(tmp_path, tendon={"curvature": "motor_end"})
     joint.parameters["centre"] = 0.5
     t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
@@ -107,7 +107,7 @@ def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path)
 
 
 def elastic_energy(joint: Axis) -> float:
-    """J in the springs of both chains and in what holds their contacts."""
+    """Return the elastic energy of both chains and of their contacts, J."""
     chains = joint._arrays.chains
     springs = chains[:, Row.TENSION] ** 2 / chains[:, Row.STIFFNESS]
     force, held = chains[:, Row.FORCE_OLD, :-1], chains[:, Row.BRISTLE, :-1]
@@ -117,7 +117,7 @@ def elastic_energy(joint: Axis) -> float:
 @pytest.mark.parametrize("profile", list(PROFILES))
 @pytest.mark.parametrize("load", ["held", "imposed", "spring", "spring, its pulley off its centre"])
 def test_what_the_motor_gives_is_stored_delivered_or_taken_by_friction(tmp_path: Path, load: str, profile: str) -> None:
-    """An impulse on a motor with inertia; with all bends at a held joint, friction dissipates almost nothing.
+    """A motor with inertia gets an impulse. With all bends at a locked joint, friction dissipates almost nothing.
 
     On an eccentric pulley the lever arm is the derivative of the wound length, which the energy balance requires.
     """
@@ -149,5 +149,5 @@ def test_what_the_motor_gives_is_stored_delivered_or_taken_by_friction(tmp_path:
     stored = elastic_energy(joint) - stored
     taken = float(s["dissipated"])
     assert taken > 0.0
-    assert given - stored == pytest.approx(taken, rel=0.005, abs=2e-6)  # of 3 mJ in a swing
+    assert given - stored == pytest.approx(taken, rel=0.005, abs=2e-6)  # of 3 mJ in one oscillation
     assert joint.values()["unsolved"] == 0

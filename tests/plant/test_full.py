@@ -1,4 +1,4 @@
-"""Mechanics with the full model: closed forms, standstill, slack, loads."""
+"""Test the mechanics with the full model: closed forms, standstill, slack and loads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CLOSED_FORMS = {
 
 
 def run(axis: Axis, torque: float, seconds: float) -> dict[str, float]:
-    """Hold a motor torque; the state afterwards."""
+    """Hold a motor torque for some time, and return the final state."""
     axis.command.enabled, axis.command.torque = True, torque
     start = axis.time
     for i in range(round(seconds / 1e-3)):
@@ -73,7 +73,7 @@ def test_a_series_element_takes_part_in_the_elongation(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["full", "distributed"])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_series_spring_stands_at_either_end(tmp_path: Path, kind: str, position: str, direction: int) -> None:
-    """Against the capstan equation integrated along the tendons; the chain has 40 contacts."""
+    """The reference is the capstan equation integrated along the tendons with 40 contacts."""
     curve = [(0.0, 0.0), (0.3, 0.4), (0.7, 0.4), (1.0, 1.0)]
     spring = f"[tendon]\nseries_stiffness = 2e4\nseries_position = '{position}'"
     joint = axis(
@@ -107,11 +107,11 @@ def test_at_standstill_friction_holds_a_load_inside_the_band(tmp_path: Path, kin
     load = {"load": "weight", "weight_torque": 0.3, "weight_phase": math.pi / 2, "inertia": 0.02, "damping": 1.0}
     joint = axis(tmp_path, tendon={"kind": kind}, joint=load, motor={"inertia": 1e-3, "damping": 0.02})
     joint.command.enabled = True
-    held = run(joint, 0.24, 1.0)  # the motor's share of the weight without friction
+    held = run(joint, 0.24, 1.0)  # the motor torque for the weight without friction
     moved = run(joint, 0.24 + 0.1, 1.0)
     assert abs(held["omega_j"]) < 1e-5
     assert held["tau_j"] == pytest.approx(0.3 * math.cos(held["q_j"]), abs=1e-4)
-    assert abs(moved["q_j"] - held["q_j"]) < 0.02  # 0.125 N*m at the joint are inside the band of +-0.585 N*m
+    assert abs(moved["q_j"] - held["q_j"]) < 0.02  # 0.125 N*m at the joint is within the friction band of +-0.585 N*m
 
 
 @pytest.mark.parametrize("kind", ["full", "distributed"])
@@ -120,7 +120,7 @@ def test_no_chatter_at_standstill(tmp_path: Path, kind: str) -> None:
     joint = axis(tmp_path, tendon={"kind": kind}, joint=load, motor={"inertia": 1e-3, "damping": 0.02})
     run(joint, 0.9, 2.0)
     speeds = [run(joint, 0.9, 0.001)["omega_j"] for _ in range(200)]
-    assert max(speeds) * min(speeds) >= 0.0  # it creeps to rest and never turns
+    assert max(speeds) * min(speeds) >= 0.0  # it creeps to rest without a reversal
     assert abs(speeds[-1]) <= abs(speeds[0]) < 1e-3
 
 

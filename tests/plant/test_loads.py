@@ -18,7 +18,7 @@ HOLD = [(0.0, 20.0, 1.0, 0.3), (1.0, 20.0, 1.0, 0.3)]
 
 
 def free_of_friction(folder: Path, **joint: Any) -> Axis:
-    """An axis whose tendons hold nothing and whose motor is off."""
+    """Return an axis without friction in its tendons, whose motor is off."""
     made = axis(folder, joint=joint)
     made.parameters["friction"] = 0.0
     made.parameters["motor_damping"] = 1e-9
@@ -26,7 +26,7 @@ def free_of_friction(folder: Path, **joint: Any) -> Axis:
 
 
 def course(joint: Axis, seconds: float, *names: str) -> np.ndarray:
-    """Values at each millisecond, (n, names)."""
+    """Return the values of these names in each millisecond, (n, names)."""
     start, rows = joint.time, []
     for n in range(round(seconds * 1e3)):
         joint.advance(start + (n + 1) * 1e-3)
@@ -75,7 +75,7 @@ def test_a_hand_that_lets_go_takes_no_part_any_more(tmp_path: Path) -> None:
     values = course(limb, 2.0, "q_j", "tau_outside")
     assert abs(values[400, 0] - 0.5) < 0.2
     assert np.all(values[530:, 1] == 0.0)
-    assert values[530:, 0].min() < -0.1  # it swings
+    assert values[530:, 0].min() < -0.1  # it oscillates
 
 
 def test_a_hand_moves_smoothly_from_row_to_row(tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_a_hand_moves_smoothly_from_row_to_row(tmp_path: Path) -> None:
     angle, speed = course(moved, 4.0, "hand_angle", "hand_speed").T
     assert angle[999] == pytest.approx(0.6, abs=1e-5)
     assert angle[1999] == pytest.approx(0.0, abs=1e-5)
-    assert angle[2999] == pytest.approx(0.6, abs=1e-5)  # the script again
+    assert angle[2999] == pytest.approx(0.6, abs=1e-5)  # the script has repeated
     assert np.abs(np.diff(angle) / 1e-3 - speed[1:]).max() < 0.01
     assert np.abs(np.diff(speed)).max() < 0.01
 

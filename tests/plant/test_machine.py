@@ -1,4 +1,4 @@
-"""The loop of the simulated machine."""
+"""Test the loop of the simulated machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joints that bend each other's sheaths, and joints of one limb, against closed forms and the joint of one axis."""
+"""Test joints that bend each other's sheaths, and joints of one limb, against closed forms and a single axis."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ APART = "[routing]\njoints = { hip = 0.8 }\ntendon_b.table.hip = [[-1.0, 0.4], [
 
 
 def files(folder: Path, axes: list[dict[str, Any]], mechanism: dict[str, Any] | None = None, routing: str = "") -> Path:
-    """Write a plant whose axis "knee" has a sheath that is bent by `routing`; the motors have no inertia and no lag."""
+    """Write a plant whose axis "knee" has a sheath bent by `routing`. The motors have no inertia and no lag."""
     (folder / "actuator.toml").write_text(ACTUATOR)
     (folder / "routed.toml").write_text(f"{ACTUATOR}{routing}")
     plain: dict[str, Any] = {
@@ -46,7 +46,7 @@ def machine(path: Path) -> tuple[Machine, dict[str, Axis]]:
 
 
 def run(made: Machine, seconds: float, period: float = 1e-3) -> dict[str, dict[str, NDArray[np.float64]]]:
-    """Let time pass; return what each axis was at the end of each period."""
+    """Advance the time, and return the values of each axis at the end of each period."""
     units = [unit.axis for unit in made.axes]
     start = units[0].time
     rows: dict[str, list[dict[str, float]]] = {axis.name: [] for axis in units}
@@ -64,7 +64,7 @@ def two(tendon: str, hip: dict[str, Any], knee: dict[str, Any]) -> list[dict[str
 
 @pytest.mark.parametrize("tendon", ["full", "distributed"])
 def test_a_sheath_is_bent_by_the_angle_of_a_joint_that_it_crosses(tmp_path: Path, tendon: str) -> None:
-    """2.6 + 0.8 * 0.5 = 3 rad and 45 + 35 * 0.4 = 59 N; the hip's own sheath keeps its own."""
+    """The knee's sheath has 2.6 + 0.8 * 0.5 = 3 rad and 45 + 35 * 0.4 = 59 N. The hip's sheath is unchanged."""
     made, _ = machine(
         files(tmp_path, two(tendon, STILL, {"kind": "still"}), routing="[routing]\njoints = { hip = 0.8 }\n")
     )
@@ -76,7 +76,7 @@ def test_a_sheath_is_bent_by_the_angle_of_a_joint_that_it_crosses(tmp_path: Path
 
 
 def test_the_bending_follows_a_joint_that_moves(tmp_path: Path) -> None:
-    """The exact angle follows from the hip's motion; the exchange loses a t^2 / 2 = 10 urad per millisecond."""
+    """The wrap angle follows the hip. The exchange once per millisecond causes an error of a t^2 / 2 = 10 urad."""
     made, _ = machine(
         files(tmp_path, two("full", HIP, {"kind": "still"}), routing="[routing]\njoints = { hip = 0.8, knee = -0.3 }\n")
     )
@@ -96,7 +96,7 @@ def test_a_joint_may_bend_its_own_sheath(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_routing_is_what_a_table_of_the_same_bending_over_time_is(tmp_path: Path) -> None:
-    """Torque of a walking knee over a swing of the hip, within 1 mN*m; the swing itself changes it by 100 and more."""
+    """The torque of a knee during a swing of the hip agrees within 1 mN*m. The swing changes it by over 100 mN*m."""
     gait = {"kind": "gait"}
     made, axes = machine(files(tmp_path, two("distributed", HIP, gait), routing="[routing]\njoints = { hip = 0.8 }\n"))
     axes["knee"].command.enabled, axes["knee"].command.torque = True, 0.4
@@ -116,9 +116,10 @@ def test_routing_is_what_a_table_of_the_same_bending_over_time_is(tmp_path: Path
 def test_two_tendons_that_are_routed_differently_have_their_own_friction_and_length(
     tmp_path: Path, tendon: str
 ) -> None:
-    """Hip at 0.5 rad: 3.0 rad of tendon a, and 2.3 of tendon b by its table. The sheaths slide: exp(mu Theta) each.
+    """At a hip angle of 0.5 rad, tendon a has 3.0 rad and tendon b 2.3 rad. Sliding friction is exp(mu Theta).
 
-    Without torque the motor turns by half the difference of the path lengths, as its tendons then have one tension.
+    Without torque the motor turns by half the difference of the path lengths, so that both tendons have the same
+    tension.
     """
     knee = {"kind": "sine", "amplitude": 0.5, "frequency": 0.2, "ramp": 0.001}
     made, axes = machine(files(tmp_path, two(tendon, STILL, knee), routing=APART))
@@ -151,7 +152,7 @@ def test_a_routing_that_does_not_fit_the_plant_is_refused(tmp_path: Path, routin
         check(files(tmp_path, two("full", HIP, {"kind": "still"}), routing=routing))
 
 
-# A limb by MuJoCo
+# A limb in MuJoCo
 
 PENDULUM = """\
 <mujoco><option gravity="0 0 -9.81"/><worldbody><body>
@@ -164,7 +165,7 @@ LEG = [{"name": name, "tendon": {"kind": "distributed"}} for name in ("hip", "kn
 
 def pendulum(folder: Path, inertia: float, damping: float, weight: float) -> dict[str, str]:
     """Write the MJCF of a pendulum: `inertia` (kg*m^2) about its joint, `weight` m g l (N*m), `damping` (N*m*s/rad)."""
-    mass = 2.0 * weight**2 / 9.81**2 / inertia  # half of the inertia is that of the mass at its arm
+    mass = 2.0 * weight**2 / 9.81**2 / inertia  # the mass at its arm has half of the inertia
     arm = weight / 9.81 / mass
     text = PENDULUM.format(damping=damping, arm=arm, mass=mass, inertia=0.5 * inertia)
     (folder / "pendulum.xml").write_text(text)
@@ -172,7 +173,7 @@ def pendulum(folder: Path, inertia: float, damping: float, weight: float) -> dic
 
 
 def swing(made: Machine, axes: dict[str, Axis], torques: dict[str, float], seconds: float) -> dict[str, Any]:
-    """Let each motor pull by a sine of 0.8 Hz; return all that `run` does."""
+    """Drive each motor with a sine of 0.8 Hz, and return the result of `run`."""
     logs = []
     for i in range(round(seconds / 5e-3)):
         for place, (name, torque) in enumerate(torques.items()):
@@ -185,9 +186,9 @@ def swing(made: Machine, axes: dict[str, Axis], torques: dict[str, float], secon
 @pytest.mark.slow
 @pytest.mark.parametrize("load", [(0.02, 0.05, 1.0), (0.05, 0.1, 4.0)], ids=["weight", "limb"])
 def test_one_joint_of_a_limb_moves_as_the_joint_of_one_axis(tmp_path: Path, load: tuple[float, float, float]) -> None:
-    """A pendulum that swings by 0.9 to 5 rad: angle and speed at all times within 1 % of their range, torque by RMS.
+    """The pendulum swings by 0.9 to 5 rad. Angle and speed agree within 1 % of their range, and the torque by RMS.
 
-    At a reversal of the joint the torque jumps, one sample earlier or later.
+    At a reversal of the joint the torque jumps, possibly one sample earlier or later.
     """
     pytest.importorskip("mujoco", reason="the extra 'limb' is not installed")
     inertia, damping, weight = load
@@ -206,10 +207,10 @@ def test_one_joint_of_a_limb_moves_as_the_joint_of_one_axis(tmp_path: Path, load
 
 @pytest.mark.slow
 def test_a_leg_swings_and_stands_and_does_so_again_bit_by_bit(tmp_path: Path) -> None:
-    """Its joints stay within their limits, and no equation is left unsolved.
+    """Its joints stay within their limits, and no equation remains unsolved.
 
-    A stop is a spring with critical damping and a time constant of 50 ms: a joint that reaches it at the speed v goes
-    on by v 50 ms / e at most.
+    A stop is a spring with critical damping and a time constant of 50 ms. A joint that reaches it at the speed v
+    exceeds it by at most v 50 ms / e.
     """
     pytest.importorskip("mujoco", reason="the extra 'limb' is not installed")
     path = files(tmp_path, LEG, {"kind": "mujoco"}, "[routing]\njoints = { hip = 0.8 }\n")
@@ -231,7 +232,7 @@ def test_a_leg_swings_and_stands_and_does_so_again_bit_by_bit(tmp_path: Path) ->
 
 
 def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
-    """A hand of 40 N*m/rad at 0.5 rad against 4 N*m sin q: 0.46 rad; the tendons follow with a free motor."""
+    """A hand of 40 N*m/rad at 0.5 rad holds 4 N*m sin q at 0.46 rad. The motor is free."""
     pytest.importorskip("mujoco", reason="the extra 'limb' is not installed")
     hand = {"hand": [[0.0, 40.0, 2.0, 0.5], [10.0, 40.0, 2.0, 0.5]]}
     mechanism = pendulum(tmp_path, 0.05, 0.1, 4.0)

@@ -24,7 +24,7 @@ def test_a_gait_is_the_periodic_spline_through_its_points(period: float) -> None
 
 
 def test_a_plant_with_the_shipped_motion_starts_without_scipys_splines() -> None:
-    """0.8 of the 1.5 s that all of its imports took, and three times as much where a vcan's guest starts it."""
+    """They took 0.8 s of 1.5 s for all imports, and three times as long in a vcan guest."""
     code = (
         "import sys; from tsa_ctrl.plant import process; from tsa_ctrl.plant.motion import build_motion; "
         "from tsa_ctrl.plant.settings import MotionSettings; build_motion(MotionSettings()); "

@@ -1,4 +1,4 @@
-"""NMT, heartbeat, EMCY and PDO mapping of a simulated node: literal frames."""
+"""Test NMT, heartbeat, EMCY and PDO mapping of a simulated node with literal frames."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ def buses() -> Iterator[tuple[PythonCan, PythonCan]]:
 
 
 def answer(bus: PythonCan, node: int, done: threading.Event) -> None:
-    """As a node does: an upload of 0x1000:0 is answered."""
+    """Answer the upload of 0x1000:0 as a node does."""
     while not done.is_set():
         frame = bus.recv(0.02)
         if frame == (0x600 + node, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))):

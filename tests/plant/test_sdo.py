@@ -1,4 +1,4 @@
-"""SDO server: literal frames of CiA 301."""
+"""Test the SDO server with literal frames of CiA 301."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def server() -> SdoServer:
         ("4000100000000000", "4300100092010200"),  # upload u32
         ("2b171000e8030000", "6017100000000000"),  # download u16
         ("2f6060000a000000", "6060600000000000"),  # download i8
-        ("2271600018fc0000", "6071600000000000"),  # download without a size: that of the object
+        ("2271600018fc0000", "6071600000000000"),  # download without a size, which the object determines
         ("4000200100000000", "8000200111000906"),  # no such sub-index
         ("4001200000000000", "8001200000000206"),  # no such object
         ("2300100000000000", "8000100002000106"),  # read only
@@ -41,7 +41,7 @@ def server() -> SdoServer:
         ("2f6060000b000000", "8060600031000906"),  # too high
         ("2f606000fe000000", "8060600032000906"),  # too low
         ("a000100000000000", "8000100001000405"),  # block transfer, which is optional
-        ("6000000000000000", "8000000001000405"),  # a segment that belongs to nothing
+        ("6000000000000000", "8000000001000405"),  # a segment without a transfer
     ],
 )
 def test_one_request_has_one_response(server: SdoServer, request_frame: str, response: str) -> None:

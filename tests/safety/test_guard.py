@@ -61,7 +61,7 @@ def test_the_first_detection_is_forgiven() -> None:
     assert guard.back_off == RETURNED
     while guard.back_off == RETURNED:
         rig.run(PERIOD, speed=0.0)
-    rig.run(0.02, speed=0.0)  # the first 20 ms show that there is no step
+    rig.run(0.02, speed=0.0)  # the first 20 ms have no step
     assert guard.back_off == pytest.approx(0.9 + 0.021 / 0.3, abs=1e-6)
     assert guard.reason is Reason.PASSIVITY
     rig.run(0.01, speed=0.0)
@@ -126,7 +126,7 @@ def test_a_third_time_leaves_nothing() -> None:
 
 
 def test_the_second_time_is_seen_by_half_of_it() -> None:
-    """20 % too much at 1 rad/s is detected within 3 mJ at first and within half soon after.
+    """An excess of 20 % at 1 rad/s is detected within 3 mJ the first time, and within half of it soon after.
 
     Forgiveness restores 3 mJ.
     """
@@ -160,9 +160,9 @@ def test_what_is_long_ago_is_forgiven() -> None:
 
 
 def test_energy_that_no_loss_of_friction_explains_is_told_so() -> None:
-    """The friction agrees with the file, but 40 mN*m more are delivered.
+    """The friction agrees with the file, but 40 mN*m more torque is delivered.
 
-    The cause is the sensor's zero or a compensation above 1.
+    The cause is the zero of the sensor or a compensation above 1.
     """
     guard = Rig(share=1.0 - 0.04 / HALF_LOOP).run(0.2)
     assert guard.count == 1
@@ -219,7 +219,7 @@ def test_a_back_off_that_is_set_in_each_cycle_changes_nothing() -> None:
 
 
 def test_the_stretch_is_less_certain() -> None:
-    """The dead band is 10 % of the half loop with the elongation, and 1 % with a sensor."""
+    """The dead band is 10 % of the friction torque with the elongation, and 1 % with a sensor."""
     assert Rig(share=0.9, by_stretch=True).run(2.0).count == 0
     assert Rig(share=0.9).run(2.0).count > 0
     assert Rig(share=0.5, by_stretch=True).run(0.5).latched
@@ -267,7 +267,7 @@ def test_a_sensor_is_what_is_taken_for_granted() -> None:
 
 
 def test_a_reset_forgets_what_was_added_and_what_buzzed() -> None:
-    """The reset occurs just before either would be detected. It also cancels the reversal of the term."""
+    """The reset occurs just before detection of added energy or chatter. It also cancels the reversal of the term."""
     rig = Rig()
     rig.run(0.003)
     assert rig.guard.energy > 0.0
@@ -295,7 +295,7 @@ def test_periods_without_a_cycle_count_for_the_energy() -> None:
 
 
 def test_a_buzzing_motor_loses_half_of_the_term_within_the_fall_and_without_a_step() -> None:
-    """Nothing drove the joint, so nothing is reversed and no time is waited for, even after an earlier violation."""
+    """No energy was added, so the term is neither reversed nor delayed, even after an earlier violation."""
     for before in (0, 1):
         rig = Rig()
         if before:
@@ -310,7 +310,7 @@ def test_a_buzzing_motor_loses_half_of_the_term_within_the_fall_and_without_a_st
 
 
 def test_what_is_latched_and_wrong_again_is_left_at_nothing() -> None:
-    """It holds after any pause and for any kind of violation."""
+    """The compensation stays 0 after any pause and for any kind of violation."""
     for pause in (0.1, FORGIVEN + 1.0):
         rig = Rig()
         rig.run(0.5)
@@ -324,6 +324,6 @@ def test_what_is_latched_and_wrong_again_is_left_at_nothing() -> None:
 
 
 def test_how_long_it_took_is_told() -> None:
-    """0.2 mJ per millisecond and 1 mJ predicted at the end give 10 ms, plus a few for the uncertainty."""
+    """0.2 mJ per millisecond and 1 mJ predicted at the end give 10 ms, plus some for the uncertainty."""
     guard = Rig(share=0.6).run(0.1)
     assert 8 <= int(guard.words.split("within ")[1].split(" ms")[0]) <= 20

@@ -1,4 +1,4 @@
-"""The limiter: faults give 0 at once, limits reduce the torque, and the torque never exceeds the request."""
+"""The limiter: a fault sets the torque to 0 at once, limits reduce it, and it never exceeds the request."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_passes_what_breaks_no_limit() -> None:
     ],
 )
 def test_fault_gives_zero_in_the_same_cycle(change: dict[str, Any], reason: Reason) -> None:
-    """A fault takes the torque to exactly 0 at once and is given as the reason."""
+    """After a fault the torque is exactly 0 at once, and the fault is the reason."""
     limiter = Limiter(LOOSE, PERIOD)
     limiter.update(1.5, **CALM)
     assert limiter.update(1.5, **{**CALM, **change}) == (0.0, reason)
@@ -68,7 +68,7 @@ def test_fault_gives_zero_in_the_same_cycle(change: dict[str, Any], reason: Reas
 
 @pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf])
 def test_wanted_torque_must_be_finite(wanted: float) -> None:
-    """A law whose torque is not finite sends nothing."""
+    """A torque of the law that is not finite is never sent."""
     assert Limiter(LOOSE, PERIOD).update(wanted, **CALM) == (0.0, Reason.NOT_FINITE)
 
 
@@ -121,7 +121,7 @@ def test_command_stays_near_the_measured_torque() -> None:
 
 @pytest.mark.parametrize("measured", [5.0, -5.0])
 def test_a_lying_torque_cannot_pull_the_command_along(measured: float) -> None:
-    """A measured torque far away reduces the command at most to 0. It never reverses or increases it."""
+    """A distant measured torque reduces the command at most to 0. It never reverses or increases it."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.5), PERIOD)
     torque, _ = limiter.update(0.3, **{**CALM, "tau_m": measured})
     assert torque in (0.0, 0.3)

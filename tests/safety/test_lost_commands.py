@@ -8,8 +8,9 @@ from tsa_ctrl.safety.lost_commands import LostCommands
 
 
 def play(check: LostCommands, hearing: Hearing, every: int, cycles: int = 2000) -> int | None:
-    """Return the cycle of 1 ms in which it is detected, with one missed command every `every` cycles; None if it is
-    not.
+    """Return the cycle of 1 ms in which lost commands are detected, or None if they are not.
+
+    One command is missed in every `every` cycles.
     """
     for cycle in range(1, cycles):
         hearing.asked += 1

@@ -88,7 +88,7 @@ def test_what_the_term_did_not_give_does_not_count() -> None:
 
 
 def given(passivity: Passivity, swings: np.ndarray) -> float:
-    """Return the energy (J) that 0.3 N*m too much supply at 0.5 rad/s until detection.
+    """Return the energy (J) that an excess of 0.3 N*m adds at 0.5 rad/s until detection.
 
     `swings` is the kinetic energy (J) of the motor in each cycle.
     """

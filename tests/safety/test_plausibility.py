@@ -220,7 +220,7 @@ def look(
 ) -> str:
     """Return the finding of one cycle with the joint at rest, or "".
 
-    The torque follows the command unless it is given.
+    Without an argument the torque follows the command.
     """
     feedback = (command if tau_m is None else tau_m, q_m, 0.0)
     wrong = check.update(time, command, feedback, 0.0, tau_j, (predicted(feedback[0], sigma),) * 2)
@@ -291,7 +291,7 @@ def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
 
 
 def test_creeping_apart_is_noticed() -> None:
-    """The reference is the position at the enable, not that of the last cycle."""
+    """The reference is the position at the enable, not the position in the last cycle."""
     check = at_rest(slip=0.25)
     found = [look(check, 0.01 * n, q_m=0.01 * n) for n in range(40)]
     assert [bool(text) for text in found] == [False] * 27 + [True] * 13

@@ -279,11 +279,10 @@ def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tend
 
 
 def falls(itself: float, yields: float) -> Finding | None:
-    """Return the finding while the torque falls after a reversal of the tendon, with a polarity that was shown before.
+    """Return the finding while the torque falls after a reversal of the tendon, with a polarity shown before.
 
     The torque falls by 0.5 N*m within 0.5 s, in a sheath whose friction holds it. `itself` and `yields` are the motion
-    of
-    motor and joint meanwhile (rad at the motor).
+    of motor and joint meanwhile (rad at the motor).
     """
     sense = PolarityCheck(2.0, GEARED, PERIOD, 0.033)
     for n in range(1400):
@@ -301,7 +300,7 @@ def falls(itself: float, yields: float) -> Finding | None:
 def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_motor(yields: float) -> None:
     """A wearer lets the joint move back a little.
 
-    The motor stands still while its torque changes within its friction.
+    The motor is at rest while its torque changes within its friction.
     """
     assert falls(0.0, yields) is None
     assert falls(0.2 * -yields, 0.8 * yields) is None  # the sheath gives a little
@@ -639,10 +638,10 @@ def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: 
 
 
 def swung(error: float, elongation: float, frequency: float) -> list[str | None]:
-    """Return the finding of each cycle for a joint that is swung by half a radian, with radii that are wrong by
-    `error`.
+    """Return the finding of each cycle for a joint that swings by half a radian.
 
-    `elongation`: rad at the motor by the torque's amplitude, negative for a reversed motor.
+    The radii are wrong by `error`. `elongation` is in rad at the motor at the torque's amplitude, and negative for a
+    reversed motor.
     """
     t, beats = np.arange(3000) * PERIOD, 2.0 * math.pi * 1.3
     wave = np.sin(2.0 * math.pi * frequency * t)

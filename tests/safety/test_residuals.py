@@ -122,7 +122,7 @@ def test_a_step_of_a_motor_that_rings_on_its_tendons_stops_nothing() -> None:
 
 @pytest.mark.parametrize("friction", [0.4, 0.6, 0.75])
 def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(friction: float) -> None:
-    """The torque resembles that of a human-in-the-loop load at a friction angle of 0.8.
+    """The torque is like the torque with a human-in-the-loop load at a friction angle of 0.8.
 
     The motor follows the torque at a distance of `friction` N*m and rests while the torque reverses.
     """

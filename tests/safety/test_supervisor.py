@@ -494,7 +494,7 @@ def test_repeated_pdos_of_a_node_in_a_twentieth_of_the_cycles_are_a_second_node(
 
 
 def test_answers_that_are_late_by_a_period_are_no_second_drive() -> None:
-    """An answer that comes twice in a cycle is one that another cycle missed. Any further answer is one too many."""
+    """A second answer in a cycle belongs to a cycle that missed its answer. Any further answer is a surplus."""
     bench = Bench()
     bench.supervisor = Supervisor(SupervisionSettings(lost_share=1.0), rate=1000.0)
     bench.step(Request.DISABLE, 5)

@@ -1,7 +1,7 @@
 """The supervisor compared with a small model of it, for any sequence of events (stateful tests of hypothesis).
 
-The model knows four things: if a fault is latched, if the nodes must be configured again, if a request for torque would
-count, and if torque is allowed. It does not use the supervisor's own phases.
+The model tracks if a fault is latched, if the nodes must be configured again, if a request for torque would count, and
+if torque is allowed. It does not use the supervisor's own phases.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Model(RuleBasedStateMachine):
 
     @rule()
     def want_torque(self) -> None:
-        """Disable, then enable: from a state without a fault, this must give torque."""
+        """Disable, then enable. Without a fault, this must enable the torque."""
         for request, cycles in ((Request.DISABLE, 5), (Request.ENABLE, 10)):
             for _ in range(cycles):
                 self.cycle(request)

@@ -1,7 +1,8 @@
-"""Two CAN adapters for serial lines ("slcan", the LAWICEL language) on one bus, played over pseudo-terminals.
+"""Simulate two serial CAN adapters ("slcan", the LAWICEL language) on one bus with pseudo-terminals.
 
-What a program sends to the one comes out of the other: t and T carry frames, everything else is answered with a bell
-or a carriage return, as adapters do. Half lines wait for their rest; noise is answered with a bell and goes nowhere.
+A frame (t or T) that a program sends to one adapter arrives at the other one. Any other line is answered with a bell or
+a carriage return, as real adapters do. Incomplete lines wait for their end, and invalid lines are answered with a bell
+and discarded.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ LONGEST = 32  # bytes of a line
 
 
 class Adapter:
-    """One adapter; a program opens `path`."""
+    """One adapter. A program opens `path`."""
 
     def __init__(self) -> None:
         self.ours, self._theirs = os.openpty()
@@ -30,7 +31,7 @@ class Adapter:
         self._rest = b""
 
     def read(self) -> list[bytes]:
-        """Frames of the complete lines that the program has sent."""
+        """Return the frames in the complete lines that the program has sent."""
         try:
             *lines, self._rest = (self._rest + os.read(self.ours, 65536)).split(b"\r")
         except BlockingIOError:
@@ -40,7 +41,7 @@ class Adapter:
 
     def write(self, line: bytes) -> None:
         if self.open:
-            with contextlib.suppress(BlockingIOError):  # an adapter whose buffer is full loses the frame
+            with contextlib.suppress(BlockingIOError):  # an adapter with a full buffer loses the frame
                 os.write(self.ours, line + b"\r")
 
     def close(self) -> None:
@@ -57,7 +58,7 @@ class Adapter:
 
 
 class AdapterPair:
-    """Two adapters on one bus, carried by a thread while the block lasts."""
+    """Two adapters on one bus. A thread transfers the frames while the context is open."""
 
     def __enter__(self) -> tuple[str, str]:
         self._adapters = Adapter(), Adapter()

@@ -1,4 +1,4 @@
-"""A pseudo-terminal pair that can be unplugged and plugged in again, and waiting with a deadline."""
+"""Provide a pseudo-terminal pair that can be unplugged and plugged in again, and waiting with a deadline."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-PATIENCE = 15.0  # s until a condition must hold, on a slow machine
+PATIENCE = 15.0  # s until a condition must be met on a slow machine
 
 
 class Line:

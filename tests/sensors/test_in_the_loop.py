@@ -22,7 +22,7 @@ CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
 def controller(folder: Path, serial: str, can_sensor: bool = False, estimator: str = "fixed") -> Path:
-    """The example configuration with these serial sensors, and the joint torque sensor on CAN only if asked for."""
+    """Return the example configuration with these serial sensors, and optionally the joint torque sensor on CAN."""
     (folder / "actuator.toml").write_text((CONFIG / "actuator.toml").read_text())
     text = (CONFIG / "controller.toml").read_text()
     if not can_sensor:
@@ -90,12 +90,12 @@ def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> N
 
 
 MAP = (('# kind = "sensor"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
-THETA = "Sensors on serial lines that send"  # where the example speaks of them
+THETA = "Sensors on serial lines that send"  # heading of the example's section
 
 
 def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Path) -> None:
     port = sensor("theta", "/dev/nothing", "scale = 0.0174532925")
-    still = ("amplitude = 0.5", "amplitude = 0.0")  # the motor of this bus rests, so no torque may act on it
+    still = ("amplitude = 0.5", "amplitude = 0.0")  # the motor in this test is at rest, so no torque may act on it
     machine = Machine(tmp_path, *MAP, still, (f"# {THETA}", f"{port}\n# {THETA}"))
     try:
         model, says = machine.axis.model, [1.2]
@@ -169,7 +169,7 @@ def test_a_temperature_and_its_sensor_belong_together(tmp_path: Path, source: st
 
 
 def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:
-    """Friction grows by 1 %/K. A jump of the reading by 10 K changes it by 2 K/s; without a reading it stays."""
+    """Friction grows by 1 %/K. After a jump of 10 K it changes at 2 K/s, and without a reading it stays constant."""
     port = sensor("temperature", "/dev/nothing")
     still = ("amplitude = 0.5", "amplitude = 0.0")
     warm = ('# source = "none"  ', 'source = "serial"  ')

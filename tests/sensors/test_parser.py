@@ -1,4 +1,4 @@
-"""The line parser: values of whole lines only, whatever the line does."""
+"""The line parser returns values of complete lines only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reading process over a pseudo-terminal pair: noise, cuts, silence, unplugging, and the daemon's death."""
+"""Test the reading process on a pseudo-terminal pair: noise, partial lines, silence, unplugging, end of the daemon."""
 
 from __future__ import annotations
 
@@ -140,6 +140,6 @@ def test_a_slot_is_read_whole_while_another_process_writes_it() -> None:
         os.kill(writer, signal.SIGKILL)
         os.waitpid(writer, 0)
         slots.close()
-    assert found[-1].count > found[0].count  # without end it is overwritten at times: then there is no reading
+    assert found[-1].count > found[0].count  # a value may be overwritten during reading, which gives no reading
     for reading in found:
         assert reading.value == reading.time == reading.count == reading.rejected

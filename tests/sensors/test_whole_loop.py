@@ -1,4 +1,4 @@
-"""The whole loop over serial lines: drive and encoder behind a serial CAN adapter, a load cell that sends text."""
+"""Test the whole loop on serial lines, with drive and encoder behind a serial CAN adapter, and a load cell."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.system.process_supervisor import daemon, plant
 
-RATE = 100.0  # Hz: ten frames per cycle through two interpreters
+RATE = 100.0  # Hz; ten frames per cycle pass two Python processes
 SECONDS = 6.0
 LOAD_CELL = """
 [[axis.serial]]
@@ -84,7 +84,7 @@ def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tm
     course = course_of(tmp_path, summary, SECONDS)
     columns = read_table(course.log).columns
     ratio = rig.NOMINAL.joint_pulley_radius / rig.NOMINAL.motor_pulley_radius
-    friction = ratio * float(np.sqrt(np.nanmean(np.square(columns["friction_term"]))))  # what would be missing without
+    friction = ratio * float(np.sqrt(np.nanmean(np.square(columns["friction_term"]))))  # the error without compensation
     assert course.rms < 0.6 * friction
     t1 = columns["t1"]
     assert np.nanmax(t1) == np.nanmin(t1) == pytest.approx(4.5 * 9.80665)

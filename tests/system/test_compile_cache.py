@@ -1,4 +1,4 @@
-"""Compiled functions are kept where this user can write, and a machine without such a place still works."""
+"""Compiled functions are stored where the user can write. A machine without such a folder still works."""
 
 from __future__ import annotations
 

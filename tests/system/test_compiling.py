@@ -1,4 +1,4 @@
-"""One notice at the first compilation on a machine, none afterwards."""
+"""The first compilation on a machine prints one notice, and later ones none."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Large arrays go back to the system when they are done with, whatever lies above them."""
+"""Large arrays are returned to the system when they are deleted, even if other arrays remain above them."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 
-# Twelve arrays of 16 MB of which every second one is dropped, once glibc has raised its threshold over their size:
-# the six that are needed are 101 MB; without the call all twelve stay, 201 MB, with most ways in which a heap can grow.
+# Every second one of twelve arrays of 16 MB is deleted, after glibc has raised its threshold above this size.
+# The remaining six need 101 MB. Without the call all twelve stay, with 201 MB, for most patterns of heap growth.
 PROGRAM = """
 import os
 import numpy as np

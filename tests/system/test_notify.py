@@ -1,4 +1,4 @@
-"""The service manager's protocol, from a socket that the test listens on; and the unit file."""
+"""Test the protocol of the service manager on a socket, and the unit file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNIT = ROOT / "config" / "tsa.service"
 
 
 class Manager:
-    """The service manager's end of the socket: the messages in order."""
+    """The service manager's end of the socket, which returns the messages in order."""
 
     def __init__(self, address: str) -> None:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -52,7 +52,7 @@ def update(notifier: Notifier, now: float, phase: LoopPhase) -> None:
 
 
 def test_ready_comes_once_and_only_with_torque_or_a_latched_fault(manager: Manager, tmp_path: Path) -> None:
-    """Not while the bus is brought up or settles; a start that latched has started."""
+    """READY is not sent during bring-up or settling. It is sent for a startup that ends in a latched fault."""
     notifier = Notifier(asked(tmp_path))
     update(notifier, 0.0, LoopPhase.SETTLING)
     assert manager.heard() == []
@@ -64,7 +64,7 @@ def test_ready_comes_once_and_only_with_torque_or_a_latched_fault(manager: Manag
 
 
 def test_signs_of_life_come_four_times_per_interval(manager: Manager, tmp_path: Path) -> None:
-    """WATCHDOG_USEC asks for them; at 50 looks per second 4 are sent in the 2 s."""
+    """WATCHDOG_USEC requests them. At 50 updates per second, 4 are sent in 2 s."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="2000000", WATCHDOG_PID=str(os.getpid())))
     for look in range(100):
         update(notifier, 0.02 * look, LoopPhase.SETTLING)
@@ -76,7 +76,7 @@ def test_signs_of_life_come_four_times_per_interval(manager: Manager, tmp_path: 
     "more", [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "x"}, {"WATCHDOG_USEC": "9", "WATCHDOG_PID": "1"}]
 )
 def test_no_signs_of_life_for_somebody_else(manager: Manager, tmp_path: Path, more: dict[str, str]) -> None:
-    """Without the variable, without sense in it, or for another process: none."""
+    """Nothing is sent if the variable is absent or invalid, or is meant for another process."""
     notifier = Notifier(asked(tmp_path, **more))
     update(notifier, 0.0, LoopPhase.SETTLING)
     assert manager.heard() == []
@@ -84,7 +84,7 @@ def test_no_signs_of_life_for_somebody_else(manager: Manager, tmp_path: Path, mo
 
 
 def test_a_bring_up_may_take_longer(manager: Manager, tmp_path: Path) -> None:
-    """Without a loop the manager waits longer, and afterwards as before."""
+    """The watchdog time is extended while no loop runs, and then restored."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="2000000"))
     with notifier.no_loop():
         assert manager.heard() == [f"WATCHDOG_USEC={round(LONGEST * 1e6)}\nWATCHDOG=1"]
@@ -94,7 +94,7 @@ def test_a_bring_up_may_take_longer(manager: Manager, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("phase", [LoopPhase.STOPPING, LoopPhase.ENDED])
 def test_stopping_is_said_once(manager: Manager, tmp_path: Path, phase: LoopPhase) -> None:
-    """With a ramp to 0 or without one; and from then on nothing is hurried."""
+    """STOPPING is sent once, with or without a ramp to 0, and the watchdog time is extended."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="2000000"))
     for look in range(3):
         update(notifier, 0.02 * look, phase)
@@ -104,14 +104,14 @@ def test_stopping_is_said_once(manager: Manager, tmp_path: Path, phase: LoopPhas
 
 @pytest.mark.parametrize("address", ["", "/nowhere/notify", "@tsa-nobody"])
 def test_nobody_there_is_no_matter(address: str) -> None:
-    """A manager that is not there or gone never stops the loop."""
+    """A missing manager never stops the loop."""
     notifier = Notifier({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000"})
     update(notifier, 0.0, LoopPhase.RUNNING)
     notifier.close()
 
 
 def test_a_manager_that_does_not_read_is_not_waited_for(manager: Manager, tmp_path: Path) -> None:
-    """A full queue drops signs of life; the call returns."""
+    """If the queue is full, messages are dropped and the call returns."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="4"))
     for look in range(5000):
         update(notifier, 1e-3 * look, LoopPhase.RUNNING)
@@ -128,14 +128,14 @@ def test_unit_says_what_the_daemon_keeps_to() -> None:
     assert service["Type"] == "notify"
     assert float(service["WatchdogSec"]) > 0.0
     assert service["Restart"] == "no"
-    assert service["KillMode"] == "process"  # the monitor outlives the daemon until the torque is gone
+    assert service["KillMode"] == "process"  # the monitor outlives the daemon until the torque is off
     assert int(service["LimitRTPRIO"]) >= 80  # [realtime] priority
     assert service["LimitMEMLOCK"] == "infinity"
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze: install systemd")
 def test_unit_is_good_for_systemd_itself(tmp_path: Path) -> None:
-    """systemd-analyze verify reports nothing once command and user exist on this machine."""
+    """systemd-analyze verify reports no problem if command and user exist on this machine."""
     text = UNIT.read_text(encoding="utf-8").replace("/opt/tsa/bin/tsa", "/bin/true").replace("User=tsa", "User=root")
     unit = tmp_path / "tsa.service"
     unit.write_text(text.replace("Group=tsa", "Group=root"), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The processes of the demo end with it, however it ends."""
+"""The processes of the demo end when the demo ends, also after a crash."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A worker that dies or hangs is replaced, one that has done its work is not, and none outlives its supervisor."""
+"""The supervisor replaces a worker that dies or hangs, but not one that has finished. No worker outlives it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ sys.exit(process_supervisor.supervise(work, left, lambda: heard[0], 0.3, replace
 
 
 class Kept:
-    """A supervisor whose workers never leave a sign of life, and so have 0.3 s each."""
+    """A supervisor whose workers send no sign of life, so that each one has 0.3 s."""
 
     def __init__(self, work: str) -> None:
         self.process = subprocess.Popen(
@@ -80,7 +80,7 @@ def test_worker_that_dies_or_hangs_is_gone_before_the_next_begins(
 
 
 def test_worker_that_always_fails_is_replaced_as_long_as_the_parent_lives(kept: Callable[[str], Kept]) -> None:
-    """A server that ten crashes end permanently would leave a daemon without socket."""
+    """A daemon must not lose its socket permanently after ten crashes of the server."""
     one = kept("os._exit(1)")
     for number in range(30):
         assert one.line()[:2] == ("worker", number)
@@ -89,7 +89,7 @@ def test_worker_that_always_fails_is_replaced_as_long_as_the_parent_lives(kept: 
 
 
 def test_worker_that_always_fails_is_given_up_once_the_parent_has_ended() -> None:
-    """The shell is the parent that ends; the output ends with the last process that holds it."""
+    """The shell is the parent that ends. Its output closes when the last process that holds it has ended."""
     program = PROGRAM.format(work="os._exit(1)")
     command = ["sh", "-c", '"$0" -c "$1" & sleep 0.3', sys.executable, program]
     output = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=60, check=True).stdout

@@ -1,4 +1,4 @@
-"""Real time: deadlines on a grid, skipped periods counted, rights as the kernel reports them."""
+"""Test deadlines on a grid, the count of skipped periods, and the rights that the kernel reports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PERIOD = 1_000_000
 
 @given(ended=st.integers(0, 100 * PERIOD))
 def test_overrun_skips_whole_periods(ended: int) -> None:
-    """A cycle that ends after the next deadline skips to the first one that is still ahead, on the grid."""
+    """A cycle that ends after the next deadline continues at the first future deadline on the grid."""
     ticker = Ticker(PERIOD, 0)
     assert ticker.advance(ended) == ticker.skipped == max(0, -(-ended // PERIOD) - 1)
     assert ticker.deadline == PERIOD * (1 + ticker.skipped) >= ended
@@ -28,7 +28,7 @@ def test_overrun_skips_whole_periods(ended: int) -> None:
 
 
 def overran(share: float, took: float, rate: int = 1000, seconds: float = 1.0) -> Ticker:
-    """Run a loop of which a share of the cycles takes `took` s; the others take a tenth of their period."""
+    """Run a loop in which a share of the cycles takes `took` s. The other cycles take a tenth of a period."""
     period = round(1e9 / rate)
     ticker = Ticker(period, 0)
     due = 0.0
@@ -62,7 +62,7 @@ def test_a_rate_is_named_where_more_than_one_cycle_in_a_hundred_overruns(share: 
 
 @pytest.mark.parametrize("at", [0.1, 0.9, 0.95, 1.4])
 def test_the_worst_second_does_not_depend_on_when_it_is_looked_at(at: float) -> None:
-    """40 periods are skipped within 80 ms, some of them before and some after the last look at 0.92 s."""
+    """40 periods are skipped within 80 ms, partly before and partly after the query at 0.92 s."""
     ticker = Ticker(PERIOD, 0)
     while ticker.deadline < 1.9e9:
         burst = at <= 1e-9 * ticker.deadline < at + 0.08
@@ -87,7 +87,7 @@ def test_sleep_until_is_never_early() -> None:
 
 
 def test_sleep_until_the_past_returns() -> None:
-    """A deadline that is over does not block."""
+    """A past deadline does not block."""
     sleep_until(time.monotonic_ns() - 1_000_000_000)
 
 
@@ -96,14 +96,14 @@ def refuse(*_: object) -> None:
 
 
 def test_missing_rights_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the scheduler's permission the run is refused, with what to do."""
+    """Without permission for the scheduler the run is rejected with a remedy."""
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     with pytest.raises(BusError, match=r"SCHED_FIFO 80 refused.*rtprio.*allow_without"):
         realtime.acquire(RealtimeSettings(lock_memory=False))
 
 
 def test_missing_rights_are_told_where_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """If the configuration allows it, missing rights are reported, and the effective ones are read back."""
+    """If the configuration allows it, missing rights are reported, and the effective rights are read back."""
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     rights = realtime.acquire(RealtimeSettings(lock_memory=False, allow_without=True))
     assert not rights.fifo
@@ -112,7 +112,7 @@ def test_missing_rights_are_told_where_allowed(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_garbage_collection_is_frozen_and_given_back() -> None:
-    """No collection runs during the loop; afterwards it does again."""
+    """No garbage collection runs during the loop. Afterwards it is enabled again."""
     realtime.freeze_garbage()
     try:
         assert not gc.isenabled()

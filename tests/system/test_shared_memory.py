@@ -1,4 +1,4 @@
-"""Whatever a reader meets in shared memory, it takes nothing for a value that was not written so."""
+"""A reader of shared memory never accepts a value that was not written completely."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_memory_that_nobody_wrote_holds_nothing(memory: SharedMemory) -> None:
 
 @given(st.lists(st.booleans(), min_size=WORDS, max_size=WORDS), st.integers(1, 1000))
 def test_a_write_of_which_any_part_has_arrived_is_whole_or_nothing(arrived: list[bool], before: int) -> None:
-    """As on a processor that shows the writes of another one in any order (ARM)."""
+    """Some processors (ARM) make the writes of another processor visible in any order."""
     memory = SharedMemory(space(1, SIZE))
     places = Places(memory, 0, 1, SIZE)
     places.write(before, content(before))
@@ -75,7 +75,7 @@ def test_a_writer_stopped_in_the_middle_of_a_write_leaves_what_was_before(memory
         newest.write(content(n))
     half = bytes(memory.bytes)
     newest.write(content(number + 1))
-    at = (number + 1) % 2 * space(1, SIZE) + 24  # the rest of it never came
+    at = (number + 1) % 2 * space(1, SIZE) + 24  # the remaining bytes were not written
     memory.bytes[at:] = half[at:]
     assert Newest(memory, 0, SIZE).read() == (number, content(number))
 
@@ -93,7 +93,7 @@ def test_what_is_taken_is_the_newest_and_taken_once(memory: SharedMemory) -> Non
         writer.write(content)
     assert [reader.take(), reader.take()] == [b"third", None]
     writer.write(b"fourth")
-    memory.bytes[0] ^= 0xFF  # the place that it lies in is not whole yet
+    memory.bytes[0] ^= 0xFF  # its slot is not complete yet
     assert reader.take() is None
     memory.bytes[0] ^= 0xFF
     assert [reader.take(), reader.take()] == [b"fourth", None]

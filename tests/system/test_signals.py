@@ -12,7 +12,7 @@ def tell_mask(pipe: Connection) -> None:
 
 
 def test_ctrl_c_never_reaches_a_child_and_its_parent_hears_it_again() -> None:
-    """The signals are ignored from the child's first instruction on; its imports take a second."""
+    """The child ignores the signals from its first instruction on. Its imports take a second."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=tell_mask, args=(theirs,), daemon=True)

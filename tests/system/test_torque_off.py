@@ -1,4 +1,4 @@
-"""Outputs for safe torque off: a pseudo-terminal, a command, a GPIO library in place of the real one."""
+"""Test the outputs for safe torque off with a pseudo-terminal, a command and a fake GPIO library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A share of the runaway campaign with a fresh seed at each run: 2 % of its cases, at most 30 s of a processor."""
+"""Run 2 % of the cases of the runaway campaigns with a new seed in each run, in at most 30 s of processor time."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from tools.bench import checks
 from tools.campaign.passive import cases, changes, scan
 from tools.campaign.passive.experiment import SENSORS
 
-SHARE, SECONDS = 0.02, 8.0  # of the cases; s of processor time of each campaign
+SHARE, SECONDS = 0.02, 8.0  # share of the cases; s of processor time of each campaign
 PROMISED = ("sensor",)  # configurations in which no cell of the scan sustains a motion
-SCANNED = 25e-3  # J: a free joint with 0.9 of the friction gets 19 mJ, above the goal of 10, from the guard's tolerance
-SURE = 0.5  # J that no change may add where a joint torque sensor shows it
-FASTEST = 15.0  # rad/s: [axis.limits] over_speed is 12 rad/s as shipped
+SCANNED = 25e-3  # J; a free joint with 0.9 of the friction gets 19 mJ, while the campaign's goal is 10 mJ
+SURE = 0.5  # J that a change may add at most with a joint torque sensor
+FASTEST = 15.0  # rad/s; [axis.limits] over_speed is 12 rad/s as shipped
 SEED = secrets.randbelow(10**6)
 
 
 def drawn(every: Sequence[Any], play: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
-    """Play a share of all, in a drawn order, until the time is over."""
+    """Run a share of the items in random order until the time is over."""
     print(f"seed {SEED}")
     begun = time.process_time()
     rows = []

@@ -1,4 +1,4 @@
-"""The list of compiled modules holds nothing that mypyc compiles wrongly, and both builds compute the same."""
+"""The compiled modules have no construct that mypyc compiles incorrectly, and both builds have the same results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def defaults(arguments: ast.arguments) -> list[ast.expr]:
 
 
 def forbidden(tree: ast.Module) -> set[str]:
-    """Return what mypyc must not see: settings, structures of C, TypeVars with values, defaults of a Protocol."""
+    """Return constructs that mypyc compiles incorrectly: settings, ctypes structures, some TypeVars and Protocols."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef):
@@ -88,7 +88,7 @@ def test_compiled_and_interpreted_classes_do_not_inherit_from_each_other() -> No
 
 
 def test_the_cycle_is_in_the_list() -> None:
-    """`tsa doctor` and the header of a log judge the build by this module."""
+    """`tsa doctor` and the header of a log determine the kind of build from this module."""
     from tsa_ctrl.version import CYCLE
 
     assert f"{CYCLE.replace('.', '/')}.py" in MODULES
@@ -108,7 +108,7 @@ def test_without_the_variable_nothing_is_compiled(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_editable_compiled_build_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It would go on with the old machine code after a change of the source."""
+    """It would continue to run the old machine code after a change of the source."""
     monkeypatch.setenv("TSA_COMPILE", "1")
     with pytest.raises(ValueError, match="without --editable"):
         backend().get_requires_for_build_editable()
@@ -125,7 +125,7 @@ def test_both_builds_give_the_same_log_and_truth() -> None:
 
 
 def test_settings_reject_unknown_keys_and_changes() -> None:
-    """The same in both builds: the settings of the loop are read strictly."""
+    """The settings of the loop are strict in both builds."""
     from tsa_ctrl.control.settings import LawSettings
 
     with pytest.raises(msgspec.ValidationError, match="unknown field"):

@@ -1,4 +1,4 @@
-"""tools/environment.sh: what a bare machine lacks is said in one line; what was compiled is kept."""
+"""tools/environment.sh reports a missing requirement in one line, and keeps the compiled build."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ esac
     ],
 )
 def test_a_lack_is_one_line(tmp_path: Path, python: str, message: str) -> None:
-    """tools/demo on a machine whose python3 is too old, has no venv, or reaches no registry."""
+    """tools/demo runs on a machine whose python3 is too old or has no venv, or that reaches no registry."""
     (tmp_path / "tools").mkdir()
     for name in ("environment.sh", "demo"):
         shutil.copy(ROOT / "tools" / name, tmp_path / "tools")

@@ -1,4 +1,4 @@
-"""The manual's generated parts are what their sources say, its links lead somewhere, and its pages are short."""
+"""The manual's generated parts equal their sources, its links exist, and its pages are short."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The notebooks run from the first cell to the last, and reach the results that their text promises."""
+"""The notebooks run completely, and their results agree with their text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The distribution holds what a bare install needs, an index would take it, and every dependency's licence is known."""
+"""The distribution is complete and acceptable for an index, and the licences of all dependencies are known."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_wheel_alone_has_pages_files_and_profiles(wheel: Path, tmp_path: Path) -> None:
-    """Run from the unpacked wheel, not from this checkout: the page of every topic, and example files."""
+    """The unpacked wheel has the page of every topic and the example files."""
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
 
@@ -43,7 +43,7 @@ def test_the_wheel_alone_has_pages_files_and_profiles(wheel: Path, tmp_path: Pat
         [sys.executable, "-c", every], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert told.stdout == "# \n" * len(TOPICS)
-    tsa("init", "--desk", "rig")  # a rig is refused until its empty values are filled in
+    tsa("init", "--desk", "rig")  # a rig is rejected until its empty values are filled in
     assert sorted(path.name for path in (tmp_path / "rig" / "drives").iterdir()) == sorted(
         path.name for path in (ROOT / "config" / "drives").iterdir()
     )
@@ -72,6 +72,6 @@ def test_the_licence_is_apache_and_travels_with_the_wheel(wheel: Path) -> None:
 
 
 def test_no_hint_installs_a_name_of_an_index() -> None:
-    """The name of this project in an index is free, or belongs to another project."""
+    """In an index, this project's name is unused or belongs to another project."""
     line = ["git", "grep", "-nE", r"pip3? install [^`|]*tsa[-_]ctrl", "--", ":!tests/tools/test_package.py"]
     assert subprocess.run(line, cwd=ROOT, capture_output=True, text=True).stdout == ""

@@ -1,4 +1,4 @@
-"""Every command on a page or in a help text exists and accepts the shown options; a block without a rig is run."""
+"""Every command in a page or a help text exists and accepts the shown options. Blocks that need no rig are run."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from tsa_ctrl.cli import cli
 BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
 COMMANDS = ("tsa ", "tools/run ", ".venv/bin/tsa ")
-SKIPPED_WORDS = {"&&", "|", ">", ">>", "&"}  # what follows is the shell's
+SKIPPED_WORDS = {"&&", "|", ">", ">>", "&"}  # the words after these belong to the shell
 
 
 def lines_of(text: str) -> Iterator[str]:
-    """Every command in a page: of blocks (a comment at the end left out) and between back-ticks."""
+    """Yield every command in a page, from blocks (without a trailing comment) and between back-ticks."""
     blocks = "".join(match[1] for match in BLOCK.finditer(text))
     spoken = (" ".join(match[1].split()) for match in INLINE.finditer(BLOCK.sub("", text)))
     for line in (*(line.split("  #")[0].split(" # ")[0].strip() for line in blocks.splitlines()), *spoken):
@@ -47,7 +47,7 @@ def words_of(line: str) -> list[str]:
 
 
 def parsed(line: str) -> None:
-    """Raise click's own error unless the verb exists and knows the options; nothing is run, no file is looked at."""
+    """Raise click's error if the command does not exist or does not have the options. Nothing is run."""
     context, command, words = click.Context(cli), cli, words_of(line)[1:]
     assert isinstance(command, click.Command)
     while isinstance(command, click.Group) and words and not words[0].startswith("-"):
@@ -57,7 +57,7 @@ def parsed(line: str) -> None:
     try:
         command.make_parser(context).parse_args([*words])
     except click.BadOptionUsage as error:
-        if error.option_name != words[-1]:  # a text may speak of an option without its value
+        if error.option_name != words[-1]:  # a page may mention an option without its value
             raise
 
 
@@ -103,7 +103,7 @@ def test_the_example_of_a_help_text_is_valid(verb: str) -> None:
 
 
 def test_what_is_wrong_in_a_page_is_found() -> None:
-    """The check itself can fail: an option and a verb that do not exist."""
+    """The check detects an option and a command that do not exist."""
     assert list(lines_of("a `tsa demo --virtual` b\n```\ntsa run x.toml  # words\n```\n")) == [
         "tsa run x.toml",
         "tsa demo --virtual",
@@ -114,7 +114,10 @@ def test_what_is_wrong_in_a_page_is_found() -> None:
 
 
 def write_foreign(path: Path) -> None:
-    """As other programs write: semicolons, decimal commas, ms, degrees, mN m. Coulomb friction 2 mN m, offset 1."""
+    """Write a table in the style of other programs: semicolons, decimal commas, ms, degrees, mN m.
+
+    The data have a Coulomb friction of 2 mN m and an offset of 1 mN m.
+    """
     t = np.arange(0.0, 10.0, 0.005)
     angle, speed = np.sin(1.9 * t) + 0.4 * np.sin(3.1 * t), 1.9 * np.cos(1.9 * t) + 1.24 * np.cos(3.1 * t)
     noise = np.random.default_rng(7).normal(0.0, 0.2, t.size)
@@ -127,7 +130,7 @@ def write_foreign(path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_block_of_the_readme_about_a_log_of_ones_own_works_as_written(tmp_path: Path) -> None:
-    """A table of another program through import, simulate and diagnose to the report."""
+    """A table of another program passes import, simulate and diagnose up to the report."""
     write_foreign(tmp_path / "measured.txt")
     block = BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8").partition("## Bring your log")[2])
     assert block is not None

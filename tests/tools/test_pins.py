@@ -1,4 +1,4 @@
-"""tools/run pins: the cases and the cheap rows against the committed digests."""
+"""Compare the cases and the fast rows of tools/run pins with the committed digests."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_every_case_has_a_digest_or_needs_measured_data() -> None:
 
 @pytest.mark.slow
 def test_the_cheap_rows_are_as_committed() -> None:
-    """After a change of results on purpose: tools/run pins --write, and the commit names the rows."""
+    """If a change of results is intended, run tools/run pins --write and list the rows in the commit message."""
     kept = json.loads(pins.FILE.read_text(encoding="utf-8"))
     if kept["machine"] != pins.machine():
         pytest.skip("not compared: the digests are of other versions or another processor")

@@ -1,4 +1,4 @@
-"""The site of the manual: every page, its pictures and the reference of the public names."""
+"""The site of the manual has every page, its pictures and the reference of the public names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytest.importorskip("mkdocs", reason="the extra docs is not installed")
 
 
 def test_the_site_has_every_page_and_public_name_and_its_search_finds_them(tmp_path: Path) -> None:
-    """mkdocs is strict: a link that leads nowhere ends the build."""
+    """mkdocs runs in strict mode, so a broken link fails the build."""
     done = site.build(tmp_path / "site")
     assert done.returncode == 0, done.stderr
     for topic in TOPICS:

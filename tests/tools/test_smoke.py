@@ -1,6 +1,6 @@
-"""Each command of tools/run runs on a tiny case and prints a table, a line or JSON objects.
+"""Each command of tools/run runs on a very small case and prints a table, a line or JSON objects.
 
-The parts of campaign/fuzz are tests of tests/fuzz.
+The parts of campaign/fuzz are tested in tests/fuzz.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""tools/vcan: the command's streams, signals and exit status are the caller's, however the interface came to be."""
+"""tools/vcan passes streams, signals and exit status of the command for every kind of interface."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_the_guests_first_process_needs_the_standard_library_alone() -> None:
 
 @pytest.mark.slow
 def test_streams_and_exit_status_pass_through() -> None:
-    """Input, output and errors arrive byte for byte, more of them than any buffer on the way holds."""
+    """Input, output and errors larger than any buffer arrive unchanged."""
     data = random.Random(1).randbytes(200_000)
     done = run(["sh", "-c", "cat; printf 'to\\nerrors\\r\\n' >&2; exit 7"], {"TSA_VCAN": ""}, stdin=data)
     assert done.returncode == 7
@@ -68,7 +68,7 @@ def test_streams_and_exit_status_pass_through() -> None:
 
 @pytest.mark.slow
 def test_a_signal_reaches_the_command() -> None:
-    """SIGTERM to the tool is the command's to handle; its own exit status is passed on."""
+    """The command handles a SIGTERM to the tool, and its exit status is passed on."""
     script = "trap 'echo ended; exit 9' TERM; echo up; while :; do sleep 0.05; done"
     environment = {**os.environ, "TSA_VCAN": ""}
     with subprocess.Popen([VCAN, "sh", "-c", script], stdout=subprocess.PIPE, env=environment) as process:

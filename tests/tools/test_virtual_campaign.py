@@ -1,4 +1,4 @@
-"""campaign/virtual: its plan, its catalogue, a verdict that is unsafe, and a sample of its trials."""
+"""Test plan, catalogue and verdict of campaign/virtual, and a sample of its trials."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tools.manual.hazards import load
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
 from tsa_ctrl.safety.causes import REMEDIES
 
-# Faults of single signals, judged by the time until they are found: tests/virtual/test_sensor_truth.py.
+# Faults of single signals, judged by the time to detection: tests/virtual/test_sensor_truth.py.
 SIGNALS = {
     *("encoder_bit", "encoder_stuck", "forged_tpdo", "motor_encoder_stuck", "position_gain", "position_stuck"),
     *("reported_gain", "reported_offset", "reported_stuck", "velocity_gain", "velocity_stuck"),
@@ -22,7 +22,7 @@ SIGNALS = {
 
 def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
     lines = [line for hazard in HAZARDS for line in hazard.lines]
-    configured = {"digital_input"}  # [safety] emergency_stop gives it a meaning: tests/virtual/test_emergency_stop.py
+    configured = {"digital_input"}  # has an effect with [safety] emergency_stop: tests/virtual/test_emergency_stop.py
     configured |= SIGNALS
     assert {line.split()[0] for line in lines} >= set(FAULTS) - configured
     for line in lines:
@@ -34,7 +34,7 @@ def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_sample_is_safe(phase: str) -> None:
-    """A drawn trial of each phase, of what is not known to be open; the whole takes an hour."""
+    """A random trial of each phase is safe. Known open hazards are excluded. The whole campaign takes an hour."""
     trials = [trial for trial in chosen(7, "full", 4, (f"| {phase} |",), (1, 1)) if not BY_NAME[trial.names[0]].open]
     for trial in trials[:1]:
         assert (trial.key, trial.draw, judge(trial).wrong) == (trial.key, trial.draw, ())

@@ -28,7 +28,7 @@ def without(controller: Path, *tables: str) -> None:
 
 
 def true_half_loop(nominal: TendonSheath) -> float:
-    """Return the half loop of the plant with even curvature (N*m at the joint). `nominal`: the file's model."""
+    """Return the friction torque of the plant with even curvature (N*m at the joint). `nominal`: the file's model."""
     x = nominal.friction_angle * TRUTH["friction_coefficient"]
     return 2.0 * nominal.joint_pulley_radius * nominal.pretension * TRUTH["pretension"] * x
 

@@ -36,7 +36,7 @@ def write(folder: Path, axis: dict[str, Any]) -> Path:
 
 
 def check(data: dict[str, Any], model: Path) -> None:
-    """Check the half loop in the JSON output of `tsa tune` and in the written file."""
+    """Check the friction torque in the JSON output of `tsa tune` and in the written file."""
     truth = DRAWN.truth
     half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * math.sinh(truth.friction_angle)
     found = data["calibration"]["combinations"]["half_loop_torque"]
@@ -51,7 +51,7 @@ def check(data: dict[str, Any], model: Path) -> None:
 
 @pytest.mark.slow
 def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A regression on the moving samples would give an eighth of the true half loop."""
+    """A regression on the moving samples would give an eighth of the true friction torque."""
     wave = multi_sine((0.2, 0.5, 0.9), 0.8, 8.0)
     table = np.column_stack([wave.t, wave.tau_j_des])
     np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
@@ -65,7 +65,7 @@ def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: py
 @pytest.mark.slow
 @pytest.mark.soak  # with each change, one log is tested above and the whole procedure in test_in_virtual_time.py
 def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A regression on the moving samples would give 28 % of the true half loop."""
+    """A regression on the moving samples would give 28 % of the true friction torque."""
     write(tmp_path, {"law": {"compensation": rig.COMPENSATION, "fade_in": 1.0}})
     spans = ("--seconds", "10", "--verify-seconds", "4")
     assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *spans) == 0

@@ -28,7 +28,7 @@ def test_the_better_set_is_named_only_when_the_interval_says_so(a: float, b: flo
 
 
 def test_the_interval_covers_the_true_difference() -> None:
-    """400 comparisons have 95 % coverage: fewer than 360 hits have a probability below 1 in 10,000."""
+    """With a coverage of 95 %, fewer than 360 hits of 400 have a probability below 1 in 10,000."""
     hits = 0
     for seed in range(400):
         found = compare(blocks(0.05, 0.06, 0.01, 6, seed)).difference

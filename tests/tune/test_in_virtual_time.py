@@ -72,7 +72,7 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
 def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The given file and the first new file trip a fault. The second new file is written."""
+    """The given file and the first new file cause a fault. The second new file is written."""
     play = RigRunner.play
 
     def tripping(runner: RigRunner, name: str, *given: Any, **more: Any) -> Run:
@@ -126,7 +126,10 @@ def test_a_joint_that_is_no_other_axis_is_one_line(tmp_path: Path, capsys: pytes
 def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """S-shaped curvature, a motor without data in the file; friction, pretension and stiffness differ by up to 20 %."""
+    """The curvature is S-shaped, and the file has no data of the motor.
+
+    Friction, pretension and stiffness differ by up to 20 %.
+    """
     drawn = draw(1, 5)
     law = {"compensation": rig.COMPENSATION, "fade_in": 1.0}
     controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", drawn.axis(), {"law": law})

@@ -183,7 +183,7 @@ def around(value: float, unit: str) -> Quantity:
 
 
 def learned_of(model: TendonSheath) -> Estimate:
-    """Return an estimate whose half loop is known to 2 %."""
+    """Return an estimate whose friction torque is known to 2 %."""
     loop = around(0.5, "N*m")
     calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), model)
     return Estimate(model, calibration, Form.GIVEN, {}, (), ())
@@ -231,7 +231,7 @@ def test_the_compensation_is_what_the_half_loop_surely_has(tmp_path: Path) -> No
 
 @pytest.mark.parametrize(("share", "tried"), [(1.2, 0.95), (1.0, 0.95), (0.9, 0.88), (0.5, 0.49)])
 def test_a_file_is_tried_with_no_more_friction_than_the_rig_surely_has(share: float, tried: float) -> None:
-    """With even curvature, the half loop at the motor is proportional to the pretension. Its lower end is 98 %."""
+    """With even curvature the motor's friction torque is proportional to the pretension, whose lower end is 98 %."""
     given = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
     learned = learned_of(given.recalibrated(given.friction_angle, share * given.pretension))
     found, reason = bearable(0.95, given, learned)
@@ -243,7 +243,7 @@ def test_a_file_is_tried_with_no_more_friction_than_the_rig_surely_has(share: fl
 
 
 def test_a_sheath_that_bends_at_the_joint_bears_less_of_one_that_bends_evenly() -> None:
-    """The half loop is proportional to tanh x instead of x."""
+    """The friction torque is proportional to tanh x instead of x."""
     given, at_joint = (
         NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": profile}})
         for profile in ("uniform", "joint_end")

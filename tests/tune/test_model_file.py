@@ -31,7 +31,7 @@ def controller(tmp_path: Path) -> Path:
 
 
 def test_files_are_replaced_beside_the_main_thread_too(file: Path) -> None:
-    """Python can set a signal handler only in the main thread, and handlers run only there."""
+    """Python sets and runs signal handlers only in the main thread."""
     with ThreadPoolExecutor(1) as pool:
         kept = pool.submit(replace, {file: "a = 2\n"}).result()
         assert kept[file].read_text() == MODEL

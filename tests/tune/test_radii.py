@@ -21,7 +21,7 @@ LATE = 0.5e-3  # s, delay of the joint's encoder
 
 
 def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5, seed: int = 1) -> Dataset:
-    """Return 20 s of a joint moved by two sines. The torque is independent, or that of a weight or a spring."""
+    """Return 20 s of a joint moved by two sines, with an independent torque or the torque of a weight or a spring."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(round(SECONDS / PERIOD))
     phase = rng.uniform(0.0, 2.0 * np.pi, 4)
@@ -54,7 +54,7 @@ def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5,
 @pytest.mark.parametrize("bits", [14, 16, 20])
 @pytest.mark.parametrize("error", [0.99, 1.0, 1.01])
 def test_the_ratio_is_found_to_two_thousandths(load: str, bits: int, error: float) -> None:
-    """The file is right or 1 % off. The torque is independent of the angle or that of a weight."""
+    """The file is exact or 1 % off. The torque is independent of the angle, or a weight causes it."""
     true = 1.25 * error
     found = radius_ratio([log(true, bits, load)], ACTUATOR)
     assert found is not None

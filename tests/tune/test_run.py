@@ -1,4 +1,4 @@
-"""Usable pieces of a run on a machine that stalls occasionally."""
+"""Test the usable sections of a run on a machine that stalls occasionally."""
 
 from __future__ import annotations
 

@@ -26,7 +26,8 @@ def test_the_half_loop_and_the_stiffness_are_found_and_written(
 ) -> None:
     """The rig has 15 % more friction, 12 % less pretension and 10 % softer tendons than the file.
 
-    A limb creeps between its strokes. A regression on the moving samples would give a half loop that is 8 % too low.
+    A limb creeps between its strokes. A regression on the moving samples would give a friction torque that is 8 % too
+    low.
     """
     rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": load}})
     rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")

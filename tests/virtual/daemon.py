@@ -1,4 +1,4 @@
-"""The loop of the daemon on a simulated bus: the parts that `tsa run` assembles, in this process."""
+"""Run the daemon's loop on a simulated bus in this process, with the same parts as `tsa run`."""
 
 from __future__ import annotations
 

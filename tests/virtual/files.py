@@ -1,4 +1,4 @@
-"""Controller, plant and actuator files of a small rig for runs in virtual time."""
+"""Write controller, plant and actuator files of a small rig for runs in virtual time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Tables = dict[str, Any]
 
 
 def merged(tables: Tables, changes: Mapping[str, Any]) -> Tables:
-    """`changes` over `tables`, table by table; None takes a key out."""
+    """Return `tables` with `changes` applied recursively. A value None removes a key."""
     result = dict(tables)
     for key, value in changes.items():
         inner = result.pop(key, None)
@@ -24,7 +24,10 @@ def merged(tables: Tables, changes: Mapping[str, Any]) -> Tables:
 
 
 def controller(**changes: Any) -> Tables:
-    """One axis with encoder and torque sensor that wants 0.5 N*m; `changes` go to its [[axis]], `file` to the file."""
+    """Return a controller with one axis and a set-point of 0.5 N*m.
+
+    `changes` go to its [[axis]], `file` to the other tables.
+    """
     file = changes.pop("file", {})
     axis = {
         "name": "knee",
@@ -40,14 +43,14 @@ def controller(**changes: Any) -> Tables:
 
 
 def plant(**changes: Any) -> Tables:
-    """The plant of that axis, its motion a gait; `changes` go to its [[axis]]."""
+    """Return the plant of that axis, which moves as in a gait. `changes` go to its [[axis]]."""
     return {"physics": {"start": "first_enable"}, "axis": [merged({"name": "joint"}, changes)]}
 
 
 def write(
     folder: Path, controller_tables: Tables | None = None, plant_tables: Tables | None = None
 ) -> tuple[Path, Path]:
-    """The three files; returns controller and plant."""
+    """Write the three files, and return the paths of controller and plant."""
     (folder / "actuator.toml").write_text(ACTUATOR, encoding="utf-8")
     paths = folder / "controller.toml", folder / "plant.toml"
     for path, tables in zip(paths, (controller_tables or controller(), plant_tables or plant()), strict=True):

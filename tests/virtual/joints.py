@@ -1,7 +1,7 @@
-"""The shipped actuator with true parameters on every kind of joint, in virtual time: what reaches the joint.
+"""Run the shipped actuator with true parameters and any load in virtual time, and return the delivered torque.
 
-The plant's tendons are distributed; the controller's model is the truth, the shape of the sheath included. A delay
-counts whole periods between a measurement and the torque that acts.
+The plant's tendons are distributed. The controller's model is true, including the curvature profile of the sheath. A
+delay is the number of whole periods between a measurement and the resulting torque.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def sine(amplitude: float, frequency: float) -> Tables:
 
 @dataclass(frozen=True)
 class Case:
-    """A joint and its set-point."""
+    """A load and its set-point."""
 
     load: str
     setpoint: Mapping[str, Any]
@@ -64,7 +64,11 @@ def files(
     axis: Mapping[str, Any] | None = None,
     plant: Mapping[str, Any] | None = None,
 ) -> tuple[Path, Path]:
-    """Controller and plant; `inertia` is the motor's, which the controller knows if `known`; `axis`, `plant` change."""
+    """Write controller and plant.
+
+    `inertia` is the motor's, and the controller has it if `known`. `axis` and `plant` change tables of the controller's
+    and the plant's axis.
+    """
     save_model(NOMINAL, folder / "nominal.toml")
     save_model(NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": curvature}}), folder / "true.toml")
     gait().write_setpoint(folder / "setpoint.csv")
@@ -125,13 +129,13 @@ def play(
     seed: int | None = None,
     **more: Any,
 ) -> Simulation:
-    """Run what `files` writes."""
+    """Write the files and run them."""
     paths = files(folder, load, setpoint, **more)
     return simulate_loop(*paths, seconds, changes=changes, faults=faults, seed=seed)
 
 
 def play_case(folder: Path, name: str, seconds: float | None = None, **more: Any) -> Simulation:
-    """One of `CASES`, or the first `seconds` of it."""
+    """Run one of `CASES`, or its first `seconds`."""
     case = CASES[name]
     return play(folder, case.load, case.setpoint, seconds or case.seconds, **more)
 

@@ -1,4 +1,4 @@
-"""A knee whose sheath the hip bends (Theta = Theta_0 + g q_hip): controller and plant of both joints."""
+"""Write controller and plant of a knee whose sheath is bent by the hip (Theta = Theta_0 + g q_hip)."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def files(
 ) -> tuple[Path, Path]:
     """Write controller and plant of a knee, while the hip swings at `frequency` Hz (0: it rests).
 
-    `follows`: the law's actuator file has the routing; `table`: the plant's sheath is bent by a table over time, not by
-    the hip's angle; `bending`: [axis.bending] of the knee; `travel`: the hip's is given.
+    With `follows` the controller's actuator file has the routing. With `table` the plant's sheath is bent by a table
+    over time instead of the hip's angle. `bending` is [axis.bending] of the knee. With `travel` the hip has a travel.
     """
     setpoint = joints.GAIT if load == "imposed" else joints.sine(0.5, 0.5)
     paths = joints.files(folder, load, setpoint)
@@ -80,7 +80,7 @@ def files(
 
 
 def apart(folder: Path, a: float, b: float) -> None:
-    """Give plant and law different gains of tendons a and b, rad/rad."""
+    """Set different gains of tendons a and b in plant and controller, rad/rad."""
     routing = Routing(Route({"hip": a}, {}), Route({"hip": b}, {}))
     for name in ("routed.toml", "followed.toml"):
         save_model(dataclasses.replace(load_tendon_sheath(folder / name), routing=routing), folder / name)

@@ -1,8 +1,8 @@
-"""A leg that walks: hip, knee and ankle of one limb in one controller, with a wearer who moves them.
+"""Simulate a walking leg with hip, knee and ankle in one controller, moved by a wearer.
 
-The wearer's muscles are a spring and a damper about the angles of a gait (script of a hand), strong enough to lift the
-foot and to put it down. The set-points are torques in addition to theirs. The hip bends the knee's sheath, and the knee
-that of the ankle.
+The wearer's muscles are springs and dampers that follow the angles of a gait (script of a hand). They are strong enough
+to lift the foot and to put it down. The set-points are additional torques. The hip bends the knee's sheath, and the
+knee bends the ankle's sheath.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from tsa_ctrl.virtual.result import Simulation
 
 PERIOD = 1.6  # s, of a stride
 GAIN = 0.8  # rad/rad
-# Share of the stride and rad: heel strike at 0, the foot leaves the ground at 0.54.
+# Share of the stride and angle in rad: heel strike at 0, toe-off at 0.54.
 ANGLES = {
     "hip": [(0.0, 0.3), (0.5, -0.2), (0.88, 0.35), (1.0, 0.3)],
     "knee": [(0.0, 0.08), (0.45, 0.08), (0.64, 1.2), (0.72, 1.15), (1.0, 0.08)],
     "ankle": [(0.0, 0.0), (0.45, 0.1), (0.55, -0.1), (0.68, 0.4), (0.85, 0.3), (1.0, 0.0)],
 }
 MUSCLES = {"hip": (30.0, 2.5), "knee": (20.0, 1.5), "ankle": (15.0, 0.8)}  # N*m/rad, N*m*s/rad
-TORQUES = {"hip": (0.1, 0.8, 0.0), "knee": (0.0, 0.6, 0.3), "ankle": (-0.1, 0.4, 1.0)}  # N*m mean and sine, rad
+TORQUES = {"hip": (0.1, 0.8, 0.0), "knee": (0.0, 0.6, 0.3), "ankle": (-0.1, 0.4, 1.0)}  # N*m mean, N*m amplitude, rad
 CROSSED = {"knee": "hip", "ankle": "knee"}
 
 
 def files(folder: Path, rate: float, compensation: float = 1.0) -> tuple[Path, Path]:
-    """Write controller and plant; the law knows the gains."""
+    """Write controller and plant. The controller's models have the gains."""
     paths = joints.files(folder, "imposed", {"kind": "constant"}, compensation=compensation)
     controller, plant = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in paths)
     (axis,), (machine,) = controller["axis"], plant["axis"]

@@ -1,8 +1,8 @@
-"""The same run twice: as processes on a vcan in real time, and in virtual time with a loop that is awake when that was.
+"""Run the same files as processes on a vcan in real time, and in virtual time with the same wake-up times.
 
-Noise of torque and sensor is off, so that time alone differs. A machine that is shared wakes the loop late, skips
-cycles and loses answers; the daemon's log says which. The lockstep run is woken at those very times, and loses the
-answers of those cycles.
+Noise of torque and sensor is off, so that the runs differ in timing only. On a shared machine the loop wakes late,
+skips cycles and loses answers, and the daemon's log records this. The lockstep run wakes at the same times, and loses
+the answers of the same cycles.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run
 
 SECONDS = 4.0  # two periods of the set-point
-FADED_IN = 0.3  # s
+FADED_IN = 0.3  # s, end of the fade-in
 TIMES = np.arange(FADED_IN, SECONDS - 0.1, 1e-3)  # s since the enable, at which torques are compared
-TRIES = 4  # of a machine so busy that the nodes do not answer at the start
+TRIES = 4  # for a machine that is too busy for the nodes to answer at startup
 PATIENT: dict[str, Any] = {
     "drive": {"rpdo_timeout": 1.0, "host_timeout": 2.0, "heartbeat_timeout": 4.0},
     "encoder": {"heartbeat_timeout": 4.0},
@@ -42,7 +42,7 @@ FloatArray = NDArray[np.float64]
 
 
 def files(folder: Path, vcan: str, load: str, rate: float) -> tuple[Path, Path]:
-    """Controller and plant for both runs."""
+    """Write controller and plant for both runs."""
     tables = controller(
         **PATIENT,
         setpoint={"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
@@ -64,9 +64,11 @@ def files(folder: Path, vcan: str, load: str, rate: float) -> tuple[Path, Path]:
 
 
 def in_real_time(folder: Path) -> tuple[Any, dict[str, FloatArray]]:
-    """Plant and daemon as processes on the vcan: the plant's truth, and the daemon's log.
+    """Run plant and daemon as processes on the vcan, and return the plant's truth and the daemon's log.
 
-    Raises BusError where the machine is too busy for the nodes to answer at the start.
+    Raises:
+
+    BusError: The machine is too busy for the nodes to answer at startup.
     """
     found: BusError | None = None
     for _ in range(TRIES):
@@ -110,11 +112,11 @@ def woken_as(log: dict[str, FloatArray], paths: tuple[Path, Path], rate: float) 
 
 
 def torque_since_enable(truth: Any) -> FloatArray:
-    """Delivered torque (N*m) at `TIMES`."""
+    """Return the delivered torque (N*m) at `TIMES`."""
     begin = int(np.argmax(truth["enabled"] > 0.0))
     return np.interp(TIMES, truth["t"] - truth["t"][begin], truth["tau_j"])
 
 
 def in_time(log: dict[str, FloatArray], rate: float) -> float:
-    """1, share of the cycles that came in time and had all answers."""
+    """Return the share of the cycles that were on time and had all answers, 1."""
     return 1.0 - float(np.mean((log["pdo_age"] > 0.0) | (log["lateness"] > 0.1 / rate)))

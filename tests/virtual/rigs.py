@@ -1,4 +1,4 @@
-"""Rigs drawn by a number, as tuning and benchmarks meet them: nothing of the nominal file is quite true."""
+"""Draw random rigs for tuning and benchmarks, whose parameters all differ from the nominal file."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import numpy as np
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
 
-OFF = 0.2  # nominal over true, minus 1, either way: friction, pretension and stiffness
+OFF = 0.2  # nominal over true, minus 1, of friction, pretension and stiffness
 INERTIA = (3e-5, 6e-4)  # kg*m^2 at the motor pulley: ringing at 180 to 40 Hz on these tendons
-STIFFNESS = (0.6, 1.8)  # of the demo's tendons
-DELAYS = (1, 2, 3)  # whole periods between measurement and acting torque; 1 is `rpdo = "sync"` alone
+STIFFNESS = (0.6, 1.8)  # factors on the demo's tendons
+DELAYS = (1, 2, 3)  # whole periods from measurement to torque; 1 corresponds to `rpdo = "sync"`
 CURVATURES = ("uniform", "motor_end", "joint_end", "s_bent")
 
 
@@ -33,19 +33,19 @@ class Drawn:
 
     @property
     def nominal(self) -> TendonSheath:
-        """Return the tables of the controller file."""
+        """Return the model of the controller's file."""
         model = NOMINAL.recalibrated(NOMINAL.friction_angle, NOMINAL.pretension)
         return dataclasses.replace(_with_stiffness(model, self.stiffness), bending_centre=None)
 
     @property
     def truth(self) -> TendonSheath:
-        """The parameters of the plant, without any effect."""
+        """Return the model of the plant, without any effect."""
         x, tension = self.factors["friction_coefficient"], self.factors["pretension"]
         model = NOMINAL.recalibrated(NOMINAL.friction_angle * x, NOMINAL.pretension * tension)
         return _with_stiffness(model, self.stiffness * self.factors["axial_stiffness"])
 
     def axis(self) -> dict[str, dict[str, Any]]:
-        """Tables of the plant's axis."""
+        """Return the tables of the plant's axis."""
         return {
             "perturbation": dict(self.factors),
             "tendon": {"kind": "distributed", "curvature": self.curvature},
@@ -58,7 +58,7 @@ class Drawn:
 
 
 def draw(seed: int, number: int, curvature: str | None = None) -> Drawn:
-    """The rig of this number; `curvature` instead of a drawn one."""
+    """Return the rig of this number. `curvature` replaces the drawn profile."""
     rng = np.random.default_rng([seed, number])
     names = ("friction_coefficient", "pretension", "axial_stiffness")
     factors = {name: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for name in names}

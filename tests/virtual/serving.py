@@ -1,6 +1,6 @@
-"""A run in virtual time with the daemon's socket server: real sockets, the clock of the run.
+"""Run the daemon with its socket server in virtual time, with real sockets and the clock of the run.
 
-The time stops while a client is served, so the same clients give the same run.
+Virtual time stops while a client is served, so the same clients give the same run.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run
 
-PATIENCE = 60.0  # s of real time that a program sleeps at most
+PATIENCE = 60.0  # s of real time for which a program sleeps at most
 Action = Callable[[float], None]
 Script = Sequence[tuple[Action, float]]
 
 
 class ServedRun(Run):
-    """`at` plans what clients do; `play` then runs it."""
+    """A run with planned actions of clients. `at` plans an action, and `simulate` runs it."""
 
     def __init__(self, controller: Path, plant: Path, seconds: float, out: Path | None = None) -> None:
         configuration = load_configuration(controller)
@@ -39,11 +39,11 @@ class ServedRun(Run):
         self._raised: BaseException | None = None
 
     def at(self, time: float, action: Action) -> None:
-        """`action(now)`: s of the log's time, and of the run's clock."""
+        """Plan `action(now)` at a time of the log, s. `now` is the clock of the run, s."""
         self._planned.append((action, time))
 
     def connected(self, sent: bytes, ends: bool = False) -> Action:
-        """Connect another client that sends this; it disconnects right after if it `ends`."""
+        """Return an action that connects another client and sends this. With `ends` the client then disconnects."""
 
         def action(now: float) -> None:
             connection = self.send(sent)
@@ -67,7 +67,7 @@ class ServedRun(Run):
         self.serve()
 
     def control(self, at: float, controller: Callable[[], None]) -> None:
-        """From `at` s of the log on, a client's own program: time passes while it sleeps (`sleep`), and only then."""
+        """Plan a client program from `at` s of the log on. Virtual time passes only while the program calls `sleep`."""
 
         def work() -> None:
             try:
@@ -80,11 +80,11 @@ class ServedRun(Run):
         self.at(at, lambda now: self._resume(threading.Thread(target=work, daemon=True).start))
 
     def clock(self) -> float:
-        """s, for the program."""
+        """Return the time of the run for a client program, s."""
         return self._wire.now
 
     def sleep(self, seconds: float) -> None:
-        """For the program."""
+        """Let a client program sleep in virtual time."""
         self._wire.at(self._wire.now + seconds, lambda now: self._resume(self._awake.set))
         self._asleep.set()
         if not self._awake.wait(PATIENCE):
@@ -92,7 +92,7 @@ class ServedRun(Run):
         self._awake.clear()
 
     def _resume(self, begin: Callable[[], None]) -> None:
-        """The program goes on until it sleeps again, and is served meanwhile."""
+        """Continue the client program until it sleeps again, and serve its requests meanwhile."""
         self._asleep.clear()
         begin()
         while not self._asleep.is_set():
@@ -102,12 +102,12 @@ class ServedRun(Run):
             raise self._raised
 
     def serve(self) -> None:
-        """Until the server has nothing to do."""
+        """Let the server handle all waiting requests."""
         for _ in range(8):
             self._server.step(0.0)
 
     def simulate(self) -> Simulation:
-        """Run it to its end."""
+        """Run to the end, and return the result."""
         self._every(1e-3, lambda now: self.serve())
         return self.play((), (), lambda share: None)
 

@@ -1,4 +1,4 @@
-"""Repeat a virtual run from one field report to the last bit; a damaged report is one line."""
+"""Repeat a virtual run from one field report to the last bit. A damaged report causes one line."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def tsa(*words: str | Path) -> Result:
 
 @pytest.fixture(scope="module")
 def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with a fault and a change, and its report; the files are deleted afterwards."""
+    """Return the folder of a run with a fault and a change, and of its report. The input files are deleted."""
     folder = tmp_path_factory.mktemp("bundle")
     assert tsa("init", "--desk", folder / "desk").exit_code == 0
     (folder / "models").mkdir()
-    (folder / "desk/actuator.toml").rename(folder / "models/actuator.toml")  # above the controller's folder
+    (folder / "desk/actuator.toml").rename(folder / "models/actuator.toml")  # outside the controller's folder
     for name in ("controller.toml", "plant.toml"):
         path = folder / "desk" / name
         text = path.read_text(encoding="utf-8").replace('"actuator.toml"', '"../models/actuator.toml"')
@@ -70,7 +70,7 @@ def test_other_arguments_are_not_compared_and_a_difference_is_named(desk: Path, 
     replay = Replay(log, tmp_path / "files")
     assert replay.plant is not None
     run = simulate_loop(replay.controller, replay.plant, 3.0, seed=5)
-    assert "t = " in first_difference(log, {"knee": run.log})  # without the change and the fault
+    assert "t = " in first_difference(log, {"knee": run.log})  # repeated without the change and the fault
     columns = {name: values.copy() for name, values in LogFile(log).columns("knee", LogFile(log).fields).items()}
     assert first_difference(log, {"knee": columns}) == ""
     columns["tau_m"][700] = np.nextafter(columns["tau_m"][700], np.inf)
@@ -79,7 +79,7 @@ def test_other_arguments_are_not_compared_and_a_difference_is_named(desk: Path, 
 
 
 def test_a_report_of_hardware_runs_on_a_plant_that_is_given(desk: Path, tmp_path: Path) -> None:
-    """Its log has no arguments: as of a daemon."""
+    """Its log has no arguments, like the log of a daemon."""
     file = LogFile(desk / "run/tsa.mcap")
     files = {name: text for name, text in file.files.items() if name != "run.json"}
     target = McapFile(tmp_path / "hardware.mcap", LogHeader(tuple(file.axes), file.about["rate"], files, file.codes))
@@ -95,7 +95,7 @@ def test_a_report_of_hardware_runs_on_a_plant_that_is_given(desk: Path, tmp_path
 
 @pytest.mark.parametrize("name", ["a/../../escape.toml", "../../../escape.toml", "ABSOLUTE/escape.toml"])
 def test_no_head_writes_a_file_outside_of_the_folder(tmp_path: Path, name: str) -> None:
-    """A name that goes up begins as many folders below; an absolute one is rejected."""
+    """A relative path that leaves the folder is placed in a deeper folder. An absolute path is rejected."""
     folder = tmp_path / "place"
     folder.mkdir()
     log = tmp_path / "log.mcap"

@@ -1,4 +1,4 @@
-"""A simulated drive after the start: its clamps follow from the wearer, and class "worn" may reject its nodes."""
+"""Startup sets the clamps of a simulated drive by the wearer's limits, and class "worn" may reject its nodes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tsa_ctrl.virtual.simulation import Run
 @pytest.mark.parametrize("speed", [4.0, 6.4])
 @pytest.mark.parametrize("gear", [1.0, 5.0])
 def test_the_drive_holds_the_limits_of_the_wearer(tmp_path: Path, speed: float, gear: float) -> None:
-    """0x6072 is limits.torque in per mille, 0x6080 is r_J/r_M times the joint's over-speed in rpm of the motor."""
+    """0x6072 is limits.torque in per mille. 0x6080 is r_J/r_M times the joint's over-speed, in rpm of the motor."""
     tables = controller(
         drive={"gear_ratio": gear, "max_torque": 3.0}, limits={"torque": 0.75}, file={"safety": {"wearer_speed": speed}}
     )
@@ -39,7 +39,7 @@ def test_the_drive_holds_the_limits_of_the_wearer(tmp_path: Path, speed: float, 
 def test_what_a_bring_up_found_is_judged_before_any_drive_is_enabled(
     tmp_path: Path, absent: list[int], has_inputs: bool
 ) -> None:
-    """The nodes with their serial numbers, and whether a drive has digital inputs (0x60FD)."""
+    """The check covers the serial numbers of the nodes, and the digital inputs of a drive (0x60FD)."""
     paths = write(tmp_path, None, plant(drive={"serial_number": 7, "absent": absent}))
     run = Run(load_configuration(paths[0]), check(paths[1]), 0.3)
     seen: list[tuple[int, bool]] = []

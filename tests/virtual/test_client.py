@@ -17,7 +17,7 @@ from tests.virtual.serving import ServedRun
 from tsa_ctrl.ipc.client import Client
 
 PAGE = ROOT / "tsa_ctrl" / "ipc" / "README.md"
-GRIP = (60.0, 3.0)  # N*m/rad, N*m*s/rad: a hand that the device does not move
+GRIP = (60.0, 3.0)  # N*m/rad, N*m*s/rad; a hand that the device cannot move
 HAND = [
     (0.0, *GRIP, 0.2),
     (1.0, *GRIP, 0.2),
@@ -25,12 +25,12 @@ HAND = [
     (3.2, *GRIP, -0.05),
     (4.0, *GRIP, 0.2),
 ]  # s, ., ., rad
-SETTLED = 1.0  # s: faded in
-HALF_LOOP = 2.0 * 45.0 * 0.025 * math.sinh(0.26)  # N*m at the joint: the friction that would be felt besides
+SETTLED = 1.0  # s, end of the fade-in
+HALF_LOOP = 2.0 * 45.0 * 0.025 * math.sinh(0.26)  # N*m at the joint, uncompensated friction
 
 
 def block(language: str) -> str:
-    """The page's one block in this language."""
+    """Return the only block of the page in this language."""
     found = re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert len(found) == 1
     return str(found[0])
@@ -40,7 +40,7 @@ def block(language: str) -> str:
 def test_a_hand_feels_the_stiffness_that_the_manuals_controller_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A hand moves the limb by 0.25 rad in both directions: torque over angle has the stated slope."""
+    """A hand moves the limb by 0.25 rad in both directions. The slope of torque over angle is the stated stiffness."""
     text = block("python")
     assert "STIFFNESS, DAMPING, REST = 4.0, 0.3, 0.2" in text
     setpoint = {"kind": "socket", "timeout": 0.2}

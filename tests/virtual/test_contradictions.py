@@ -1,4 +1,4 @@
-"""Test faulty signals on a running rig, in virtual time: the real loop and supervision on the real plant."""
+"""Test faulty signals on a running rig, in virtual time, with the real loop, supervision and plant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CONSTANT = {"kind": "constant", "offset": 0.5}
 
 @pytest.mark.slow
 def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path) -> None:
-    """The motor turns the wrong way for 0.05 s of each 0.1: not one tenth of a second in a row."""
+    """The motor turns the wrong way for 0.05 s in each 0.1 s, and so never for a full 0.1 s."""
     strict = {"plausibility": {"joint_torque": 0.5}}
     flaps = [f"reversed_sign duration=0.05@{0.8 + 0.1 * n}" for n in range(8)]
     result = play(tmp_path, "held", CONSTANT, 1.6, axis=strict, faults=flaps)
@@ -38,7 +38,7 @@ def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("node", ["drive", "encoder"])
 def test_two_of_three_answers_lost_for_ever_stop_the_axis(tmp_path: Path, node: str) -> None:
-    """Never three in a row, which a single loss may reach."""
+    """Three answers in a row are never lost, so that the limit for consecutive losses is not reached."""
     result = play(tmp_path, "held", CONSTANT, 1.5, faults=[f"sparse_tpdo value=2 node={node}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("stale PDO: 200 cycles within a second lost answers")
@@ -78,7 +78,7 @@ def test_a_single_repeated_frame_stops_nothing(tmp_path: Path) -> None:
 
 
 LOADS = ["imposed", "held", "spring", "weight", "free", "limb", "wearer"]
-BETWEEN = ("spring", "weight", "limb")  # joints between one that is held and one that is free
+BETWEEN = ("spring", "weight", "limb")  # joints between a locked and a free one
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ BETWEEN = ("spring", "weight", "limb")  # joints between one that is held and on
     ],
 )
 def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path, load: str, sensor: bool) -> None:
-    """At small torque, 15 % of the limit, before the joint has moved; a joint torque sensor is not needed."""
+    """It is detected at 15 % of the torque limit, before the joint has moved. A joint torque sensor is not needed."""
     setpoint = GAIT if load == "imposed" else {"kind": "constant", "offset": 0.8}
     changes = {"law": {"fade_in": 0.01}, "plausibility": {"joint_torque": 0.2 if sensor else 100.0}}
     result = play(tmp_path, load, setpoint, 0.8, axis=changes, faults=["reversed_sign@0"])
@@ -103,7 +103,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path,
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["", "reversed_sign@0"])
 def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(tmp_path: Path, fault: str) -> None:
-    """A sheath that bends at the motor holds it fast meanwhile, healthy or not: what stretches is the wearer's way."""
+    """A sheath with bends at the motor holds any motor, and the wearer's motion elongates the tendons."""
     hand = [[0.0, 15.0, 1.0, 0.0], [0.1, 15.0, 1.0, 0.0], [1.6, 15.0, 1.0, -0.4]]
     wearer = {"joint": {"hand": hand, "hand_repeat": False}}
     faults = [fault] if fault else []
@@ -111,16 +111,17 @@ def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(t
     found = [event.text for event in result.summary.events if event.fault]
     assert bool(found) is bool(fault), found
     assert all("the wrong way round" in text for text in found)
-    if fault:  # a healthy motor slides once the wearer has moved a little, and may then pull
+    if fault:  # a healthy motor slides once the wearer has moved a little, and its torque may then grow
         assert np.abs(result.truth["tau_m"]).max() <= 0.15 * 2.5 + 0.02
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["imposed", "held", "free"])
 def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
-    """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m.
+    """It is detected soon after the torque changes. The joint gets the opposite of 0.8 N*m.
 
-    0.4 s of contradiction are asked for where the sense was shown before: shaken tendons look so for 0.3 s.
+    If the polarity was shown before, the contradiction must last 0.4 s, because oscillating tendons look reversed for
+    up to 0.3 s.
     """
     result = play(tmp_path, load, GAIT if load == "imposed" else sine(0.8, 1.0), 2.6, faults=["reversed_sign@1.1"])
     fault = next(event for event in result.summary.events if event.fault)
@@ -128,7 +129,7 @@ def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_pa
 
 
 def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> None:
-    """On a joint that is held. On one that moves, friction that turns may follow the torque as much."""
+    """It is detected on a locked joint. On a moving joint, reversing friction may follow the torque as much."""
     result = play(tmp_path, "held", sine(0.8, 0.5), 2.0, known=False, faults=["torque_gain@0.001"])
     fault = next(event for event in result.summary.events if event.fault)
     assert "the motor gives more than it reports" in fault.text
@@ -136,7 +137,7 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> No
 
 
 def test_a_torque_sensor_that_sticks_is_found(tmp_path: Path) -> None:
-    """Friction may hold the torque of a joint, so only the noise shows it."""
+    """Friction may hold the joint torque constant, so the missing noise shows the fault."""
     result = play(tmp_path, "held", sine(0.5, 0.5), 1.6, faults=["stuck_tpdo node=torque_sensor@1.3"], plant=NOISY)
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("joint torque sensor is stuck: ")
@@ -145,7 +146,7 @@ def test_a_torque_sensor_that_sticks_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path) -> None:
-    """The one that pulls at once; the other one when the torque turns at the latest: within 2 rad/s beyond before."""
+    """Either tendon is torn. Until detection the joint exceeds the speed of a healthy one by less than 2 rad/s."""
     sound = play(tmp_path, "free", sine(0.8, 0.5), 2.6)
     assert not sound.axes[0].faults
     same_t, same = sound.truth["clock"] - sound.axes[0].start, np.abs(sound.truth["omega_j"])
@@ -160,7 +161,7 @@ def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("node", ["drive", "encoder"])
 def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -> None:
-    """It takes the drive's watch for our heartbeat away: the torque ends before that is needed."""
+    """The SDO disables the drive's monitoring of the heartbeat. The torque ends before it is needed."""
     result = play(tmp_path, "held", CONSTANT, 1.0, faults=[f"foreign_sdo node={node}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("second master: another node sent a master's frame 0x6")
@@ -169,7 +170,7 @@ def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -
 
 @pytest.mark.slow
 def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: Path) -> None:
-    """No frame reports it: the values written at startup are read back in spare bus time."""
+    """No frame shows it. The values that were written at startup are read back in spare bus time."""
     result = play(tmp_path, "held", CONSTANT, 3.2, faults=["watchdogs_lost@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("a node's configuration changed: drive node 1: 0x1")
@@ -179,7 +180,7 @@ def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [-120, 30])
 def test_a_torque_offset_written_out_of_sight_stops_the_axis(tmp_path: Path, offset: int) -> None:
-    """The offset is asked for every 0.1 s and confirmed once."""
+    """The offset is read back every 0.1 s, and a change is confirmed once."""
     result = play(tmp_path, "held", CONSTANT, 1.4, faults=[f"torque_offset value={offset}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("a node's configuration changed: drive node 1: 0x60B2:0 torque offset is ")
@@ -189,7 +190,7 @@ def test_a_torque_offset_written_out_of_sight_stops_the_axis(tmp_path: Path, off
 @pytest.mark.slow
 @pytest.mark.parametrize("lost", [4, 19])
 def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lost: int) -> None:
-    """Its RPDO timer, 20 ms, is kept quiet by each command that it does hear."""
+    """Each command that arrives restarts the drive's RPDO timer of 20 ms, so that it never expires."""
     result = play(tmp_path, "held", sine(0.8, 1.0), 2.4, faults=[f"sparse_rpdo value={lost}@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("the drive misses commands: drive node 1 held an older command ")
@@ -198,7 +199,7 @@ def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lo
 
 @pytest.mark.slow
 def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path: Path) -> None:
-    """Five commands in a row are lost every 33 ms, at a random moment: a tenth of the values is three behind."""
+    """Five commands in a row are lost every 33 ms at a random moment. A tenth of the values is three cycles old."""
     rng = np.random.default_rng(1)
     losses = [f"rpdo_lost duration=0.005@{0.8 + 0.033 * n + rng.uniform(0.0, 0.028):.6f}" for n in range(75)]
     result = play(tmp_path, "held", sine(0.8, 1.0), 3.6, faults=losses)
@@ -210,13 +211,13 @@ def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path:
 
 @pytest.mark.slow
 def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_path: Path) -> None:
-    """Its last value comes again and again: the motor goes farther than its torque stretches the tendons."""
+    """It repeats its last value. The motor moves farther than the torque can elongate the tendons."""
     result = play(tmp_path, "limb", sine(0.8, 1.0), 1.8, faults=["stuck_tpdo node=encoder@1.1"])
     fault = next(event for event in result.summary.events if event.fault)
     assert "stuck" in fault.text
     t, angle = result.truth["clock"] - result.axes[0].start, result.truth["q_m"]
     until = (t > 1.1) & (t < fault.t)
-    assert np.ptp(angle[until]) < 0.15  # the torque in use stretches them by 0.02; 0.3 were allowed before
+    assert np.ptp(angle[until]) < 0.15  # the torque elongates the tendons by 0.02 rad; earlier versions allowed 0.3
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""`Controller` in the user's own loop gives the daemon's torque, and no torque for a wrong measurement."""
+"""`Controller` in a user's loop gives the same torque as the daemon, and no torque for an invalid measurement."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Held:
-    """A drive that gives each command a period later, and a joint that does not move: the tendons give way by it."""
+    """A drive that applies each command one period later, and a locked joint whose tendons are elastic."""
 
     stiffness = 40.0  # N*m/rad at the motor: two tendons of 60 kN over 1.2 m at 0.02 m
 
@@ -55,7 +55,7 @@ class Held:
 
 
 def test_the_same_measurements_give_the_torque_of_the_daemon(desk: Path) -> None:
-    """Enabled in the same cycle as in the log of a run, over 4 s of a sine that moves the joint."""
+    """The controller is enabled in the same cycle as the recorded run, a sine of 4 s that moves the joint."""
     run = simulate_loop(desk / "controller.toml", desk / "plant.toml", 4.0)
     assert repr(run).startswith("Simulation(seconds: 4 s, ended: 4 s are over, knee: error RMS / 99 % / peak: ")
     assert len(run.plot().axes) == 2
@@ -87,7 +87,7 @@ def test_a_measurement_that_is_not_finite_latches_a_fault_and_never_a_torque(
     commands = held.run(60, **{name: value})
     assert all(math.isfinite(command.torque) for command in commands)
     assert str(commands[-1].fault).startswith("stale PDO")
-    assert {command.torque for command in held.run(60)} == {0.0}  # until it is reset and enabled
+    assert {command.torque for command in held.run(60)} == {0.0}  # until it is reset and enabled again
     held.controller.reset()
     assert {command.torque for command in held.run(60)} == {0.0}
     assert held.enable().fault is None

@@ -1,4 +1,4 @@
-"""The emergency stop at a drive's digital inputs, in virtual time: pressed, released, unreadable."""
+"""Test the emergency stop at a drive's digital inputs, in virtual time: pressed, released and unreadable."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tsa_ctrl import simulate_loop
 from tsa_ctrl.virtual.result import Simulation
 
 PRESSED = "digital_input value=3@0.6"
-WITHIN = 0.05  # s: two questions and their answers
+WITHIN = 0.05  # s; two SDO requests and their answers
 
 
 def run(folder: Path, *faults: str, seconds: float = 1.2, changes: tuple[str, ...] = (), **more: Any) -> Simulation:
@@ -22,7 +22,7 @@ def run(folder: Path, *faults: str, seconds: float = 1.2, changes: tuple[str, ..
 
 
 def latest_torque(result: Simulation) -> float:
-    """Return the time of the log at which the motor last gave torque, s."""
+    """Return the last time of the log with a torque command, s."""
     log = result.axes[0].log
     return float(log["t"][np.flatnonzero(log["tau_m_cmd"] != 0.0)[-1]])
 
@@ -43,14 +43,14 @@ def test_another_bit_is_no_stop(tmp_path: Path) -> None:
 
 
 def test_an_input_that_is_high_while_released_stops_when_it_goes_low(tmp_path: Path) -> None:
-    """The simulated inputs are low, so the stop is pressed from the start on: no torque ever."""
+    """The simulated inputs are low, so the stop is pressed from the beginning, and there is never torque."""
     result = run(tmp_path, safety={"emergency_stop_level": 0})
     assert "emergency stop" in result.axes[0].faults[0]
     assert not result.axes[0].log["tau_m_cmd"].any()
 
 
 def test_a_node_that_answers_no_question_counts_as_pressed(tmp_path: Path) -> None:
-    """A drive whose SDO server answers only after 0.4 s leaves the state of the stop unknown."""
+    """The drive answers an SDO only after 0.4 s, so the state of the stop is unknown."""
     result = run(tmp_path, drive={"answer_time": 0.4})
     assert "no answer about 0x60FD:0 digital inputs for 0.25 s" in result.axes[0].faults[0]
 
@@ -70,7 +70,7 @@ def test_the_stop_is_found_on_slower_buses(tmp_path: Path, bitrate: int) -> None
 
 
 def test_each_axis_reads_the_stop_of_its_own_drive(tmp_path: Path) -> None:
-    """Two axes of one device: the objects of the second lie 0x800 apart."""
+    """One device has two axes. The objects of the second axis are offset by 0x800."""
     tables = controller(file={"safety": {"emergency_stop": 3}, "controller": {"rate": 400.0}})
     tables["axis"].append(
         merged(

@@ -1,4 +1,4 @@
-"""A model file belongs to the joint that it was tuned on: serial numbers compared at startup."""
+"""A model file belongs to the joint that it was tuned on. Startup compares the serial numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def tuned(path: Path, **provenance: Any) -> None:
 def trusted(
     folder: Path, provenance: dict[str, Any], nodes: dict[str, Any] = PLANT, axis: dict[str, Any] | None = None
 ) -> bool:
-    """Return whether the axis' file is trusted after the bring-up, with these nodes on the bus."""
+    """Return True if the axis' file is trusted after the bring-up with these nodes."""
     paths = write(folder, controller(**(axis or {})), plant(**nodes))
     if provenance:
         tuned(folder / "actuator.toml", **provenance)

@@ -23,12 +23,12 @@ from tsa_ctrl.virtual.script import Change, Fault
 
 CONSTANT = {"kind": "constant", "offset": 0.3}  # N*m
 QUIET_AFTER = 3.0  # s after the last change of the set-point
-GAITS = 3.0  # s, nearly two cycles of it
-SINES = 3.2  # s, one of its periods after the first second
+GAITS = 3.0  # s, nearly two cycles of the gait
+SINES = 3.2  # s, one period after the first second
 
 
 def reversals(result: Simulation) -> int:
-    """How often the friction term changed its sign."""
+    """Return the number of sign changes of the friction term."""
     axis = result.axes[0]
     sigma = axis.log["sigma"][axis.counted]
     return int(np.count_nonzero(np.diff(np.sign(sigma[sigma != 0.0]))))
@@ -41,7 +41,7 @@ def sound(result: Simulation) -> Simulation:
 
 @pytest.mark.slow
 def test_an_imposed_gait(tmp_path: Path) -> None:
-    """10 mN*m, no reversal worse than 100, at a delay of three periods; other cases have one."""
+    """With a delay of three periods the error is at most 10 mN*m RMS and 100 mN*m at its peak."""
     result = sound(play_case(tmp_path, "gait", GAITS, delay=3))
     assert rms(error(result)) <= 10.0
     assert np.abs(error(result)).max() <= 100.0
@@ -67,7 +67,7 @@ def test_torque_arrives_at_a_held_joint(tmp_path: Path, setpoint: dict[str, Any]
 
 
 def test_a_constant_starts_a_free_joint_at_an_enable_and_after_a_recovery(tmp_path: Path) -> None:
-    """It is all ahead when it is first seen; 0.40 N*m at the motor, without the friction term, do not move it."""
+    """The joint starts only with the friction term. The 0.40 N*m at the motor without it do not move it."""
     constant = {"kind": "constant", "offset": 0.5}
     fault, again = Fault("interface_down duration=0.1", 0.05), Change("recover", 1.0, 0.4)
     result = play(tmp_path, "free", constant, 1.3, faults=[fault], changes=(again,))
@@ -81,7 +81,7 @@ def test_a_constant_starts_a_free_joint_at_an_enable_and_after_a_recovery(tmp_pa
 
 @pytest.mark.slow
 def test_partial_reversals_of_a_held_joint(tmp_path: Path) -> None:
-    """Torque that goes back a little and on again, around 0.4 N*m: inner loops of the friction."""
+    """The torque varies around 0.4 N*m, which causes inner hysteresis loops of the friction."""
     components = [{"amplitude": 0.1, "frequency": 1.0}, {"amplitude": 0.15, "frequency": 0.3}]
     result = play(tmp_path, "held", {"kind": "multi_sine", "offset": 0.4, "components": components}, 5.0)
     assert not result.axes[0].faults
@@ -91,7 +91,7 @@ def test_partial_reversals_of_a_held_joint(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["weight", "free"])
 def test_a_joint_that_the_torque_moves(tmp_path: Path, load: str) -> None:
-    """It starts, follows, and turns round no more often than the motion does."""
+    """The joint starts and follows. The friction term does not reverse more often than the motion."""
     result = sound(play_case(tmp_path, load, SINES))
     assert rms(error(result)) <= 20.0
     assert np.ptp(result.truth["q_j"]) > 0.1
@@ -100,14 +100,14 @@ def test_a_joint_that_the_torque_moves(tmp_path: Path, load: str) -> None:
 
 @pytest.mark.slow
 def test_a_wearer(tmp_path: Path) -> None:
-    """The error is 92 % less than without compensation on the same joint, while the hand lifts it and lets it down."""
+    """The error is at least 92 % smaller than without compensation, while the hand lifts the joint and lowers it."""
     without = rms(error(play_case(tmp_path, "wearer", 4.0, known=False, compensation=0.0)))
     assert rms(error(sound(play_case(tmp_path, "wearer", 4.0)))) <= 0.08 * without
 
 
 @pytest.mark.slow
 def test_a_wearer_with_all_bends_at_the_joint(tmp_path: Path) -> None:
-    """At most 40 mN*m RMS: the joint torque sensor shows tendons that stick, which motor and encoders cannot."""
+    """The joint torque sensor shows sticking tendons, which motor and encoders cannot show."""
     assert rms(error(sound(play_case(tmp_path, "wearer", curvature="joint_end")))) <= 40.0
 
 
@@ -115,12 +115,12 @@ def test_a_wearer_with_all_bends_at_the_joint(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("load", "delay"),
     [
-        ("free", 1),  # nothing takes its energy
+        ("free", 1),  # it has no damping
         ("limb", 3),  # a weight, a spring and the longest delay
     ],
 )
 def test_what_is_no_longer_driven_comes_to_rest(tmp_path: Path, load: str, delay: int) -> None:
-    """No limit cycle with the true parameters and all of the friction compensated: a set-point that goes to 0."""
+    """With full compensation of the true friction there is no limit cycle after the set-point has gone to 0."""
     last = 1.75
     changes = (Change("setpoint_gain", 0.0, last - 1.0),)
     result = play(tmp_path, load, sine(0.5, 0.5), last + QUIET_AFTER + 1.8, delay=delay, changes=changes)
@@ -133,7 +133,7 @@ def test_what_is_no_longer_driven_comes_to_rest(tmp_path: Path, load: str, delay
 
 @pytest.mark.slow
 def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None:
-    """It brings the limb to where it holds it while a constant torque begins: that arrives; 210 of 300 were missing."""
+    """The hand still moves the limb when a constant torque begins. Earlier versions lost 210 of 300 mN*m."""
     hand = [[0.0, 40.0, 1.0, 0.3]]
     held = {"joint": {"load": "wearer", "hand": hand, "hand_repeat": False}}
     result = play(tmp_path, "wearer", {"kind": "constant", "offset": 0.3}, 1.5, plant=held)
@@ -147,7 +147,10 @@ def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None
     [(CONSTANT, 0.5e-3), (sine(0.4, 0.5), 10e-3)],
 )
 def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[str, Any]) -> None:
-    """8 Hz: the friction reverses each time without a chatter fault; 90 to 600 mN*m are off without compensation."""
+    """The hand trembles at 8 Hz. The friction reverses each time, and no chatter fault occurs.
+
+    Without compensation the error is 90 to 600 mN*m.
+    """
     script = [[0.02 * n, 40.0, 1.0, 0.3 + trembles * math.sin(16.0 * math.pi * 0.02 * n)] for n in range(110)]
     hand = {"joint": {"load": "wearer", "hand": script, "hand_repeat": False}}
     result = play(tmp_path, "wearer", setpoint, 2.2, plant=hand)
@@ -158,7 +161,7 @@ def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[st
 
 @pytest.mark.slow
 def test_a_coarse_encoder_of_the_joint(tmp_path: Path) -> None:
-    """Nothing chatters: 92 % of the gait's error is removed, and the friction reverses with the joint."""
+    """The motor does not chatter. 92 % of the gait's error is removed, and the friction reverses with the joint."""
     counts = {"encoder": {"counts_per_revolution": 1 << 12}}
     result = play(tmp_path, "imposed", GAIT, 3.0, axis=counts, plant=counts)
     assert not result.axes[0].faults
@@ -174,7 +177,7 @@ def test_an_unknown_motor_is_turned_slowly_and_that_is_said(tmp_path: Path) -> N
 
 
 def test_beyond_the_domain_is_told(tmp_path: Path) -> None:
-    """At 2.2 N*m more is needed at the motor than the 2.04 that are possible: logged, an event, and no fault."""
+    """A set-point of 2.2 N*m needs more than the possible 2.04 N*m at the motor. This is an event but no fault."""
     result = play(tmp_path, "held", {"kind": "constant", "offset": 2.2, "rate": 5.0}, 1.5)
     simulated = result.to_dict()["axes"][0]
     assert simulated["limit_reasons"]["DOMAIN"] > 300
@@ -182,7 +185,7 @@ def test_beyond_the_domain_is_told(tmp_path: Path) -> None:
     assert sum("one tendon goes slack" in str(event) for event in result.summary.events) == 1
     pair = Pair(((1.0, 1.0),), 0.26)
     slack, unloaded = pair.motor_tensions(1.0, 1.0)[0], pair.motor_tensions(0.0, 1.0)[0]
-    highest = unloaded / (unloaded - slack)  # N*m at the motor, at which T1 is 0 by the capstan equation
+    highest = unloaded / (unloaded - slack)  # N*m at the motor, for which T1 is 0 by the capstan equation
     assert result.log["tau_m_cmd"].max() <= highest + 0.05
     assert result.axes[0].delivered[result.axes[0].counted].max() > 1.9  # 1.66 with the bound of the other direction
 
@@ -192,7 +195,7 @@ def test_beyond_the_domain_is_told(tmp_path: Path) -> None:
 def test_a_wearer_who_is_faster_than_the_limit_backs_no_compensation_off(
     tmp_path: Path, wearer_speed: float, share: float
 ) -> None:
-    """The torque fades while the joint is too fast; when it returns, nothing swings on the tendons."""
+    """The torque fades while the joint is too fast. Its return causes no reaction of the guard."""
     limits = {"joint_speed": share * wearer_speed, "over_speed": 1.25 * share * wearer_speed}
     result = play(tmp_path, "imposed", GAIT, 1.8, axis={"limits": limits})
     log = result.axes[0].log

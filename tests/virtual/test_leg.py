@@ -1,4 +1,4 @@
-"""A leg of three joints that walks with gait torques, by MuJoCo: swing, heel strike and stance."""
+"""Run a walking leg of three joints with gait torques in MuJoCo, with swing, heel strike and stance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ pytest.importorskip("mujoco", reason="the extra 'limb' is not installed")
 
 @pytest.mark.slow
 def test_a_leg_walks_and_does_so_again_bit_by_bit(tmp_path: Path) -> None:
-    """On one bus of 1 Mbit/s three axes with encoders and torque sensors reach 400 Hz."""
+    """Three axes with encoders and torque sensors reach 400 Hz on one bus of 1 Mbit/s."""
     first, again = (legs.walk(tmp_path, 3.0, 400.0) for _ in range(2))
     assert not first.summary.failed
     for one, other in zip(first.axes, again.axes, strict=True):
@@ -30,10 +30,10 @@ def test_a_leg_walks_and_does_so_again_bit_by_bit(tmp_path: Path) -> None:
 def test_compensation_takes_95_percent_of_the_error_of_each_joint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At 1 kHz, over two strides with heel strikes: 3.0 % of the error without compensation are left at the hip, 2.8 %
-    at the knee and 4.7 % at the ankle.
+    """The rate is 1 kHz, over two strides with heel strikes.
 
-    A wire of 4 Mbit/s replaces one bus per axis: 1 Mbit/s does not carry three axes at this rate.
+    The remaining share of the error without compensation is 3.0 % at the hip, 2.8 % at the knee and 4.7 % at the ankle.
+    A bus of 4 Mbit/s replaces one bus per axis, because 1 Mbit/s does not carry three axes at this rate.
     """
     monkeypatch.setattr("tsa_ctrl.virtual.simulation.Wire", lambda bitrate: Wire(4.0 * bitrate))
     monkeypatch.setattr("tsa_ctrl.bus.drive.budget.check", lambda *given: budget.load(*given[:3]))

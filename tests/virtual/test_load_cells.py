@@ -1,7 +1,7 @@
-"""Test a pair of load cells in a closed run: the loop follows the tensioner by t1 and t3 from two serial lines.
+"""Run the loop with a pair of load cells on two serial lines, which follows the tensioner by t1 and t3.
 
-The plant's tendons are distributed and have lost a quarter of their pretension. The lines are text, read by the
-parser of the serial sensors into their slots, 100 values a second; only the terminal between is left out.
+The plant's tendons are distributed and have lost a quarter of their pretension. The parser of the serial sensors reads
+lines of text, 100 values per second. Only the terminal is not simulated.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ SECONDS = 5.0
 KILOGRAM_FORCE = 9.80665  # N
 EACH = 0.01  # s between two lines of a cell
 NOISE = 0.1  # N
-LEFT = 0.75  # of the pretension
+LEFT = 0.75  # share of the pretension
 WRONG_FROM = 2.0  # s of the run
 TENSION = NOMINAL.pretension
 
-Cell = Callable[[float, float], str]  # s since the first line, N -> the line that is sent
+Cell = Callable[[float, float], str]  # s since the first line and N, to the line that is sent
 
 
 def said(tension: float) -> str:
@@ -52,7 +52,7 @@ def drifting(t: float, tension: float) -> str:
 
 
 class Cells:
-    """Both serial lines of a run, from the plant's tensions to the values that the loop reads."""
+    """Simulate both serial lines of a run, from the plant's tensions to the values that the loop reads."""
 
     def __init__(self, run: Run, settings: tuple[SerialSensorSettings, ...], t3: Cell) -> None:
         self._truth = run.machine.axes[0].axis.values
@@ -87,14 +87,14 @@ class Cells:
 
 @dataclass(frozen=True)
 class Told:
-    """Return a run, and the events about the estimate."""
+    """The result of a run, and the events about the estimate."""
 
     result: Simulation
     lines: list[str]
 
 
 def play(folder: Path, kind: str, t3: Cell = good) -> Told:
-    """Run the gait on the slackened tendons."""
+    """Run the gait with the reduced pretension."""
     line = {"pattern": r"^(?P<value>\S+) (?P<unit>\w+)$", "unit": "kgf", "scale": KILOGRAM_FORCE, "timeout": 0.1}
     axis = {
         "estimator": {"kind": kind, **({} if kind == "fixed" else {"use": True, "attribute": "pretension"})},
@@ -117,7 +117,7 @@ def play(folder: Path, kind: str, t3: Cell = good) -> Told:
 
 @pytest.fixture(scope="module")
 def without(tmp_path_factory: pytest.TempPathFactory) -> float:
-    """mN*m RMS with the model file's pretension."""
+    """Return the RMS error with the model file's pretension, mN*m."""
     return rms(error(play(tmp_path_factory.mktemp("fixed"), "fixed").result, 3.0))
 
 

@@ -1,4 +1,4 @@
-"""Drives of other makes, with their own profile: torque, clamp and velocity have the right units."""
+"""Drives of other makes with their own profile have the right units of torque, clamp and velocity."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DRIVES = Path(__file__).resolve().parents[2] / "config" / "drives"
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["epos4", "elmo_gold"])
 def test_runs_a_drive_of_another_make(tmp_path: Path, kind: str) -> None:
-    """The speed is the derivative of the angle; the reported torque is the command of the previous period."""
+    """The speed is the derivative of the angle. The reported torque is the command of the previous period."""
     shutil.copytree(DRIVES, tmp_path / "drives")
     tables = controller(drive={"profile": kind})
     log = simulate_loop(*write(tmp_path, tables, plant(drive={"kind": kind})), 2.0).log

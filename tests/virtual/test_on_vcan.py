@@ -1,4 +1,4 @@
-"""Virtual time against real time: the same files on a vcan and in lockstep, torques compared sample by sample.
+"""Compare the torque of the same files on a vcan and in virtual time, sample by sample.
 
 A lockstep run with the wake-up times of the processes (`real_time`) must deliver the same torque.
 """
@@ -15,13 +15,13 @@ from tsa_ctrl.errors import BusError
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 
-RATE = 250.0  # Hz: the vcan of a guest shares one processor
-MEDIAN, RMS = 0.03, 0.1  # of the torque's standard deviation: most that the two may differ by
+RATE = 250.0  # Hz; a guest with a vcan has one processor
+MEDIAN, RMS = 0.03, 0.1  # largest difference as a share of the torque's standard deviation
 
 
 def test_real_time_agrees_with_virtual_time(tmp_path: Path, vcan: str) -> None:
     paths = files(tmp_path, vcan, "spring", RATE)
-    for _ in range(TRIES):  # again where a stall parted the two: what is lost within a cycle is not replayed
+    for _ in range(TRIES):  # repeated after a stall, because a loss within a cycle is not replayed
         try:
             truth, log = in_real_time(tmp_path)
         except BusError as error:

@@ -1,4 +1,4 @@
-"""Healthy rigs at every usual rate: a slow loop samples a motor that rings on its tendons too seldom to judge it."""
+"""Healthy rigs cause no fault at any usual rate, although a slow loop undersamples a motor that oscillates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_no_healthy_rig_latches(tmp_path: Path, rate: float, load: str) -> None:
 
 
 def test_the_shipped_example_rests_at_every_rate(tmp_path: Path) -> None:
-    """Set-point 0 on the moved joint of the example: nothing but the friction is compensated."""
+    """The set-point is 0 on the example's moving joint, so only the friction is compensated."""
     for path in (ROOT / "config").glob("*.toml"):
         (tmp_path / path.name).write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
     text = (tmp_path / "controller.toml").read_text(encoding="utf-8")
@@ -43,7 +43,7 @@ def test_the_shipped_example_rests_at_every_rate(tmp_path: Path) -> None:
 def test_tendons_within_the_uncertainty_of_the_file_are_not_reported(
     tmp_path: Path, rate: float, truth: dict[str, float]
 ) -> None:
-    """Friction 15 % off, stiffness 7 % off: before both directions have slid, the observer has to learn them."""
+    """Friction is 15 % off and stiffness 7 %. The observer learns them when both directions have slid."""
     bus = BusChoice("virtual", "rates")
     plant = rig.plant(bus, "distributed")
     plant["axis"][0]["perturbation"] = truth

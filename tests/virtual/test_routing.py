@@ -1,4 +1,4 @@
-"""A knee whose sheath another joint bends: the case that motivates the theory (Theta = Theta_0 + g q_hip)."""
+"""Test a knee whose sheath is bent by another joint (Theta = Theta_0 + g q_hip)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tsa_ctrl.model.predict import predict
 
 
 def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, table: bool = False) -> float:
-    """Return the RMS error of the knee's joint torque, mN*m, of `files`."""
+    """Write `files`, run them, and return the RMS error of the knee's joint torque, mN*m."""
     result = simulate_loop(*files(folder, load, frequency, follows=follows, table=table), SECONDS)
     assert not result.summary.failed
     if not follows:
@@ -37,9 +37,10 @@ def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, tab
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["imposed", "weight"])
 def test_the_error_is_that_of_a_resting_hip(tmp_path: Path, load: str) -> None:
-    """At most 1.3 times, or 6 mN*m more: 10.6 at rest and 11 to 12.6 imposed, 2.6 and 3.2 to 6.0 on a weight.
+    """The error is at most 1.3 times that of a resting hip, or 6 mN*m more.
 
-    Without the map it is ten times as much: 157 and 131 mN*m.
+    It is 10.6 mN*m at rest and 11 to 12.6 mN*m with a prescribed motion, and 2.6 and 3.2 to 6.0 mN*m with a weight.
+    Without the map it is 157 and 131 mN*m, more than ten times as much.
     """
     resting = knee(tmp_path, load, 0.0)
     for frequency in (0.1, 0.4, 1.0):
@@ -70,7 +71,7 @@ def test_tendons_may_be_routed_differently(tmp_path: Path, load: str) -> None:
 
 @pytest.mark.slow
 def test_a_log_of_tendons_that_are_routed_differently_is_simulated(tmp_path: Path) -> None:
-    """Gains of 1.6 and 0: the median of the model's error is 4.4 mN*m with both wrap angles, 11.6 with their mean."""
+    """With gains of 1.6 and 0, the model's median error is 4.4 mN*m. With the mean wrap angle it is 11.6 mN*m."""
     paths = files(tmp_path, "imposed", 0.4)
     apart(tmp_path, 1.6, 0.0)
     simulate_loop(*paths, SECONDS, out=tmp_path / "out")
@@ -85,7 +86,10 @@ def test_a_log_of_tendons_that_are_routed_differently_is_simulated(tmp_path: Pat
 
 @pytest.mark.slow
 def test_encoders_alone_prove_the_friction_of_a_sheath_that_the_hip_bends(tmp_path: Path) -> None:
-    """51 mN*m with a hip at rest, 54 at 0.4 Hz and 55 at 1 Hz. It was 434 at 1 Hz with one friction for all angles."""
+    """The error is 51 mN*m with the hip at rest, and 55 mN*m at 1 Hz.
+
+    With one friction for all angles it was 434 mN*m at 1 Hz.
+    """
     found = {}
     for frequency in (0.0, 1.0):
         paths = files(tmp_path, "imposed", frequency)
@@ -99,16 +103,16 @@ def test_encoders_alone_prove_the_friction_of_a_sheath_that_the_hip_bends(tmp_pa
 
 @pytest.mark.slow
 def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path: Path) -> None:
-    """The plant's hip moves exactly by the table: 11.0 and 11.2 mN*m."""
+    """The plant's hip follows the table exactly. The errors are 11.0 and 11.2 mN*m."""
     by_hip, by_table = knee(tmp_path, "imposed", 0.4), knee(tmp_path, "imposed", 0.4, table=True)
     assert by_hip == pytest.approx(by_table, rel=0.05)
 
 
 @pytest.mark.slow
 def test_a_log_of_two_joints_has_the_angle_of_the_other_one(tmp_path: Path) -> None:
-    """Model files are tried on the knee's log: 108 mN*m with the routing, 218 without. The diagnosis finds the gain.
+    """The model's error on the knee's log is 108 mN*m with the routing and 218 mN*m without.
 
-    The plant's tendons have friction all along the sheath, and no line of (3.55).
+    The diagnosis identifies the gain. The plant's friction is distributed along the sheath and does not use (3.55).
     """
     simulate_loop(*files(tmp_path, "imposed", 0.4), SECONDS, out=tmp_path / "out")
     log = tmp_path / "out" / "tsa.mcap"
@@ -134,11 +138,12 @@ def test_a_log_of_two_joints_has_the_angle_of_the_other_one(tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["imposed", "weight"])
 def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: Path, load: str) -> None:
-    """The hip's encoder dies: the friction is the least of the hip's travel within 50 ms, and an event names it.
+    """The hip's encoder fails. An event reports it.
 
-    While the friction term keeps its direction, the command changes by at most 50 mN*m at the joint in a cycle (49.5
-    and 46.8). Losses at 24 moments from 2.5 to 3.8 s: 17 to 50.3. A reversal changes it faster, with a lost hip and
-    without one: 93 to 295 mN*m in a cycle on a weight, where the run without a loss has 295, too.
+    The friction becomes the smallest in the hip's travel within 50 ms. While the friction term keeps its direction, the
+    command changes by at most 50 mN*m at the joint per cycle (49.5 and 46.8). Losses at 24 moments from 2.5 to 3.8 s
+    gave 17 to 50.3 mN*m. A reversal changes the command faster, by 93 to 295 mN*m per cycle with a weight. Without a
+    loss the largest change is also 295 mN*m.
     """
     paths = files(tmp_path, load, 0.4, travel=True)
     result = simulate_loop(*paths, 3.6, faults=["missing_tpdo axis=hip node=encoder@3.1"])
@@ -155,7 +160,7 @@ def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["imposed", "weight"])
 def test_a_hip_without_an_angle_is_named_at_the_start(tmp_path: Path, load: str) -> None:
-    """The error stays below the 544 mN*m that the start prints: 299 mN*m imposed, 258 on a weight."""
+    """The error is 299 mN*m with a prescribed motion and 258 with a weight, below the 544 reported at startup."""
     paths = files(tmp_path, load, 0.4, bending={"unmeasured": {"hip": [-SWING, SWING]}})
     result = simulate_loop(*paths, 4.0)
     assert not result.summary.failed
@@ -170,7 +175,7 @@ def test_a_hip_without_an_angle_is_named_at_the_start(tmp_path: Path, load: str)
     ("gain", "name", "words"), [(GAIN, "hips", "names joint 'hip'"), (9.0, "hip", "wrap angle of -")]
 )
 def test_a_routing_that_cannot_be_is_one_line(tmp_path: Path, gain: float, name: str, words: str) -> None:
-    """An unknown joint, and a gain that makes the wrap angle negative within the hip's travel."""
+    """The joint is unknown, or the gain makes the wrap angle negative within the hip's travel."""
     controller, _ = files(tmp_path, "imposed", 0.4, travel=True)
     text = controller.read_text(encoding="utf-8").replace('name = "hip"', f'name = "{name}"')
     controller.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Never a runaway: what compensation adds when friction or pretension is lost, on joints that can move."""
+"""The compensation causes no runaway if friction or pretension is lost on a joint that can move."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 
-AT = 1.5  # s of the log, when something changes
+AT = 1.5  # s of the log, time of the change
 NUDGE = Fault("push value=0.5 duration=0.05", AT)
 STANDS: dict[str, Any] = {"kind": "constant", "offset": 0.0}
 
@@ -26,7 +26,7 @@ def told(result: Simulation) -> list[str]:
 
 
 def added(result: Simulation, after: float = AT) -> float:
-    """Most work, J, beyond the set-point's that the joint was given within any window after this time of the log."""
+    """Return the largest work of any window after this time of the log, less the work of the set-point, J."""
     axis, truth = result.axes[0], result.truth
     t = truth["clock"] - axis.start
     on = (t >= after) & (t < axis.until)
@@ -46,7 +46,7 @@ BREAKS_AWAY = pytest.mark.xfail(
 @pytest.mark.parametrize(
     ("load", "setpoint", "fault", "most"),
     [
-        ("weight", STANDS, "pretension value=0.3", 10e-3),  # swings for ever without the guard: below
+        ("weight", STANDS, "pretension value=0.3", 10e-3),  # without the guard it oscillates permanently, see below
         pytest.param("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3, marks=[pytest.mark.soak, BREAKS_AWAY]),
         ("free", sine(0.5, 0.5), "friction value=0.75", 10e-3),
     ],
@@ -54,9 +54,10 @@ BREAKS_AWAY = pytest.mark.xfail(
 def test_lost_friction_moves_no_joint(
     tmp_path: Path, load: str, setpoint: dict[str, Any], fault: str, most: float
 ) -> None:
-    """J/2 (1 rad/s)^2 at most, none a second later, and reported; all of the friction was compensated.
+    """The joint gets at most J/2 (1 rad/s)^2, and at most 1 mJ after a second. The loss is reported.
 
-    The term follows the measured friction, so a second report of the guard, at which it latches, need not come.
+    All of the friction was compensated. The term follows the measured friction, so the guard need not report a second
+    time, at which it would latch.
     """
     faults = [Fault(fault, AT), *([NUDGE] if setpoint is STANDS else [])]
     result = play(tmp_path, load, setpoint, AT + 2.0, faults=faults)
@@ -72,7 +73,7 @@ def test_lost_friction_moves_no_joint(
 @pytest.mark.slow
 @pytest.mark.soak
 def test_a_limb_whose_tendons_lose_nearly_all_pretension_is_stopped(tmp_path: Path) -> None:
-    """At 4.5 N the slack tendon lets motor and joint move apart, so the loss latches before its friction is read."""
+    """At 4.5 N the slack tendon separates motor and joint, so a fault latches before the friction is measured."""
     result = play(tmp_path, "limb", GAIT, AT + 2.0, faults=[Fault("pretension value=0.1", AT)])
     truth, axis = result.truth, result.axes[0]
     lost = truth["clock"] - axis.start > AT
@@ -86,7 +87,7 @@ def test_a_limb_whose_tendons_lose_nearly_all_pretension_is_stopped(tmp_path: Pa
 @pytest.mark.slow
 @pytest.mark.parametrize("load", ["weight", "free", "limb"])
 def test_another_joints_model_gives_a_nudged_joint_half_the_smaller_credit_at_most(tmp_path: Path, load: str) -> None:
-    """The file has twice the friction; with the credit of a trusted file the joints get 139 to 142 mJ."""
+    """The file has twice the friction. With the credit of a trusted file the joints would get 139 to 142 mJ."""
     other = replace(NOMINAL, friction_coefficient=2.0 * NOMINAL.friction_coefficient)
     save_model(other.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}}), tmp_path / "other.toml")
     nudge = Fault("push value=0.4 duration=0.1", AT)
@@ -97,7 +98,10 @@ def test_another_joints_model_gives_a_nudged_joint_half_the_smaller_credit_at_mo
 
 @pytest.mark.slow
 def test_a_heavy_motors_swing_on_tendons_bent_elsewhere_is_none(tmp_path: Path) -> None:
-    """Bent at the joint, turned as if evenly bent: each turn leaves the motor a swing, which the joint then gets."""
+    """The bends are at the joint, but reversals are planned for even bends.
+
+    After each reversal the motor swings and transfers this energy to the joint.
+    """
     result = play(
         tmp_path,
         "imposed",
@@ -127,7 +131,7 @@ def test_without_the_guard_the_weight_swings_for_ever(tmp_path: Path, monkeypatc
 
 @pytest.mark.slow
 def test_the_stretch_sees_it_without_a_torque_sensor(tmp_path: Path) -> None:
-    """The elongation measures the friction that is left, and the term follows it."""
+    """The elongation measures the remaining friction, and the term follows it."""
     blind = {"torque_sensor": {"present": False}}
     result = play(
         tmp_path,
@@ -138,13 +142,13 @@ def test_the_stretch_sees_it_without_a_torque_sensor(tmp_path: Path) -> None:
         plant=blind,
         faults=[Fault("pretension value=0.2", 4.0)],
     )
-    assert added(result, 4.0) <= 30e-3  # less certain, so later than with a sensor
+    assert added(result, 4.0) <= 30e-3  # later than with a sensor, because the elongation is less certain
     assert any("the measured friction torque is at most" in event.text for event in result.summary.events)
 
 
 @pytest.mark.slow
 def test_what_bounds_the_compensation_is_said_at_the_start(tmp_path: Path) -> None:
-    """The range of the wrap angle; keys of earlier versions are read, and reported as without effect."""
+    """The range of the wrap angle is reported. Keys of earlier versions are accepted and reported as without effect."""
     axis = {"bending": {"range": 0.1}, "oscillation": {"speed": 0.5}}
     result = play(tmp_path, "held", sine(0.5, 0.5), 2.0, axis=axis)
     texts = [event.text for event in result.summary.events]

@@ -1,4 +1,4 @@
-"""Set-points over the socket in virtual time: the daemon's loop and socket server on the plant, one clock for all."""
+"""Send set-points over the socket in virtual time to the daemon's loop and socket server, with one clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tests.virtual.files import controller, plant, write
 from tests.virtual.serving import ServedRun
 
-BURST = 64  # values, as many as commands may wait
+BURST = 64  # values, the capacity of the command queue
 DIES = 0.4  # s
 RATE = 50.0  # N*m/s, of a set-point: [axis.setpoint] rate
 WANTED = 1.0  # N*m
@@ -37,17 +37,17 @@ def lines(values: list[float], **more: float) -> bytes:
 
 
 def wanted(run: ServedRun) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Time and set-point of every cycle."""
+    """Run, and return time and set-point of every cycle."""
     log = run.simulate().axes[0].log
     return log["t"], log["tau_j_des"]
 
 
 def test_a_burst_of_a_client_that_dies_plays_no_longer_than_its_connection(run: ServedRun) -> None:
-    """The client sends 64 values at once and disconnects: the set-point falls to 0 at its rate limit."""
+    """The client sends 64 values at once and disconnects. The set-point falls to 0 at its rate limit."""
     sent = lines([WANTED * (n + 1) / BURST for n in range(BURST)])
     run.at(DIES, run.connected(sent, ends=True))
     t, tau_j_des = wanted(run)
-    assert np.max(np.abs(tau_j_des[t > DIES])) <= 3e-3 * RATE  # a cycle up at most, then down
+    assert np.max(np.abs(tau_j_des[t > DIES])) <= 3e-3 * RATE  # one cycle upwards at most, then downwards
     assert not np.any(tau_j_des[t > DIES + 0.01])
 
 
@@ -60,7 +60,7 @@ def test_a_later_zero_waits_behind_nothing(run: ServedRun) -> None:
 
 
 def test_a_value_is_as_old_as_its_client_says(run: ServedRun) -> None:
-    """Wanted 0.15 s before it came: it acts for the 0.05 s that are left of its time-out of 0.2 s, not longer."""
+    """The timestamp is 0.15 s old, so the value acts for the remaining 0.05 s of its time-out of 0.2 s."""
     run.at(DIES, lambda now: run.send(lines([WANTED], time=now - 0.15)))
     t, tau_j_des = wanted(run)
     acting = t[np.isclose(tau_j_des, WANTED)]
@@ -75,7 +75,7 @@ def test_one_that_is_too_old_never_acts(run: ServedRun) -> None:
 
 
 def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) -> None:
-    """Connected, and silent."""
+    """The client stays connected but sends nothing."""
     run.at(DIES, run.connected(lines([WANTED] * BURST)))
     t, tau_j_des = wanted(run)
     assert t[np.isclose(tau_j_des, WANTED)][-1] - DIES == pytest.approx(0.2, abs=4e-3)
@@ -83,7 +83,7 @@ def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) 
 
 
 def test_a_value_is_in_the_command_of_the_next_cycle_at_the_latest(tmp_path: Path) -> None:
-    """Whenever it comes: 20 moments of a period. One that comes between SYNC and command is in that command."""
+    """The value comes at 20 moments of a period. Between SYNC and command it is in that command."""
     period, moments = 1e-3, [0.3 + n * (0.01 + 0.05e-3) for n in range(20)]
     files = write(
         tmp_path,

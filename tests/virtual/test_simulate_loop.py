@@ -1,4 +1,4 @@
-"""The real loop on the real plant, in virtual time."""
+"""Test the real loop on the real plant in virtual time."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def test_faults_and_changes_may_be_written_as_on_the_command_line(tmp_path: Path
 
 @pytest.mark.slow
 def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(tmp_path: Path) -> None:
-    """Frames on the bus are lost with it; the torque returns only after a request."""
+    """Frames on the bus are lost. The torque returns only after a request."""
     result = simulate_loop(*write(tmp_path), 5.0, faults=["interface_down duration=0.3@1"], changes=["recover=1@2"])
     assert result.axes[0].faults[0].startswith("bus fault: the interface is down")
     t, enabled = result.truth["clock"] - result.axes[0].start, result.truth["enabled"] > 0.0
@@ -197,7 +197,7 @@ def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(t
 def test_nothing_of_a_flood_is_believed(tmp_path: Path) -> None:
     result = simulate_loop(*write(tmp_path), 1.0, faults=["flood value=3000@0.5"])
     assert not result.summary.failed
-    assert result.summary.missed_pdo == 0  # identifiers of low priority wait until the answers are through
+    assert result.summary.missed_pdo == 0  # identifiers of low priority are sent after the answers
 
 
 def test_options_are_read() -> None:
@@ -228,7 +228,7 @@ def test_the_verb_prints_its_json_alone(tmp_path: Path, capsys: pytest.CaptureFi
 def test_the_summary_has_the_torque_error_of_the_log(
     tmp_path: Path, column: str, source: str, axis: dict[str, Any]
 ) -> None:
-    """By the torque sensor, or else by the elongation; from the end of the fade-in to the begin of the stop."""
+    """The error is measured by the torque sensor or the elongation, from the end of the fade-in until the stop."""
     result = play(tmp_path, "weight", sine(0.5, 0.5), 3.0, axis=axis)
     log, found = result.axes[0].log, result.summary.torque[0]
     counted = result.axes[0].counted

@@ -1,4 +1,4 @@
-"""A computer that is too slow for its rate, in virtual time: reported from 1 %, a fault from `lost_share`."""
+"""A computer that is too slow for its rate is reported from 1 % on, and is a fault from `lost_share` on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tsa_ctrl import simulate_loop
 from tsa_ctrl.virtual.result import Simulation
 
 CONSTANT = {"kind": "constant", "offset": 0.3}
-SLOW = "slow_loop value=0.0014"  # s: every second period is skipped
+SLOW = "slow_loop value=0.0014"  # s; every second period is skipped
 
 
 def run(folder: Path, *faults: str, seconds: float = 2.2, **more: Any) -> Simulation:
@@ -28,7 +28,7 @@ def skipping(result: Simulation) -> list[str]:
 
 
 def spread(share: float, seconds: float = 1.5) -> list[str]:
-    """Single slow cycles, evenly spread from 0.5 s on, that skip this share of the periods."""
+    """Return single slow cycles, evenly distributed from 0.5 s on, that skip this share of the periods."""
     return [f"{SLOW} duration=0.001@{0.5 + 1e-3 * n / share}" for n in range(round(1e3 * share * seconds))]
 
 
@@ -75,6 +75,6 @@ def test_both_axes_stop_when_their_loop_skips_periods(tmp_path: Path) -> None:
 
 
 def test_the_rate_that_the_remedy_names_is_reached(tmp_path: Path) -> None:
-    """The same slow computer at 500 Hz skips nothing."""
+    """The same slow computer skips no period at 500 Hz."""
     result = run(tmp_path, f"{SLOW}@0.5", seconds=1.5, controller={"rate": 500.0})
     assert (result.summary.skipped, result.summary.failed) == (0, False)

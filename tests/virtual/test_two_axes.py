@@ -1,4 +1,4 @@
-"""A fault of one of two axes, and a recovery while the other one still ramps down."""
+"""Test a fault of one of two axes, and a recovery while the other one still ramps down."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FAULT = 0.8  # s
 
 
 def pair(tables: Tables) -> Tables:
-    """The same with a second axis, whose nodes have ids one higher."""
+    """Return the tables with a second axis, whose node ids are one higher."""
     (first,) = tables["axis"]
     nodes = {"drive": {"node_id": 2, "serial_number": 2}, "encoder": {"node_id": 33}, "torque_sensor": {"node_id": 65}}
     return tables | {"axis": [first, merged(first, {"name": "hip", **nodes})]}
@@ -25,7 +25,7 @@ def pair(tables: Tables) -> Tables:
 
 def play(folder: Path, fault: str, recovery: float, seconds: float = 2.5) -> Simulation:
     still = {"joint": {"load": "held"}}
-    # the drive alone must not save it: its RPDO timer is long
+    # the RPDO timer of the drive is long, so that it does not stop the torque
     axis = {"setpoint": {"kind": "constant", "offset": 0.5}, "drive": {"rpdo_timeout": 0.5, "serial_number": 1}}
     slower = {"controller": {"rate": 500.0}}
     files = write(folder, pair(controller(file=slower, **axis)), pair(plant(**still)))
@@ -35,14 +35,14 @@ def play(folder: Path, fault: str, recovery: float, seconds: float = 2.5) -> Sim
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["emcy", "heartbeat_lost duration=0.4"], ids=["reset", "bring-up"])
 def test_a_recovery_waits_until_every_axis_has_ended_its_ramp(tmp_path: Path, fault: str) -> None:
-    """The other drive has confirmed that it is off before the reset; then both have torque again."""
+    """The reset waits until the other drive is confirmed off. Then both axes have torque again."""
     result = play(tmp_path, fault, FAULT + (0.25 if "lost" in fault else 0.1), 4.0)
     first, other = result.axes
     start = other.truth["clock"] - other.start
     begin = next(event.t for event in result.summary.events if event.fault)
     torque = np.abs(other.truth["tau_m"])
     ramp = (start > begin + 0.01) & (start < begin + 0.28)
-    assert (np.abs(np.diff(torque[ramp])) < 0.02).all()  # by the ramp alone: no step to 0
+    assert (np.abs(np.diff(torque[ramp])) < 0.02).all()  # the torque follows the ramp without a step to 0
     assert (torque[(start > begin + 0.14) & (start < begin + 0.16)] > 0.1).all()
     assert torque[(start > begin + 0.29) & (start < begin + 0.33)].min() < 0.01
     assert result.axes[0].faults

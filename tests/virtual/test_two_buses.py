@@ -20,7 +20,7 @@ NAMES = ("knee", "hip", "ankle", "toe")
 
 
 def on_buses(tables: Tables, places: Mapping[str, str], buses: list[dict[str, Any]] | None = None) -> Tables:
-    """The same with an axis for each name in `places`, on that bus, with unique node ids."""
+    """Return the tables with one axis for each name in `places`, on that bus, with unique node ids."""
     (first,) = tables["axis"]
     axes = [
         merged(
@@ -48,7 +48,7 @@ def files(folder: Path, places: Mapping[str, str] = TWO, **axis: Any) -> tuple[P
 
 
 def test_one_cycle_runs_over_both_buses(tmp_path: Path) -> None:
-    """Both axes have torque, every answer of every cycle arrives, and each axis is as good as alone on one bus."""
+    """Both axes have torque, every answer arrives, and the error of each axis is as small as on one bus."""
     result = simulate_loop(*files(tmp_path), 3.0)
     assert result.summary.bus == "can0, can1"
     assert not any(event.fault for event in result.summary.events)
@@ -60,7 +60,7 @@ def test_one_cycle_runs_over_both_buses(tmp_path: Path) -> None:
 
 
 def test_four_axes_that_one_bus_cannot_carry_run_on_two_at_1_khz(tmp_path: Path) -> None:
-    """The case of a leg: two lean drives with encoders on each bus."""
+    """Each bus has two lean drives with encoders, as in a leg."""
     places = {"knee": "left", "hip": "left", "ankle": "right", "toe": "right"}
     axis = {"drive": {"pdo": "lean"}, "torque_sensor": None}
     tables = controller(file={"controller": {"rate": 1000.0}}, **axis)
@@ -78,7 +78,7 @@ def test_four_axes_that_one_bus_cannot_carry_run_on_two_at_1_khz(tmp_path: Path)
 
 @pytest.mark.parametrize("fault", ["emcy axis=knee", "interface_down axis=knee", "heartbeat_lost axis=knee"])
 def test_a_fault_on_one_bus_ramps_the_axes_of_the_other_down(tmp_path: Path, fault: str) -> None:
-    """The axis of the healthy bus gets no step to 0, its drive confirms that it is off, and the fault has its place."""
+    """The axis on the healthy bus has no fault, ramps down without a step, and its drive confirms that it is off."""
     axis = {"setpoint": {"kind": "constant", "offset": 0.5}, "drive": {"rpdo_timeout": 0.5}}
     result = simulate_loop(*files(tmp_path, **axis), 2.0, faults=[f"{fault}@{FAULT}"])
     first, other = result.axes
@@ -151,7 +151,7 @@ def test_axes_name_their_bus_if_there_are_several_and_nodes_are_unique(tmp_path:
 
 
 def test_a_full_bus_is_named_and_its_suggestions_work(tmp_path: Path) -> None:
-    """One of them is to move an axis to the bus that has room for it."""
+    """One suggestion is to move an axis to the bus with free capacity."""
     places = {"knee": "left", "hip": "left", "ankle": "right"}
     buses = [{**each, "bitrate": 500_000} for each in BUSES]
     tables = on_buses(controller(file={"controller": {"rate": 500.0}}), places, buses)

@@ -1,1 +1,1 @@
-"""Benchmarks: time of a cycle and of the model, right answers of diagnosis, calibration and tuning."""
+"""Benchmarks of the cycle time, the model, the diagnosis, the calibration and the tuning."""

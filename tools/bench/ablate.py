@@ -1,14 +1,15 @@
-"""Diagnose a fixed corpus, and again with one number or one rule of the diagnosis changed.
+"""Diagnose a fixed corpus with the code as it is or with one number or rule of the diagnosis changed.
 
 Usage: tools/run bench/ablate [--change MODULE.NAME=VALUE ...] [--only TEXT] [--rows FILE] [--against FILE]
 
 The corpus has blind logs of every family, one rig with several noise seeds, and the measured sets (TSA_DATA, else
-../shared/data). A row has the answer, the held-out error in mN*m, and a mark: 1 right, 0.5 the right name in a group or
-not certain, 0 wrong, -1 a single wrong name without alternatives. A measured set is marked by the published causes.
+../shared/data). A row has the answer, the held-out error in mN*m, and a mark: 1 for the right cause, 0.5 for the right
+cause in a group or an uncertain answer, 0 for a wrong answer, -1 for a single wrong cause without alternatives. The
+mark of a measured set is the share of the published causes that were identified.
 
---change sets a constant of a module below tsa_ctrl.identify.diagnosis, in every module that imports it, or makes a
-function return the value: `selection.entry.SMALLEST=0.4`, `selection.forward._plain_steps=()`. With --against only the
-rows that differ from those of that file are printed. Rows that --rows has of the same change are not run again.
+--change sets a constant of a module in tsa_ctrl.identify.diagnosis, in every module that imports it, or makes a
+function return the value: `selection.entry.SMALLEST=0.4`, `selection.forward._plain_steps=()`. --against prints only
+the rows that differ from the given file. Rows of the same change that are already in --rows are not run again.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.model.parameters import load_model, model_from
 
 PACKAGE = "tsa_ctrl.identify.diagnosis."
-SEED = 7000  # of the first case; no rule was made with these
-CACHE = command.ROOT / "out" / "ablate"  # drawn cases: drawing takes longer than the diagnosis
+SEED = 7000  # of the first case; these seeds were not used in development
+CACHE = command.ROOT / "out" / "ablate"  # cases are cached, because drawing one takes longer than its diagnosis
 COUNTS = {"none": 5, "hidden_direction": 1, "single": len(FAMILIES["single"]), "pair": 6, "outside": 9}
 COUNTS |= {"confounded": 5, "rigid": 5, "geared": 4, "two_encoders": 5}
 LONG: tuple[tuple[str, str], ...] = (
@@ -50,9 +51,9 @@ LONG: tuple[tuple[str, str], ...] = (
     ("single", "pretension_relaxation"),
 )
 LONG += (("pair", "any"), ("outside", "viscoelastic_tendon"), ("outside", "oval_pulley"), ("none", "rich"))
-NOISE_SEEDS = 3  # of one rig: without an effect, and with each of two
+NOISE_SEEDS = 3  # per rig of SEEDED: one without an effect, and one with each of two effects
 SEEDED = ("", "velocity_lag", "stribeck_friction")
-# Pattern of the logs, of the held-out ones, model file; the published causes, of which each is one of these names
+# Pattern of the logs, pattern of the held-out logs, model file, and the accepted names of each published cause
 ASYMMETRIC, WEIGHT, OFFSET = "direction_asymmetric_friction", "gravity_load", "torque_offset"
 PRESLIDING, LOADED = "presliding_hysteresis", ("load_dependent_friction", "sheath_asymmetry", "tendon_slack")
 SETS: dict[str, tuple[str, str | None, str, tuple[tuple[str, ...], ...]]] = {
@@ -77,14 +78,14 @@ FOLDS = tuple(f"measured {name}" for name, each in SETS.items() if name.startswi
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """One case: its key, and how to get it (a blind case) or its set."""
+    """The key of one case, and a function that draws it. A measured set has no such function."""
 
     key: str
     draw: Callable[[], Case] | None = None
 
 
 def corpus() -> Iterator[Work]:
-    """Every case, long ones first."""
+    """Yield every case, measured sets and long logs first."""
     yield from (Work(f"measured {name}") for name in reversed(SETS))
     for number, (family, name) in enumerate(LONG):
         yield Work(f"long {family} {name}", partial(case, family, name, SEED + 50 + number))
@@ -100,7 +101,7 @@ def corpus() -> Iterator[Work]:
 
 
 def reseeded(effect: str, seed: int) -> Case:
-    """Draw a rig with its motion once, and record it with noise of its own for each seed."""
+    """Return the log of a fixed rig and motion, with sensor noise that depends on the seed."""
     drawn = case("single", effect, SEED, True) if effect else case("none", "rich", SEED, True)
     assert drawn.bench is not None
     rng = np.random.default_rng(seed)
@@ -124,7 +125,10 @@ def answer(report: Row) -> str:
 
 
 def score(work: Work, found: Case | None, report: Row) -> float:
-    """Return 1 for a right answer, 0.5 for a group or a right one that is not certain, -1 for a wrong single name."""
+    """Return the mark of an answer, from 1 (right) to -1 (a single wrong cause).
+
+    A measured set (`found` is None) gets the share of its published causes that were identified.
+    """
     causes = report["causes"]
     named = [{each["effect"], *each["alternatives"]} for each in causes]
     if found is None:
@@ -135,7 +139,7 @@ def score(work: Work, found: Case | None, report: Row) -> float:
         return -1.0
     if found.truth.outside:
         return 1.0 if marks.flagged else 0.0
-    if found.family == "two_encoders":  # a single name, a group with it, or nothing if recalibration takes it up
+    if found.family == "two_encoders":  # right: the cause, a group with it, or none if recalibration absorbs the effect
         absorbed = "parameter_error" in found.truth.twins and not causes
         held = any(set(found.truth.effects) <= group for group in named)
         return 1.0 if held or absorbed or (not found.truth.effects and not causes) else 0.0
@@ -177,7 +181,7 @@ def one(work: Work, changes: Sequence[str]) -> Row:
 
 
 def cached(work: Work) -> Case | None:
-    """Draw a case, or take it from the disk."""
+    """Return a case from the cache, or draw and store it. Return None if it cannot be drawn."""
     path = CACHE / f"{work.key.replace('/', '_')}.pickle"
     if path.is_file():
         kept: Case | None = pickle.loads(path.read_bytes())
@@ -194,7 +198,7 @@ def cached(work: Work) -> Case | None:
 
 
 def differs(row: Row, other: Row | None) -> bool:
-    """Return True if answer, or held-out error by more than one in a thousand, differ."""
+    """Return True if the answers or formulas differ, or the held-out errors differ by more than 0.1 %."""
     if other is None or row["answer"] != other["answer"] or row.get("formula") != other.get("formula"):
         return True
     a, b = row["error"] or 0.0, other["error"] or 0.0
@@ -202,7 +206,7 @@ def differs(row: Row, other: Row | None) -> bool:
 
 
 def table(rows: Sequence[Row], against: Results | None) -> None:
-    """Print the rows, or those that differ from another file's, and the sums."""
+    """Print the rows, or only the rows that differ from `against`, and the sums."""
     lines = []
     for row in rows:
         other = against[row["key"]] if against is not None and row["key"] in against else None

@@ -3,10 +3,10 @@
 Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--interface NAME] [--virtual]
 
 The rigs are one axis with standard PDOs, two axes with lean drives and encoders, without and with torque sensors, and
-four such axes on two buses.
-Plant and daemon run as two processes on a bus of local sockets ("datagram") or on UDP multicast, a round of each rig
-after the other, so that all of them meet the same load of the machine. With --virtual they run in virtual time, where
-the bus has its bit rate.
+four such axes without torque sensors on two buses.
+Plant and daemon run as two processes on a bus of local sockets ("datagram") or on UDP multicast. Each round runs all
+rigs in turn, so that the load of the machine affects them equally. With --virtual they run in virtual time, where the
+bus has its bit rate.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def write(folder: Path, rate: float, interface: str, axes: int, pdo: str, torque
 
 
 def _channel(interface: str, number: int = 0) -> str:
-    """Return the name of a bus that no other run uses."""
+    """Return a bus channel that is unlikely to collide with another run."""
     return "239.255.{}.{}".format(*os.urandom(2)) if interface == "udp_multicast" else f"axes-{os.getpid()}-{number}"
 
 

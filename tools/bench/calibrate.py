@@ -30,7 +30,7 @@ QUANTITIES = ("slope", "half_loop_torque", "friction_angle", "pretension")
 
 
 def one(job: Job) -> Row:
-    """Draw a rig and a log by seed, calibrate, and return for each quantity whether its interval holds the truth."""
+    """Draw a rig and its logs by seed, calibrate, and return for each quantity if its interval contains the truth."""
     seed, profile, kind = job
     rng = np.random.default_rng([seed, tendon_logs.PROFILES.index(profile), sum(map(ord, kind))])
     rig = tendon_logs.draw_rig(rng, profile)
@@ -43,7 +43,7 @@ def one(job: Job) -> Row:
     datasets = [Dataset.from_arrays(columns, name) for name, columns in logs.items()]
     row: Row = {"seed": seed, "profile": profile, "kind": kind}
     tensioner = {"b.csv": change} if "b.csv" in logs else None
-    started = time.process_time()  # of the processor: other processes do not count
+    started = time.process_time()  # processor time, which excludes other processes
     try:
         result = calibrate(datasets, nominal, tensioner=tensioner, certified_gain=kind == "gain certified")
     except UsageError as error:
@@ -55,7 +55,7 @@ def one(job: Job) -> Row:
 
 
 def covered(rows: list[Row], name: str) -> str:
-    """Return the share of intervals that hold the truth, and its interval by Clopper and Pearson, %."""
+    """Return the share of intervals that contain the truth, with its Clopper-Pearson interval, in %."""
     hits, n = sum(row["hits"][name] for row in rows), len(rows)
     low = float(beta.ppf(0.025, hits, n - hits + 1)) if hits else 0.0
     high = float(beta.ppf(0.975, hits + 1, n - hits)) if hits < n else 1.0
@@ -63,10 +63,10 @@ def covered(rows: list[Row], name: str) -> str:
 
 
 def report(everything: list[Row], seed: int) -> Iterator[Table | str]:
-    """Yield the coverage by curvature and by what varies."""
+    """Yield the coverage by curvature profile and kind of log."""
     rows = [row for row in everything if "refused" not in row]
     refused = sorted({row["refused"] for row in everything if "refused" in row})
-    yield f"{len(rows)} logs, seed {seed}: share of 95 % intervals that hold the truth (Clopper-Pearson)"
+    yield f"{len(rows)} logs, seed {seed}: share of 95 % intervals that contain the truth (Clopper-Pearson)"
     lines = []
     for profile, kind in dict.fromkeys((row["profile"], row["kind"]) for row in rows):
         part = [row for row in rows if (row["profile"], row["kind"]) == (profile, kind)]

@@ -1,20 +1,21 @@
-"""Measure when faults of motor, encoder and tendon are found, and the energy that the joint receives by then.
+"""Measure how fast faults of motor, encoder and tendon are detected, and the energy that the joint receives until then.
 
 Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--sensors motor encoder sensor]
                               [--set-points sine constant] [--calibrated] [--sample N] [--worst] [--results FILE]
 
-The shipped actuator with true parameters in virtual time, the estimator "stretch" in use where there are two encoders.
-Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, "sensor" has both. A
-prescribed motion gets the gait instead of the sine. Each fault begins at 1 s. A run ends 1.2 s after something latched,
-or 3 s after the fault, or 6 s where it gets worse slowly. "Told" is the first report after the fault. "Off" is the time
-from the fault until the motor's torque is zero at the plant, once the axis has latched; "-" if that did not come.
-"Given" is the largest work of any window beyond the set-point's, from the fault until the torque is off, or until the
-end. --json also prints the work until the first report. --worst adds the 20 worst of each configuration.
+The shipped actuator runs with true parameters in virtual time. With two encoders the estimator is "stretch". Sensors:
+"motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, "sensor" has both. A
+prescribed motion gets the gait instead of the sine. Each fault begins at 1 s. A run ends 1.2 s after an axis latched,
+3 s after the fault, or 6 s after a fault that develops slowly. "told" is the time of the first report after the fault.
+"off" is the time from the fault until the motor torque of the plant is zero, once the axis has latched; "-" if this did
+not happen. "given" is the largest work on the joint in any window, less the work of the set-point, from the fault until
+the torque is off or the run ends. --json also prints the work until the first report. --worst adds the 20 worst trials
+of each configuration.
 
-If k_t of (3.56) differs from the file, the elongation is wrong from the first torque on; the times start there.
-If the lever p + d/2 differs, only the pretension is wrong, after the bending changes by a fifth from 1 s to 4 s. There
-the angle is commanded, and the estimator is "map". With --calibrated the model file has the [uncertainty] of stiffness
-and bends after `tsa calibrate --stretch` on a rig with a joint torque sensor, otherwise the values of a data sheet.
+If k_t of (3.56) differs from the file, the elongation is wrong from the first torque on, and the times start there.
+If the lever p + d/2 differs, only the pretension is wrong, after the wrap angle changes by a fifth from 1 s to 4 s. In
+this case the angle is commanded, and the estimator is "map". With --calibrated the model file has the [uncertainty] of
+stiffness and bends after `tsa calibrate --stretch` on a rig with a joint torque sensor, otherwise that of a data sheet.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.script import Change, parse_fault_option
 
-AT = 0.9995  # s, between two cycles: a report of the next cycle follows the fault
-AT_ONCE, SLOWLY = 3.0, 6.0  # s that are evaluated for sudden faults, and for faults that get worse
+AT = 0.9995  # s, between two cycles, so that the report of the next cycle is after the fault
+AT_ONCE, SLOWLY = 3.0, 6.0  # s that are evaluated for sudden faults, and for faults that develop slowly
 LOADS = ("held", "weight", "imposed", "limb", "spring")
 
 
@@ -50,8 +51,8 @@ LOADS = ("held", "weight", "imposed", "limb", "spring")
 class Wrong:
     """A fault of the plant at `AT`, or a difference between plant and file from the enable on.
 
-    `stiffness`, `lever`: of the plant, as shares of the file's; `straightens`: the sheath straightens and the angle is
-    commanded; `after`: s that are evaluated.
+    `stiffness` and `lever` are ratios of the plant's value to the file's value. With `straightens` the sheath
+    straightens and the angle is commanded. `after` is the evaluated time in s.
     """
 
     fault: str = ""
@@ -62,7 +63,7 @@ class Wrong:
 
     @property
     def at(self) -> float:
-        """s of the log from which times count; 0: from the first torque on."""
+        """Return the time of the fault in the log, s, or 0 for an error that acts from the first torque on."""
         return AT if self.stiffness == 1.0 else 0.0
 
     def possible(self, sensors: str) -> bool:
@@ -89,12 +90,12 @@ FAULTS = {  # by their names in the table
     "the same, lever twice the file's": Wrong(lever=2.0, straightens=True, after=SLOWLY),
     "the same, lever half of the file's": Wrong(lever=0.5, straightens=True, after=SLOWLY),
 }
-STRAIGHT = 0.8  # of the bending angle, at the end of
-WITHIN = 3.0  # s
-STAIRS = 60  # angles that are told by then
+STRAIGHT = 0.8  # final share of the bending angle
+WITHIN = 3.0  # s, duration of the straightening
+STAIRS = 60  # steps in which the angle is commanded
 KEY = ("fault", "load", "sensors", "set_point", "calibrated")
-# 1, half intervals of the stiffness and of the centre of the bends, as bench/stretch prints them for rigs. Their minima
-# are MODEL and COURSE_FOUND in identify/calibrate/stretch.py.
+# Half widths of the intervals of the stiffness and of the centre of the bends, 1, as bench/stretch prints them. Their
+# minima are MODEL and COURSE_FOUND in identify/calibrate/stretch.py.
 CALIBRATED = (0.006, 0.002)
 LISTED: command.Columns = {
     "fault": lambda row: row["fault"],
@@ -105,19 +106,19 @@ LISTED: command.Columns = {
     "reported (s)": command.seconds_of("told", 2),
     "latched (s)": command.seconds_of("latched", 2),
 }
-NONE = 0.02  # N*m, that a drive reports of no torque
+NONE = 0.02  # N*m, below which the motor torque counts as zero
 
 
 def combinations(
     faults: Iterable[str], loads: Iterable[str], sensors: Iterable[str], set_points: Iterable[str]
 ) -> list[tuple[str, str, str, str]]:
-    """Return every fault on every joint with every sensor configuration in which the fault is possible."""
+    """Return all combinations of fault, load, sensors and set-point in which the fault is possible."""
     every = itertools.product(faults, loads, sensors, set_points)
     return [each for each in every if FAULTS[each[0]].possible(each[2])]
 
 
 def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine", calibrated: bool = False) -> Row:
-    """Return one fault on one joint: the reports, and the work on the joint, as `judged`."""
+    """Run one fault with one load, and return the row with the result of `judged`."""
     wrong = FAULTS[name]
     axis: dict[str, Any] = {} if sensors == "motor" else {"estimator": {"kind": "stretch", "use": True}}
     plant: dict[str, Any] = {"perturbation": {"axial_stiffness": wrong.stiffness}}
@@ -147,7 +148,7 @@ def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine
 
 
 def file_of(wrong: Wrong, calibrated: bool) -> TendonSheath:
-    """The controller's model: the truth, but for what is wrong with the path that a bending angle takes."""
+    """Return the controller's model: the true one with the lever error of the fault and the uncertainty of the file."""
     model = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
     if calibrated:
         stiffness, centre = CALIBRATED
@@ -156,7 +157,10 @@ def file_of(wrong: Wrong, calibrated: bool) -> TendonSheath:
 
 
 def judged(axis: AxisResult, events: Sequence[Event], at: float) -> dict[str, Any]:
-    """`told`, `off`: s from `at` s of the log on, or from the first torque; `words` of what was told; `given`: mJ."""
+    """Return the times of report and torque-off, the text of the report, and the work on the joint.
+
+    `told` and `off` are in s from `at` or from the first torque, whichever is later. `given` is in mJ.
+    """
     begin = max(at, float(axis.log["t"][np.flatnonzero(axis.log["limit_reason"] != Reason.DISABLED.value)[0]]))
     said = [event for event in events if begin < event.t < axis.until and event.text]
     fault = next((event for event in said if event.fault), None)
@@ -182,7 +186,7 @@ def judged(axis: AxisResult, events: Sequence[Event], at: float) -> dict[str, An
 
 
 def cell(row: dict[str, Any]) -> str:
-    """Told and off, s; given, mJ."""
+    """Format the times of report and torque-off (s) and the work (mJ)."""
     times = " / ".join("-" if row[key] is None else f"{row[key]:.2f}" for key in ("told", "off"))
     return f"{times}; {row['given']:.0f}"
 
@@ -192,9 +196,11 @@ def main() -> int:
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS[:4])
     parser.add_argument("--faults", nargs="+", choices=tuple(FAULTS), default=tuple(FAULTS))
     parser.add_argument("--set-points", nargs="+", choices=("sine", "constant"), default=("sine", "constant"))
-    parser.add_argument("--calibrated", action="store_true", help="stiffness and bends as a calibration knows them")
+    parser.add_argument(
+        "--calibrated", action="store_true", help="uncertainty of stiffness and bends after a calibration"
+    )
     command.share(parser, "sensors sample seed rows processes json")
-    parser.add_argument("--worst", action="store_true", help="the 20 worst of each sensor configuration, besides")
+    parser.add_argument("--worst", action="store_true", help="also print the 20 worst of each sensor configuration")
     arguments = parser.parse_args()
     every = combinations(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
     wanted = command.drawn([(*each, arguments.calibrated) for each in every], arguments)

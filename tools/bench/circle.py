@@ -2,9 +2,10 @@
 
 Usage: tools/vcan tools/run bench/circle [--seconds 20] [--rate 1000] [--rows FILE] [--json] [EFFECT[+EFFECT]:SEED ...]
 
-Each row has the RMS error of the joint torque (mN*m) without compensation, with the nominal model, calibrated, extended
-by what the diagnosis of the nominal run's log identifies, and with the true parameters as the limit; then the shares of
-the reduction that the true parameters reach, from no compensation and from the nominal model.
+Each row has the RMS error of the joint torque (mN*m) for five controllers: without compensation, with the nominal
+model, with the calibrated model, with the model extended by the causes that the diagnosis of the nominal run
+identifies, and with the true parameters. The last two numbers are the error reduction of the extended model from no
+compensation and from the nominal model, as shares of the reduction with the true parameters.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ STAGES = ("none", "nominal", "calibrated", "extended", "true")
 
 
 def one(arguments: argparse.Namespace, case: str) -> Row:
-    """Run the demo with one case hidden."""
+    """Run the demo with the hidden effects of one case, and return its row."""
     names, _, seed = case.partition(":")
     hidden = [part for name in names.split("+") for part in ("--hidden", name)]
     with tempfile.TemporaryDirectory(prefix="full-circle-") as folder:

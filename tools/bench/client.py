@@ -1,16 +1,16 @@
-"""Measure how long a set-point takes from its client to the RPDO of the drive, in periods of the loop.
+"""Measure the latency of a set-point from its client to the RPDO of the drive, in periods of the loop.
 
 Usage: tools/run bench/client [--bus INTERFACE:CHANNEL] [--rate 0] [--client-rate 500] [--seconds 20] [--json]
 
-Plant, daemon, a client that streams set-points (`tsa_ctrl.Client`), and a witness on the bus are processes of this
-machine; the bus is the best that `tsa demo` would find. The client changes the sign of its torque at random times; the
-witness records the time of the first RPDO that shows it. Three runs: alone, next to a client that asks for the status
-and sets a parameter without end, and next to four of them.
+Plant, daemon, a client that streams set-points (`tsa_ctrl.Client`), and a bus listener ("witness") run as processes of
+this machine, on the bus that `tsa demo` would choose. The client changes the sign of its torque at random times. The
+witness records the time of the first RPDO with the new sign. There are three runs: without other clients, with one
+client that continuously requests the status and sets a parameter, and with four such clients.
 
-A value that just misses the RPDO of a cycle goes with the next one: half a period in the mean, one at most. In addition
-there is the time of a cycle from its begin to its RPDO, printed as "cycle" (its p99 by the daemon's own histogram), and
-what client, socket, its server and witness wait for a processor. Exit code 1 if the p99 alone is more than one period
-beyond the cycle.
+A value that just misses the RPDO of a cycle is sent with the next one, which adds half a period on average and one at
+most. The latency also contains the time from the begin of a cycle to its RPDO, printed as "cycle" (p99 of the daemon's
+histogram), and the scheduling latency of client, socket server and witness. The exit code is 1 if the p99 without other
+clients exceeds the cycle by more than one period.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from tsa_ctrl.system.process_supervisor import plant, tsa
 
 COMMANDS = 0x201  # RPDO 1 of node 1: controlword, target torque
 TORQUE = 0.1  # N*m at the joint, either way
-APART = (10.0, 15.0)  # periods between two changes
+APART = (10.0, 15.0)  # range of the periods between two changes of the sign
 FLOODS = (0, 1, 4)
 SLOW, FAST = 250.0, 1000.0  # Hz of the loop, over UDP multicast and on a CAN interface
-STARTED = 120.0  # s: the first start of a machine compiles
+STARTED = 120.0  # s until the daemon runs; the first start on a machine compiles
 ABOVE = 90  # priority of the witness, above the loop's
 SETTLED = 2.0  # s of torque before anything counts
 SPAWN = multiprocessing.get_context("spawn")  # a fork would share the sockets
@@ -78,7 +78,7 @@ def main() -> int:
 
 
 def write(folder: Path, bus: BusChoice, rate: float) -> None:
-    """The example files without anything that would smooth a step: its sign is in the RPDO of its cycle."""
+    """Write the example files without smoothing, so that the RPDO of the same cycle has the sign of a set-point."""
     where = {"interface": f'"{bus.interface}"', "channel": f'"{bus.channel}"'}
     changes: dict[str, dict[str, dict[str, str]]] = {
         "controller.toml": {
@@ -103,7 +103,11 @@ def write(folder: Path, bus: BusChoice, rate: float) -> None:
 
 @contextlib.contextmanager
 def daemon(folder: Path, path: str) -> Iterator[None]:
-    """Run `tsa run` with torque as a process; raises BusError with its last line if it does not come up."""
+    """Run `tsa run` with torque as a process.
+
+    Raises:
+        BusError: The daemon does not reach the phase "running". The message has its last line.
+    """
     with (folder / "errors.txt").open("w+") as errors:
         process = subprocess.Popen(tsa("run", "controller.toml"), cwd=folder, stdout=subprocess.DEVNULL, stderr=errors)
         try:
@@ -121,7 +125,7 @@ def daemon(folder: Path, path: str) -> Iterator[None]:
 
 
 def running(path: str) -> bool:
-    """Return whether the loop gives torque."""
+    """Return True if the daemon is in the phase "running"."""
     try:
         with Client(path) as client:
             return client.measure().phase == "running"
@@ -130,7 +134,7 @@ def running(path: str) -> bool:
 
 
 def beside(floods: int, path: str, bus: BusChoice, rate: float, client_rate: float, seconds: float) -> Row:
-    """Return the latencies from the changes of a client's sign to the bus, periods, next to clients that flood."""
+    """Return the latency quantiles of one run, in periods, while `floods` other clients send requests."""
     flooding = [SPAWN.Process(target=flood, args=(path,), daemon=True) for _ in range(floods)]
     for process in flooding:
         process.start()
@@ -148,7 +152,7 @@ def beside(floods: int, path: str, bus: BusChoice, rate: float, client_rate: flo
 
 
 def witness(bus: BusChoice, client: Future[Changes]) -> Changes:
-    """Time (s) and sign of every command on the bus, until the client has ended."""
+    """Return time (s) and sign of every torque command on the bus until the client has ended."""
     listening = open_bus(BusSettings(interface=bus.interface, channel=bus.channel))
     seen = []
     before = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -168,7 +172,7 @@ def witness(bus: BusChoice, client: Future[Changes]) -> Changes:
 
 
 def matched(changes: Changes, seen: Changes) -> Iterator[float]:
-    """s from each change to the first command that shows it before the next change; one that is not shown is inf."""
+    """Yield the time from each change to the first command with its sign, s, or inf if the next change comes before."""
     times = np.array([at for at, _ in seen])
     for (at, sign), (following, _) in itertools.pairwise(changes):
         later = seen[int(np.searchsorted(times, at)) :]
@@ -196,7 +200,7 @@ def stream(path: str, client_rate: float, rate: float, seconds: float) -> Change
 
 
 def flood(path: str) -> None:
-    """Ask and set without end."""
+    """Request the status and set a parameter in an endless loop."""
     with Client(path) as client:
         while True:
             client.ask(protocol.Status())

@@ -1,15 +1,15 @@
-"""Measure the error of the delivered torque for every joint, sheath shape and level of model knowledge.
+"""Measure the error of the delivered torque for each load, curvature profile of the sheath and law.
 
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
        [--rows FILE] [--brief] [--angles 0.05 0.8 ...] [--off 0.2]
-The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
-none (compensation 0, true file), (3.55) with the nominal file, files of `tsa tune` and `tsa tune --extended` for an
-imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
-the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
---rows FILE: rows of the file are not run again, and the table has old and new rows. --brief: one row for each shape and
-joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant, each with sufficient limits of
-torque and rate. --off: relative error of friction and stiffness of the nominal file; the pretension has the opposite
-error. A fault that ended a run is printed below the table.
+The real loop runs on the plant with distributed tendons in virtual time, so the same command prints the same figures.
+Laws: none (compensation 0, true file), (3.55) with the nominal file, files of `tsa tune` and `tsa tune --extended` for
+a prescribed motion, and the true parameters. Errors are the plant's joint torque less the set-point, after the fade-in.
+"jerk" is the RMS rate of the error around reversals. "at rest" is the joint's RMS speed at set-point 0 after the
+motion. --rows FILE: rows of the file are not run again, and the table has old and new rows. --brief: one row for each
+shape and joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant, each with sufficient
+limits of torque and rate. --off: relative error of friction and stiffness of the nominal file; the pretension has the
+opposite error. A fault that ended a run is printed below the table.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ SHAPES = ("uniform", "motor_end", "joint_end")  # the last is a point bend at th
 LAST_TENTH = "last_tenth"  # evenly bent within the last 10 % of the length
 PROFILES: dict[str, Points] = {LAST_TENTH: ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))}
 LAWS = ("none", "(3.55)", "tuned", "extended", "true")
-NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
-TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
+NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term: as shipped, and with the true parameters
+TO_REST, REST = 3.0, 2.0  # s; the set-point's gain goes to 0 within 2 s, and the speed is measured after 3 s
 WIDTH = 190  # characters of a table
-WINDOW = 0.05  # s on either side of a reversal: longer than any reversal of the friction term takes
-LEAST_SPEED = 0.05  # rad/s that a joint must have had on both sides of a reversal: less is creep
+WINDOW = 0.05  # s on either side of a reversal, longer than the friction term takes to reverse
+LEAST_SPEED = 0.05  # rad/s of a joint on both sides of a reversal; slower motion is creep
 
 
 @dataclass(frozen=True)
 class Case:
-    """A plant: `x` its friction angle (None: the demo's), `off`: how far the nominal file is off (None: the demo's)."""
+    """Friction angle `x` of the plant, and relative error `off` of the nominal file. None is the demo's value."""
 
     x: float | None = None
     off: float | None = None
@@ -78,12 +78,12 @@ class Case:
         return rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * (1.0 - (self.off or 0.0)))
 
     def torque(self, model: TendonSheath) -> float:
-        """Return a limit of the motor torque, N*m, that suffices for 1 N*m at the joint, as a drive is chosen."""
+        """Return a limit of the motor torque, N*m, that is sufficient for 1 N*m at the joint."""
         most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
         return 2.5 if self.x is None else max(2.5, 1.3 * most)
 
     def confine(self, tables: rig.Tables, model: TendonSheath) -> None:
-        """Set the limits of a controller's tables."""
+        """Set the torque limits in a controller's tables."""
         if self.x is None:
             return
         axis, torque = tables["axis"][0], self.torque(model)
@@ -95,7 +95,7 @@ DEMO = Case()
 
 
 def controller(folder: Path, law: str, rate: float) -> rig.Tables:
-    """The controller of one law; what tuning wrote lies in `folder`/LAW/out."""
+    """Return the controller tables of one law. The results of tuning are in `folder`/LAW/out."""
     if law in ("tuned", "extended"):
         tables = tomlkit.parse((folder / law / "out" / "controller-tune.toml").read_text(encoding="utf-8")).unwrap()
         tables["axis"][0]["model"] = f"{law}/out/nominal.toml"
@@ -105,7 +105,7 @@ def controller(folder: Path, law: str, rate: float) -> rig.Tables:
 
 
 def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) -> str:
-    """Tune the nominal file on an imposed joint in `folder`/LAW; the last line of what went wrong, if anything did."""
+    """Tune the nominal file with a prescribed motion in `folder`/LAW; return the last error line, or "" on success."""
     place = folder / law
     place.mkdir()
     tables = {"tune": rig.controller(VIRTUAL, "tune", rate, "nominal.toml", NOMINAL_SHARE)}
@@ -119,7 +119,7 @@ def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) 
 
 
 def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int, case: Case = DEMO) -> Row:
-    """One law on one joint: some periods of the set-point, then none."""
+    """Run one law with one load: some periods of the set-point, then set-point 0. Return the measured errors."""
     played = play_for(joint)
     seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
     tables = controller(folder, law, rate)
@@ -130,7 +130,7 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
     case.confine(tables, load_tendon_sheath(folder / "true.toml"))
     rig.write(folder, played, rig.plant(VIRTUAL, "distributed", axis, joint), {"run": tables})
     save_model(case.nominal, folder / "nominal.toml")
-    rest = 0.5 if joint in ("imposed", "held") else REST  # the motion of neither shows anything at rest
+    rest = 0.5 if joint in ("imposed", "held") else REST  # their speed at rest is not evaluated
     end = seconds + 0.2  # the first cycles have no torque yet
     result = simulate_loop(
         folder / "controller-run.toml",
@@ -148,8 +148,8 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
 def measure(axis: AxisResult, playing: float, rests: float) -> Row:
     """Return RMS, 99th percentile and peak of the error, N*m, its jerk, N*m/s, and the joint's speed at rest, rad/s.
 
-    The set-point plays until `playing` s of the log's time; from `rests` s on there is none and all is at rest. Without
-    a reversal of the joint, or of the set-point of a joint at rest, there is no jerk.
+    The set-point plays until `playing` s of the log's time. The speed at rest is evaluated from `rests` s on. The jerk
+    is None if the joint never reverses, or if the joint rests and its set-point never reverses.
     """
     log, truth = axis.log, axis.truth
     counted = axis.counted & (log["t"] < playing)
@@ -176,7 +176,7 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:
-    """One row for each joint, shape and law; where tuning fails, one for the shape and the law."""
+    """Yield one row for each load, shape and law. If tuning fails, yield one row for the shape and the law."""
     drive = {"delay_periods": arguments.delay - 1}
     kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"], row.get("x")))
     for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):
@@ -207,7 +207,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
 
 
 def whole(found: Sequence[Row]) -> Table:
-    """A row for each shape, joint and law."""
+    """Return the table with a row for each shape, load and law."""
     heads = ("shape", "x", "joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
     table = Table(*heads)
     none = {(row["shape"], row["joint"], row.get("x")): row["rms"] for row in found if row["law"] == "none"}
@@ -221,7 +221,7 @@ def whole(found: Sequence[Row]) -> Table:
 
 
 def brief(found: Sequence[Row]) -> Table:
-    """A row for each shape and joint: RMS, 99th percentile and peak in mN*m, then the jerk in N*m/s, of each law."""
+    """Return a row for each shape and load, with RMS, 99th percentile, peak (mN*m) and jerk (N*m/s) of each law."""
     laws = [law for law in LAWS if any(row["law"] == law for row in found)]
     table = Table("shape", "joint", *laws, "at rest (rad/s)")
     cells: dict[tuple[str, str], dict[str, Row]] = {}
@@ -260,10 +260,10 @@ def main() -> int:
     parser.add_argument("--inertia", type=float, default=1e-4, help="of the motor, kg*m^2 (default 1e-4)")
     parser.add_argument("--cycles", type=int, default=4, help="periods of the set-point (default 4)")
     parser.add_argument("--angles", nargs="+", type=float, help="friction angles x of the plant, 1")
-    parser.add_argument("--off", type=float, help="share by which the nominal file is off, 1")
-    parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
+    parser.add_argument("--off", type=float, help="relative error of the nominal file, 1")
+    parser.add_argument("--rows", type=Path, help="file with the rows of earlier runs, to which new rows are added")
     parser.add_argument("--brief", action="store_true", help="a row for each shape and joint")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line instead of a table")
     arguments = parser.parse_args()
     console = Console(width=WIDTH)
     found = []

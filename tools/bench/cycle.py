@@ -1,18 +1,18 @@
-"""Measure execution time and wake-up latency of a control cycle, next to the cost of the bus alone.
+"""Compare execution time and wake-up latency of a control cycle with those of a raw socket.
 
 Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--json]
 
-One run, one bus, and one process that answers each SYNC (as in `tsa bench`). The variants take turns in blocks:
+All variants run on one bus with one process that answers each SYNC (as in `tsa bench`). They take turns in blocks:
 
   raw socket        SYNC out, TPDOs in, RPDOs out: the minimum in Python
-  raw socket, C     the same in C; without a C compiler this row is left out
+  raw socket, C     the same in C; this row is omitted without a C compiler
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
-  ours, all         the same with the work after the RPDO: estimate, record for the log, a command of the local socket
+  ours, all         the same with the work after the RPDO: estimate, log record, a command of the local socket
 
-"cycle" is wall time from the wake-up to the end of the cycle. "user" and "kernel" are the processor time of the
-thread per period, with the wait and with what follows the cycle. A compiled build is measured if there is one
-(`tools/run package/compiled`); TSA_COMPILE=0 measures the interpreted one.
-Needs a vcan; without one it runs under tools/vcan. --rate 0: 1000 Hz, or less where the bit rate carries less.
+"cycle" is the wall time from the wake-up to the end of the cycle. "user" and "kernel" are the processor time of the
+thread per period, including the wait and the work after the cycle. If a compiled build exists
+(`tools/run package/compiled`), it is measured. TSA_COMPILE=0 measures the interpreted build.
+The command needs a vcan and otherwise runs under tools/vcan. --rate 0 is 1000 Hz, or less if the bit rate is too low.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ from tsa_ctrl.version import build_kind
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--axes", type=int, default=1, choices=tuple(RATES))
-    parser.add_argument("--rate", type=float, default=0.0, help="Hz; 0: as much of 1000 as the bit rate carries")
+    parser.add_argument(
+        "--rate", type=float, default=0.0, help="Hz; 0: the highest that the bit rate allows, at most 1000"
+    )
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--cycles", type=int, default=250, help="in one block")
     parser.add_argument("--json", action="store_true")

@@ -1,10 +1,10 @@
-"""Measure the diagnosis on logs with hidden effects, next to naive strategies on the same logs.
+"""Measure the diagnosis on logs with hidden effects, and compare it with naive strategies on the same logs.
 
-Usage: tools/run bench/diagnose [--quick] [--short] [--families single:30 none:400 ...] [--names EFFECT ...] [--jobs 2]
-                            [--seed 0] [--out FILE.jsonl] [--list] | --speed
-The logs come from the four tendon tensions (tests/blind), not from the package. Results are appended to --out line by
-line; started again with the same file, it goes on where it stopped. Lines of another version of the code do not count.
---quick is the gate: it exits with 1 when a result is significantly worse than its target.
+Usage: tools/run bench/diagnose [--quick] [--short] [--families single:30 none:400 ...] [--names EFFECT ...]
+                            [--processes 2] [--seed 0] [--rows FILE.jsonl] [--list] | --speed
+The logs come from the four tendon tensions (tests/blind), not from the package. Each result is appended to --rows. With
+the same file an interrupted run continues. Results of another version of the code are ignored. --quick is the gate: it
+exits with 1 if a result is significantly worse than its target.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import model_from
 from tsa_ctrl.system.process_supervisor import tsa
 
-# Cases per name of a family; of none and pair: all together.
+# Cases for each name of a family; for "none" and "pair", cases in total.
 FULL = {
     "none": 400,
     "hidden_direction": 25,
@@ -52,7 +52,7 @@ QUICK = {"none": 40, "single": 2}
 
 
 def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> Iterator[Job]:
-    """Every case to run, families interleaved so that an interrupted run has a bit of each."""
+    """Yield every case, with families interleaved so that an interrupted run has cases of each."""
     queues = []
     for family, count in counts.items():
         known = [name for name in FAMILIES[family] if not names or name in names]
@@ -65,7 +65,7 @@ def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> It
 
 
 def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
-    """The contents of diagnosis.json, and the seconds that it took."""
+    """Return the contents of diagnosis.json, and the duration of the diagnosis in s."""
     datasets = [Dataset.from_arrays(log.columns, log.name) for log in logs]
     started = time.perf_counter()
     report = json.loads(diagnose(datasets, model_from(tomllib.loads(model), "nominal.toml")).to_json())
@@ -73,10 +73,10 @@ def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
 
 
 def one(job: Job) -> Row:
-    """Draw a case, diagnose it and its experiment, mark both; naive strategies on the same logs."""
+    """Draw a case, diagnose it and its experiment, and mark both and the naive strategies on the same logs."""
     try:
         hidden = case(*job)
-    except (RuntimeError, ValueError) as problem:  # no such case can be drawn: printed, and not counted
+    except (RuntimeError, ValueError) as problem:  # the case cannot be drawn: it is printed, but not counted
         return {"undrawn": str(problem)}
     family, name, seed, short = job
     truth = hidden.truth
@@ -96,7 +96,7 @@ def one(job: Job) -> Row:
         report, result["seconds"] = ask(hidden.logs, hidden.model)
         if hidden.experiment is not None:
             experiment, _ = ask(hidden.experiment.logs, hidden.experiment.model)
-    except Exception as problem:  # any failure is a result: it counts as a wrong answer
+    except Exception as problem:  # a failure counts as a wrong answer
         error = f"{type(problem).__name__}: {problem} at {traceback.extract_tb(problem.__traceback__)[-1]}"
     result["error"] = error
     result["mark"] = mark(hidden, report, experiment).as_dict()
@@ -118,13 +118,13 @@ SILENT: Row = {"verdict": "error", "causes": [], "parameter_errors": {}, "experi
 
 
 def as_report(names: list[str]) -> Row:
-    """What a strategy that knows neither doubt nor groups would write."""
+    """Return the report of a naive strategy, which gives causes without alternatives."""
     causes = [{"effect": name, "alternatives": [], "parameters": {}} for name in names]
     return {**SILENT, "verdict": "explained" if names else "consistent", "causes": causes}
 
 
 def code_version() -> str:
-    """Changes with every line of what is tested and of what tests it."""
+    """Return a digest of the sources of diagnosis, model and blind benchmark."""
     digest = hashlib.sha256()
     folders = ("tsa_ctrl/identify", "tsa_ctrl/model", "tests/blind")
     for path in sorted(path for folder in folders for path in (command.ROOT / folder).rglob("*.py")):
@@ -134,12 +134,12 @@ def code_version() -> str:
 
 
 def key(row: Row) -> Job:
-    """What a row is the result of."""
+    """Return the job of a row."""
     return row["family"], row["name"], row["seed"], row["short"]
 
 
 def run(queue: list[Job], processes: int, results: Results, version: str) -> None:
-    """Work through the queue; each result is on disk before the next is waited for."""
+    """Run the jobs of the queue, and write each result to disk at once."""
     started = time.perf_counter()
     for done, row in enumerate(command.parallel(one, queue, processes), 1):
         if "undrawn" in row:
@@ -152,7 +152,7 @@ def run(queue: list[Job], processes: int, results: Results, version: str) -> Non
 
 
 def timing(seed: int) -> list[float]:
-    """Seconds for one log of 60 s at 1 kHz, alone on the machine."""
+    """Return the durations of three diagnoses of one log of 60 s at 1 kHz, s."""
     seconds = []
     for k in range(3):
         hidden = case("timing", "stribeck_friction", seed + k)
@@ -161,7 +161,7 @@ def timing(seed: int) -> list[float]:
 
 
 def speed(seed: int) -> None:
-    """The whole verb on CSV files of 60 s at 1 kHz, from the start of the process to the report on the disk."""
+    """Print the duration of `tsa diagnose` on CSV files of 60 s at 1 kHz, from process start to process end."""
     for name in ("stribeck_friction", "presliding_hysteresis", "thermal_friction_drift"):
         hidden = case("timing", name, seed)
         with tempfile.TemporaryDirectory() as folder:
@@ -189,9 +189,9 @@ def main() -> int:
     parser.add_argument("--families", nargs="+", metavar="FAMILY[:N]", help=f"of {', '.join(FULL)}; N per name")
     parser.add_argument("--names", nargs="+", default=[], help="only these effects, kinds or rows")
     command.share(parser, "processes seed rows", processes=command.MOST_PROCESSES, seed=0)
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
+    parser.add_argument("--list", action="store_true", help="only print the table of the results in --rows")
     parser.add_argument(
-        "--speed", action="store_true", help="only the time that `tsa diagnose` takes for 60 s at 1 kHz"
+        "--speed", action="store_true", help="only measure the time that `tsa diagnose` takes for 60 s at 1 kHz"
     )
     arguments = parser.parse_args()
     if arguments.speed:

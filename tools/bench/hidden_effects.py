@@ -1,9 +1,9 @@
-"""Known effects hidden in measured logs, by formulas of this file: the torque as the drive would show it with them.
+"""Add known effects to the torque of measured logs, by formulas of this file.
 
-The size of an effect is the RMS, while the drive moves, of what is left of it once all is projected out that
-recalibration may change: inertia, friction, drag and offset as far as the model has them; of tendons the motor torque
-and the direction. At rest friction may be anything, so nothing is hidden in it; and noise that comes later is noise, so
-that the size of a delay is what it changes of the torque that follows from the motion.
+The size of an effect is the RMS of its torque while the drive moves, after least squares remove the part that
+recalibration can absorb. This part is inertia, friction, drag and offset if the model has them, and for tendons the
+motor torque and the direction. Samples at rest do not count, because static friction is undetermined there. The size of
+a delay is evaluated on the torque that follows from the motion, because delayed noise is still noise.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import Model, RigidDrive
 
 Array = NDArray[np.float64]
-SLOW = 0.03  # s, over which motion is averaged for what is hidden: any smooth motion near the measured one will do
-REST = 0.01  # of the largest speed, below which friction fades: the sign of a velocity's noise is no direction
+SLOW = 0.03  # s, over which the motion is averaged before effects are computed
+REST = 0.01  # of the largest speed; below it friction fades, because the sign of velocity noise is random
 STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
-MOST_BLURRED = 0.5  # of what is hidden, RMS, that may be another when the motion is averaged over twice as long
-MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
-HALVINGS = 30  # of the range of a delay or a distance, until its size is the one wanted
+MOST_BLURRED = 0.5  # of the RMS change, allowed difference if the motion is averaged over twice the time
+MOST_CYCLES = 40  # of a ripple per turn, the limit of the search in model/effects/motor.py
+HALVINGS = 30  # steps of the bisection for a delay or a distance
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One log, (n,) each: angle (rad), velocity, acceleration and the torque that is predicted, SI; motor's torque."""
+    """The motion of one log in SI units, arrays of shape (n,). `torque` is the torque that the model predicts."""
 
     t: Array
     q: Array
@@ -40,15 +40,15 @@ class Motion:
     reach: float  # rad, the largest range of an angle in the set
     fastest: float  # rad/s, of the set
     friction: float  # N*m, Coulomb friction of the set by least squares
-    explained: Array  # torque that follows from the motion, by least squares over the set
+    explained: Array  # N*m, torque that follows from the motion, by least squares over the set
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """`change` of the torque (N*m) that a plain drive needs, or that tendons lose, with this number of the effect.
+    """A hidden effect. `change` returns the additional torque of a rigid drive, or the torque loss of tendons, N*m.
 
-    `range`: of a number in which the change is not linear. `follows_acceleration`: the change at steady speed is only
-    noise of the velocity.
+    `change` has one number as its parameter. `range` is the range of this number if the change is not linear in it.
+    `follows_acceleration` is True if the change at steady speed is only velocity noise.
     """
 
     change: Callable[[Motion, float], Array]
@@ -58,23 +58,23 @@ class Hidden:
 
 
 def direction(log: Motion) -> Array:
-    """Sign of the velocity, which fades to 0 where the drive stands, (n,)."""
+    """Return the sign of the velocity, which fades linearly to 0 at rest, (n,)."""
     return np.clip(log.omega / (REST * log.fastest), -1.0, 1.0)
 
 
 def moving(log: Motion) -> NDArray[np.bool_]:
-    """Where it does not stand, (n,)."""
+    """Return a mask of the samples in which the drive moves, (n,)."""
     return np.abs(log.omega) > REST * log.fastest
 
 
 def smooth(y: Array, t: Array, times: int = 1) -> Array:
-    """Mean over so many times SLOW, three samples at least each, (n,)."""
+    """Return the moving average over `times` SLOW, at least three samples each, (n,)."""
     width = times * max(3, round(SLOW / float(np.median(np.diff(t)))) | 1) | 1
     return np.convolve(np.pad(y, width // 2, mode="edge"), np.full(width, 1.0 / width), mode="valid")
 
 
 def motions_of(logs: Sequence[Dataset], model: Model, times: int = 1) -> list[Motion]:
-    """Motion by differences of averages over so many times SLOW, and what of it the set has in common."""
+    """Return the motion of each log, averaged over `times` SLOW, with the values that are common to the set."""
     plain = isinstance(model, RigidDrive)
     found = [_motion(log, plain, times) for log in logs]
     bases = [base_of(each, model) for each in found]
@@ -89,7 +89,7 @@ def motions_of(logs: Sequence[Dataset], model: Model, times: int = 1) -> list[Mo
 
 
 def _explained(logs: Sequence[Motion], bases: Sequence[Array]) -> list[Array]:
-    """Of each log: by what recalibration may change, inertia, drag, an offset, a spring and a weight."""
+    """Return the torque of each log that a fit of base model, inertia, drag, offset, spring and weight explains."""
     columns = [
         np.column_stack([base, log.acceleration, log.omega, np.ones(len(log.q)), log.q, np.sin(log.q), np.cos(log.q)])
         for log, base in zip(logs, bases, strict=True)
@@ -100,7 +100,7 @@ def _explained(logs: Sequence[Motion], bases: Sequence[Array]) -> list[Array]:
 
 
 def _motion(log: Dataset, plain: bool, times: int) -> Motion:
-    """Of one log; of a recorded velocity the angle is the integral."""
+    """Return the motion of one log. If no angle was measured, integrate the velocity."""
     t = log["t"]
     angle, velocity = ("q_m", "omega_m") if plain else ("q_j", "omega_j")
     if angle in log and angle not in log.derived:
@@ -114,7 +114,10 @@ def _motion(log: Dataset, plain: bool, times: int) -> Motion:
 
 
 def presliding(log: Motion, share: float) -> Array:
-    """What Coulomb friction lacks that builds up exponentially over this share of the motion after each reversal."""
+    """Return the difference of presliding friction from Coulomb friction, N*m, (n,).
+
+    After each reversal the friction builds up exponentially over `share` of the largest range of the angle.
+    """
     distance = share * log.reach
     z, out = 0.0, np.empty(len(log.q))
     steps = np.abs(np.diff(log.q, prepend=log.q[0]))
@@ -125,12 +128,12 @@ def presliding(log: Motion, share: float) -> Array:
 
 
 def late(log: Motion, delay: float) -> Array:
-    """What a torque changes that is shown so many seconds late."""
+    """Return the change of the torque by a delay in s, N*m, (n,)."""
     return np.asarray(np.interp(log.t - delay, log.t, log.torque) - log.torque)
 
 
 def cycles(log: Motion) -> float:
-    """Whole cycles of a ripple per turn: four or more in the motion of the set."""
+    """Return the cycles of a ripple per turn, so that the motion covers at least two, up to `MOST_CYCLES`."""
     return float(min(np.round(4.0 * np.pi / log.reach), MOST_CYCLES))
 
 
@@ -151,12 +154,12 @@ HIDDEN: Mapping[str, Hidden] = {
 
 
 def recorded(log: Dataset) -> dict[str, Array]:
-    """The columns that were measured."""
+    """Return the measured columns, without the derived ones."""
     return {name: values for name, values in log.columns.items() if name not in log.derived}
 
 
 def base_of(log: Motion, model: Model) -> Array:
-    """What recalibration may change, (n, k)."""
+    """Return the torque columns that recalibration can absorb, (n, k)."""
     sigma = np.sign(log.omega)
     if not isinstance(model, RigidDrive):
         return np.column_stack([log.tau_m, sigma])
@@ -165,19 +168,19 @@ def base_of(log: Motion, model: Model) -> Array:
 
 
 def left_of(change: Sequence[Array], base: Sequence[Array]) -> float:
-    """RMS of a change over all logs once the base model is projected out, N*m."""
+    """Return the RMS residual of a change over all logs after a fit of the base columns, N*m."""
     whole, columns = np.concatenate(change), np.concatenate(base)
     return float(np.sqrt(np.mean((whole - columns @ np.linalg.lstsq(columns, whole, rcond=None)[0]) ** 2)))
 
 
 def size_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], number: float) -> float:
-    """The size of an effect with this number, N*m."""
+    """Return the size of an effect with this number, N*m."""
     changes = [hidden.change(replace(log, torque=log.explained), number)[moving(log)] for log in logs]
     return left_of(changes, [columns[moving(log)] for log, columns in zip(logs, base, strict=True)])
 
 
 def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], size: float) -> float | None:
-    """The number of an effect with which it has `size`, N*m; None where no number in its range does."""
+    """Return the number with which an effect has `size`, N*m, or None if no number in its range has it."""
 
     def left(number: float) -> float:
         return size_of(hidden, logs, base, number)
@@ -195,9 +198,10 @@ def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], siz
 
 
 def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
-    """The logs with an effect of this size (N*m) in them, and its number.
+    """Return the logs with an effect of this size (N*m) added, and its number.
 
-    None if no effect of that size exists, or if it would follow the velocity noise (acceleration at steady speed).
+    The number is None if the effect cannot be added. Then the model has it already, a measured angle is missing, no
+    number gives that size, or the effect would follow the velocity noise.
     """
     plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
     if (plain and getattr(model, effect, None) is not None) or (
@@ -218,6 +222,6 @@ def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float)
 
 
 def _is_noise(hidden: Hidden, motions: Sequence[Motion], coarser: Sequence[Motion]) -> bool:
-    """Whether most of the change is another one when the motion is averaged longer."""
+    """Return True if the change depends mostly on the averaging time of the motion, as noise does."""
     change, other = (np.concatenate([hidden.change(each, 1.0) for each in logs]) for logs in (motions, coarser))
     return float(np.sum((change - other) ** 2)) > (MOST_BLURRED**2) * float(np.sum(change**2))

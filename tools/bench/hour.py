@@ -2,9 +2,8 @@
 
 Usage: tools/run bench/hour [--seconds 3600] [--seed 0] [--kinds csv mcap]
 
-The hour is a minute of the blind benchmark (tests/blind), gone through again and again between two moments at which
-its motion is the same. The peak is that of all processes of the verb together: of what several share each has its part
-(proportional set size, /proc/PID/smaps_rollup), looked at every tenth of a second.
+The hour repeats a minute of the blind benchmark (tests/blind) between two moments with the same motion. The peak is the
+sum of the proportional set sizes of all processes of the command (/proc/PID/smaps_rollup), sampled every 0.1 s.
 """
 
 from __future__ import annotations
@@ -32,15 +31,15 @@ from tsa_ctrl.system.process_supervisor import tsa
 
 RATE = 1000  # Hz
 CHUNK = 1000  # records in one chunk, as the daemon writes them
-LOOK = 0.1  # s between two looks at the memory
-SEAM = 0.2  # of the minute at either end, in which the two moments are looked for
+LOOK = 0.1  # s between two samples of the memory
+SEAM = 0.2  # share of the minute at either end, in which the two moments are searched
 MOTION = ("q_j", "q_m", "omega_j", "omega_m")
 
 Columns = dict[str, NDArray[np.float64]]
 
 
 def repeated(columns: Columns, seconds: float) -> Columns:
-    """The log gone through until `seconds` are full, from the later one of two like moments back to the earlier."""
+    """Return the log extended to `seconds` by repeating the section between two moments with similar motion."""
     count = len(columns["t"])
     ends = round(SEAM * count)
     seen = np.column_stack([columns[name] / np.ptp(columns[name]) for name in MOTION if name in columns])
@@ -52,7 +51,7 @@ def repeated(columns: Columns, seconds: float) -> Columns:
 
 
 def write_log(path: Path, columns: Columns) -> None:
-    """The columns as one axis of the daemon's log."""
+    """Write the columns as one axis of the daemon's log."""
     file = McapFile(path, LogHeader(("joint",), float(RATE)))
     count = len(columns["t"])
     whole: Columns = {**columns, "cycle": np.arange(count, dtype=np.float64), "state": np.zeros(count)}
@@ -65,7 +64,7 @@ def write_log(path: Path, columns: Columns) -> None:
 
 
 def made(log: Path, model: Path, seconds: float, seed: int) -> int:
-    """Write the log, of the kind that its ending says, and the model's file; the number of columns."""
+    """Write the log (CSV or MCAP by its suffix) and the model file. Return the number of columns."""
     hidden = case("timing", "stribeck_friction", seed)
     columns = repeated(hidden.logs[0].columns, seconds)
     (write_columns if log.suffix == ".csv" else write_log)(log, columns)
@@ -74,7 +73,7 @@ def made(log: Path, model: Path, seconds: float, seed: int) -> int:
 
 
 def held(pid: int) -> float:
-    """Memory of a process in MB, its part of what it shares; 0 of one that has ended."""
+    """Return the proportional set size of a process in MB, or 0 if it has ended."""
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
             if line.startswith("Pss:"):
@@ -83,7 +82,7 @@ def held(pid: int) -> float:
 
 
 def diagnosed(log: Path, model: Path) -> tuple[str, float, float, float]:
-    """Cause that was named, seconds, processor seconds, and peak in MB."""
+    """Run `tsa diagnose`, and return the identified causes, wall time (s), processor time (s) and peak memory (MB)."""
     out = log.with_suffix("")
     verb = tsa("diagnose", str(log), "--model", str(model), "--out", str(out))
     began = time.perf_counter()
@@ -113,7 +112,7 @@ def main() -> int:
     for kind in arguments.kinds:
         with tempfile.TemporaryDirectory() as place:
             log, model = Path(place) / f"log.{kind}", Path(place) / "actuator.toml"
-            with ProcessPoolExecutor(1) as pool:  # a process begins with the peak of the one that started it
+            with ProcessPoolExecutor(1) as pool:  # a child process inherits the peak memory of its parent
                 count = pool.submit(made, log, model, arguments.seconds, arguments.seed).result()
             named, seconds, used, peak = diagnosed(log, model)
         print(

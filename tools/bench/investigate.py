@@ -27,7 +27,7 @@ MOST = 6  # motions, the default of tsa investigate
 
 
 def investigated(hidden: Rig, seed: int) -> dict[str, Any]:
-    """The JSON object of one rig; an error is its text."""
+    """Return the JSON object of one rig. After an error the answer is "error", and the statement is the error text."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if hidden.load == GEARED:
@@ -51,7 +51,7 @@ def _rig(name: str, seed: int) -> Rig:
 
 
 def trial(item: tuple[str, int]) -> Row:
-    """The row of one rig, by name and seed."""
+    """Return the row of one rig, by name and seed."""
     name, seed = item
     hidden = _rig(name, seed)
     found = investigated(hidden, seed)
@@ -59,7 +59,7 @@ def trial(item: tuple[str, int]) -> Row:
 
 
 def line(row: Row) -> str:
-    """One line of the table."""
+    """Return the line of one rig in the table."""
     steps = "; ".join(
         ", ".join(" or ".join(names) for names in step["hypotheses"]) or step["verdict"] for step in row["steps"]
     )

@@ -1,10 +1,11 @@
-"""Print the goals of a leg, whose joints bend each other's sheaths, with the measured numbers, in virtual time.
+"""Compare a leg, whose joints bend each other's sheaths, with its goals, in virtual time.
 
 Usage: tools/run bench/leg [--only PART ...] [--json]
-A knee's sheath is bent by the hip (0.8 rad/rad, hip +-0.5 rad), with the demo's actuator at 500 Hz. The numbers are
-RMS errors of the knee's joint torque from 2 s on, in mN*m. The goal of the first rows is 1.3 times the error with a
-resting hip, or 6 mN*m more. A runaway is measured by the fastest motion of a free knee in the last second at set-point
-0, four seconds after a push, while the hip swings at 1 Hz and the file has twice the gain. --only selects parts.
+The hip bends the knee's sheath (0.8 rad/rad, hip +-0.5 rad), with the demo's actuator at 500 Hz. The numbers are RMS
+errors of the knee's joint torque from 2 s on, in mN*m, if the row has no other unit. The goal of the first rows is 1.3
+times the error with a resting hip, or 6 mN*m more. A runaway is measured by the highest speed of a free knee in the
+last second at set-point 0. A push occurs four seconds before the end. The hip swings at 1 Hz, and the file has twice
+the true gain. --only selects parts.
 """
 
 from __future__ import annotations
@@ -30,20 +31,20 @@ from tsa_ctrl.virtual.result import Simulation
 
 HIP = (0.1, 0.4, 1.0)  # Hz
 ROUTED = {"alike": (0.8, 0.8), "differently": (1.2, 0.4)}  # rad/rad of tendons a and b
-LOST = 3.1  # s, when the hip's encoder dies
+LOST = 3.1  # s, time at which the hip's encoder fails
 RUNAWAY = 6.0  # s
-NUDGE = "push axis=joint value=1.0 duration=0.2@2.0"  # N*m: enough to free a joint that its friction holds
+NUDGE = "push axis=joint value=1.0 duration=0.2@2.0"  # N*m, enough to overcome the friction of a resting joint
 
 
 def with_gain(folder: Path, gain: float) -> None:
-    """Give the law's file another gain than the plant has, rad/rad."""
+    """Set the gain in the model file of the controller, rad/rad."""
     path = folder / "followed.toml"
     route = Route({"hip": gain}, {})
     save_model(dataclasses.replace(load_tendon_sheath(path), routing=Routing(route, route)), path)
 
 
 def with_sensors(controller: Path, sensors: str) -> None:
-    """Take the sensors away that a configuration of `SENSORS` does not have."""
+    """Remove the sensors that a configuration of `SENSORS` does not have."""
     tables = tomlkit.parse(controller.read_text(encoding="utf-8")).unwrap()
     for axis in tables["axis"]:
         if sensors != "sensor":
@@ -54,13 +55,13 @@ def with_sensors(controller: Path, sensors: str) -> None:
 
 
 def error(result: Simulation) -> float:
-    """Return the RMS error from 2 s on, mN*m; nan where the axis latched before."""
+    """Return the RMS error from 2 s on, mN*m, or nan after a fault."""
     found = joints.error(result, 2.0)
     return joints.rms(found) if found.size and not result.axes[0].faults else float("nan")
 
 
 def tracking(folder: Path, load: str) -> Iterator[Row]:
-    """Measure known gains, and gains that are 20 % off."""
+    """Yield the errors with true gains, and with gains that are 20 % off."""
     resting = error(simulate_loop(*knees.files(folder, load, 0.0), knees.SECONDS))
     goal = max(1.3 * resting, resting + 6.0)
     for name, gains in ROUTED.items():
@@ -77,7 +78,7 @@ def tracking(folder: Path, load: str) -> Iterator[Row]:
 
 
 def losses(folder: Path) -> Iterator[Row]:
-    """Measure an encoder that dies, and a joint without one."""
+    """Yield the torque step after an encoder of the hip fails, and the error without an encoder of the hip."""
     gearing = NOMINAL.joint_pulley_radius / NOMINAL.motor_pulley_radius
     for load in ("imposed", "weight"):
         paths = knees.files(folder, load, 0.4, travel=True)
@@ -91,7 +92,7 @@ def losses(folder: Path) -> Iterator[Row]:
 
 
 def runaway(folder: Path) -> Iterator[Row]:
-    """Measure a free knee at set-point 0, in three sensor configurations."""
+    """Yield the speed of a free knee at set-point 0, in three sensor configurations."""
     for sensors in SENSORS:
         paths = knees.files(folder, "free", 1.0)
         with_gain(folder, 2.0 * knees.GAIN)
@@ -105,7 +106,7 @@ def runaway(folder: Path) -> Iterator[Row]:
 
 
 def walking(folder: Path) -> Iterator[Row]:
-    """Measure a leg by MuJoCo that walks, at the rate of one bus: the share of the error without compensation."""
+    """Yield the error of each joint of a walking leg in MuJoCo at 400 Hz, in % of the error without compensation."""
     without, found = (legs.errors(legs.walk(folder, 5.5, 400.0, share), 2.0) for share in (0.0, 1.0))
     for name, most in without.items():
         yield {"what": f"walking leg, {name}, 400 Hz: error left, %", "goal": 5.0, "found": 100.0 * found[name] / most}

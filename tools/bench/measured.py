@@ -1,14 +1,14 @@
-"""Measure from which size on the diagnosis identifies known effects that are hidden in measured logs.
+"""Measure the smallest size at which the diagnosis identifies known effects that are hidden in measured logs.
 
 Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--rows FILE] [--list]
 
 Each set is diagnosed unchanged, and again with one effect added to its measured torque by the formulas of
-`hidden_effects`, at a size in multiples of the noise floor of the unchanged logs. "found": the diagnosis adds this
-cause and no other; "in a group": with alternatives; "wrong": another cause without it; "refused": the logs are
-insufficient. Effects that the unchanged logs have already are left out. One half of a set (of its logs, or of the time
-of its one log) is diagnosed with the model that the diagnosis of the other half has written: nothing may be added. Rows
-are kept in --rows (default: the file of the manual's table), and not run again. The data are searched in the folder
-named by TSA_DATA, else in ../shared/data; without them the command prints one line.
+`hidden_effects`. The size of the effect is a multiple of the noise floor of the unchanged logs. Answers: "found" is
+this cause alone, "in a group" is this cause with alternatives, "wrong" is another cause without it, and "refused" means
+that the logs are insufficient. Effects that the unchanged logs already have are omitted. Then one half of each set (of
+its logs, or of the time of its only log) is diagnosed with the model from the diagnosis of the other half, and no cause
+should be added. Rows are kept in --rows (default: the file of the manual's table) and are not run again. The data are
+searched in TSA_DATA, then in ../shared/data. Without data the command prints one line.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_logs
 from tsa_ctrl.model.parameters import load_model
 
-SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes a diagnosis
+SETS = {  # davinci: only the trials at one frequency, because a diagnosis of all 25 takes minutes
     "emps": ("*.csv.gz", "emps.toml"),
     "epos": ("steady/*.csv.gz", "drive.toml"),
     "bam": ("*.csv.gz", "xl330.toml"),
@@ -36,19 +36,19 @@ FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
 
 def names_of(report: Row) -> set[str]:
-    """Return every cause and alternative of a report."""
+    """Return all causes and alternatives of a report as one set."""
     return {name for cause in report["causes"] for name in (cause["effect"], *cause["alternatives"])}
 
 
 def claims_of(report: Row) -> list[set[str]]:
-    """Return the names of each cause and its alternatives."""
+    """Return a set for each cause of a report, with the cause and its alternatives."""
     return [{cause["effect"], *cause["alternatives"]} for cause in report["causes"]]
 
 
 def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
-    """Diagnose one set with an effect hidden in it (`untouched`: the report without it), or unchanged (None).
+    """Diagnose one set unchanged (`untouched` is None), or with an effect hidden in it.
 
-    The row has no report if these logs cannot have the effect at this size.
+    `untouched` is the report of the unchanged logs. The row has no report if the effect cannot have this size in them.
     """
     pattern, file = SETS[folder.name]
     logs, model = load_logs(sorted(folder.glob(pattern))), load_model(folder / file)
@@ -62,7 +62,7 @@ def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
 
 
 def halves(folder: Path) -> Row:
-    """Return the causes that the second half of a set adds to the model written for the first half."""
+    """Diagnose the second half of a set with the model from the diagnosis of the first half, and return the row."""
     pattern, model = SETS[folder.name]
     logs = load_logs(sorted(folder.glob(pattern)))
     if len(logs) > 1:
@@ -86,7 +86,7 @@ def _kept(report: Row) -> Row:
 
 
 def answer(row: Row, untouched: Row) -> str:
-    """Return how the diagnosis differs from that of the unchanged logs."""
+    """Return the answer in which the diagnosis differs from the diagnosis of the unchanged logs."""
     if row["report"]["verdict"] == "insufficient":
         return "refused"
     before = names_of(untouched["report"])
@@ -144,7 +144,7 @@ def main() -> int:
     parser.add_argument("--effects", nargs="+", choices=sorted(HIDDEN), default=sorted(HIDDEN))
     parser.add_argument("--sizes", nargs="+", type=float, default=[0.5, 1.0, 2.0, 4.0, 8.0])
     command.share(parser, "rows", rows=FILE)
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
+    parser.add_argument("--list", action="store_true", help="only print the table of the results in --rows")
     asked = parser.parse_args()
     results = Results(asked.rows, lambda row: (row["set"], row["effect"], row["size"]))
     data = None if asked.list else command.measured_data(__name__)

@@ -1,15 +1,15 @@
-"""Tune random rigs with the effects of real ones by `tsa tune`, and evaluate the controllers on other runs.
+"""Tune random rigs with the effects of real rigs by `tsa tune`, and evaluate the controllers on other runs.
 
 Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--results FILE] [--keep FOLDER] [--json]
 A rig is drawn by seed and number: friction angle 0.05 to 1.2, a random curvature profile, motor inertia, delay, noise,
 encoders of 12 to 20 bit, and a random choice of torque ripple, friction of the motor's gear, backlash, an eccentric
 pulley, and drift by temperature or relaxation. The controller's file is up to 20 % off and has none of the effects.
-`tsa tune --virtual` gets nothing else. The tuned controller then runs without changes on a prescribed motion, on a
-locked joint, on a human-in-the-loop load, and with a sine of 20 mN*m on the locked joint.
+`tsa tune --virtual` has no other knowledge of the plant. The tuned controller then runs without changes on a prescribed
+motion, a locked joint and a human-in-the-loop load, and with a sine of 20 mN*m on the locked joint.
 
-Reduction = 1 - RMS error / RMS error without compensation, of the plant's true joint torque less the set-point after
-the fade-in. The last column is the RMS error of the small sine, whose RMS is 14.1 mN*m. Without --seed every run draws
-other rigs; the seed is printed. --keep writes the files of each rig to a folder and keeps them.
+Reduction = 1 - RMS error / RMS error without compensation. The error is the plant's joint torque less the set-point
+after the fade-in. The last column is the RMS error of the small sine, whose RMS is 14.1 mN*m. Without --seed every run
+draws other rigs; the seed is printed. --keep writes the files of each rig to a folder and keeps them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ TUNING = ("--seconds", "20", "--verify-seconds", "8")
 
 @dataclass(frozen=True)
 class Rig:
-    """One rig. `effects`: of the plant, by name; `temperature`: [s, deg C]; `bits`: of the encoders of motor, joint."""
+    """One rig. `effects` are the plant's, `temperature` has rows of s and deg C, `bits` are of both encoders."""
 
     seed: int
     number: int
@@ -70,18 +70,18 @@ class Rig:
 
     @property
     def torque(self) -> float:
-        """Return a limit of the motor torque, N*m, that suffices for 1 N*m at the joint: as a drive is chosen."""
+        """Return a limit of the motor torque, N*m, that is sufficient for 1 N*m at the joint."""
         model = self.truth.with_effects({"elongation_coupling": {"curvature_profile": self.profile}})
         most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
         return max(2.5, 1.4 * most)
 
     @property
     def rated(self) -> float:
-        """Return the rated torque of the drive, N*m: the controller's limit is at most 3 times as large."""
+        """Return the rated torque of the drive, N*m, at least a third of the controller's limit."""
         return max(1.0, self.torque / 3.0)
 
     def plant(self, joint: str) -> dict[str, Any]:
-        """Return the plant's tables with the joint `joint`."""
+        """Return the plant's tables with the load `joint`."""
         axis: dict[str, dict[str, Any]] = {
             "tendon": {"curvature": [list(point) for point in self.profile]},
             "motor": {"inertia": self.inertia},
@@ -101,7 +101,7 @@ class Rig:
         return tables
 
     def controller(self) -> dict[str, Any]:
-        """Return the controller's tables: data sheets of encoders and drive, and a model file that is off."""
+        """Return the controller's tables, with the true data of encoders and drive and the inaccurate model file."""
         tables = demo.controller(VIRTUAL, "tune", 1000.0, "nominal.toml", 0.95)
         axis, torque = tables["axis"][0], self.torque
         axis["law"] = {"compensation": 0.95, "fade_in": demo.FADE_IN}
@@ -152,7 +152,7 @@ def draw(seed: int, number: int) -> Rig:
 
 
 def drawn_profile(rng: np.random.Generator) -> Points:
-    """Return one to three bends of any place, length and angle, as (share of the length, share of the bending)."""
+    """Return a profile of one to three random bends, as points (share of the length, share of the wrap angle)."""
     count = int(rng.integers(1, 4))
     begins = rng.uniform(0.0, 0.98, count)
     ends = np.minimum(1.0, begins + np.exp(rng.uniform(math.log(0.02), 0.0, count)))
@@ -165,7 +165,7 @@ def drawn_profile(rng: np.random.Generator) -> Points:
 
 
 def drawn_effects(rng: np.random.Generator) -> tuple[dict[str, dict[str, Any]], list[list[float]]]:
-    """Return the plant's effects and the course of its temperature; each effect with the probability `PRESENT`."""
+    """Return the plant's effects, each with the probability `PRESENT`, and the temperature over time."""
     phase = float(rng.uniform(-math.pi, math.pi))
     cycles = int(rng.choice([6, 12, 24, 36]))
     gap = float(rng.uniform(0.5e-3, 3e-3))  # rad of the joint
@@ -194,7 +194,7 @@ def drawn_effects(rng: np.random.Generator) -> tuple[dict[str, dict[str, Any]], 
 
 
 def trial(rig: Rig, folder: Path) -> Row:
-    """Write, tune and evaluate one rig; the row has `outcome`, reductions in % and the error of the small sine."""
+    """Write, tune and evaluate one rig. The row has `outcome`, the reductions in % and the error of the small sine."""
     rig.write(folder)
     row: Row = {
         "seed": rig.seed,
@@ -222,7 +222,7 @@ def trial(rig: Rig, folder: Path) -> Row:
 
 
 def evaluate(folder: Path, name: str) -> Row:
-    """Run the tuned controller with and without compensation on one joint."""
+    """Run the tuned controller with and without compensation with one load, and return its reduction or error."""
     joint = "held" if name == "small" else name
     errors = {}
     row: Row = {}
@@ -278,7 +278,7 @@ def main() -> int:
 
 
 def made(keep: Path | None, asked: tuple[int, int]) -> Row:
-    """Draw, tune and evaluate one rig; its files stay in a folder below `keep`."""
+    """Draw, tune and evaluate one rig. With `keep` its files stay in a folder there."""
     seed, number = asked
     with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
         return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}")

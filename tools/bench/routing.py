@@ -1,11 +1,11 @@
-"""Tune random legs, whose joints bend each other's sheaths, by `tsa tune --joint`, and compare with their true files.
+"""Tune random legs, whose joints bend each other's sheaths, by `tsa tune --joint`, and compare with the true models.
 
 Usage: tools/run bench/routing [--seed N] [--legs N] [--from-log] [--processes N] [--json]
 A leg has 2 or 3 joints. The sheath of the last joint crosses 1 or 2 others, with gains of 0.3 to 1 rad/rad of either
-sign; every third leg routes its two tendons differently. The file knows no routing. Its friction and pretension are off
-by up to 15 %, its stiffness by up to 5 %. The plant's tendons are distributed. Goal: gains within 5 % of the largest
-one, and an error of at most twice that with the true file on a motion that tuning has not played. --from-log tunes from
-one log of all joints in place of the whole procedure, in a third of the time. Errors in mN*m.
+sign. Every third leg routes its two tendons differently. The file has no routing. Its friction and pretension are off
+by up to 15 %, its stiffness by up to 5 %. The plant's tendons are distributed. Goals: gain errors of at most 5 % of the
+largest gain, and at most twice the torque error (mN*m) of the true model, on a motion that tuning did not use.
+--from-log tunes from one log of all joints instead of the whole procedure, in a third of the time.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.tune.session import Plan, Session
 
 RATE = {2: 500.0, 3: 400.0}  # Hz by the number of joints, of one bus
-SECONDS, VERIFIED, COMPARED = 15.0, 5.0, 6.0  # s of each excitation, each verification, each comparison
+SECONDS, VERIFIED, COMPARED = 15.0, 5.0, 6.0  # s of an excitation, a verification and a comparison
 LOGGED = 20.0  # s of the log of --from-log
 NAMES = ("hip", "knee", "ankle")
 
 
 @dataclasses.dataclass(frozen=True)
 class Leg:
-    """A drawn leg: the joints, the true actuator of the last one, and what its file states."""
+    """A random leg: the joints, and the true model and the model file of the last joint."""
 
     names: tuple[str, ...]
     true: TendonSheath
@@ -90,7 +90,7 @@ def draw(seed: int) -> Leg:
 
 
 def files(folder: Path, leg: Leg) -> tuple[Path, Path]:
-    """Write controller and plant; the last joint moves as in a gait, the others to and fro."""
+    """Write the files of controller and plant. The last joint moves as in a gait, the others follow a sine."""
     rate = RATE[len(leg.names)]
     paths = joints.files(folder, "imposed", joints.GAIT)
     controller, plant = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in paths)
@@ -121,7 +121,7 @@ def files(folder: Path, leg: Leg) -> tuple[Path, Path]:
 
 
 def error(folder: Path, paths: tuple[Path, Path], model: Path) -> float:
-    """Return the RMS error of the last joint with this file from 2 s on, mN*m; nan where a fault ended the run."""
+    """Return the RMS error of the last joint with this model from 2 s on, mN*m, or nan after a fault."""
     tables = tomlkit.parse(paths[0].read_text(encoding="utf-8")).unwrap()
     tables["axis"][-1]["model"] = str(model)
     controller = folder / "compared.toml"
@@ -134,7 +134,7 @@ def error(folder: Path, paths: tuple[Path, Path], model: Path) -> float:
 
 
 def recorded(folder: Path, paths: tuple[Path, Path], leg: Leg) -> str:
-    """Record a log without compensation while all joints move; return its name with the axis."""
+    """Record a log without compensation while all joints move. Return its path with the name of the axis."""
     tables = tomlkit.parse(paths[0].read_text(encoding="utf-8")).unwrap()
     wave = multi_sine(FREQUENCIES, most_torque(leg.file, tables["axis"][-1]["limits"]["torque"]), LOGGED)
     table = np.column_stack([wave.t, wave.tau_j_des])
@@ -149,7 +149,7 @@ def recorded(folder: Path, paths: tuple[Path, Path], leg: Leg) -> str:
 
 
 def tune(folder: Path, paths: tuple[Path, Path], leg: Leg, from_log: bool) -> Outcome:
-    """Tune the last joint."""
+    """Tune the last joint, from a log or by the whole procedure."""
     if from_log:
         return Session(paths[0], leg.names[-1], Plan()).from_logs((recorded(folder, paths, leg),))
     plan = Plan(

@@ -1,12 +1,12 @@
-"""Run plant and daemon on a vcan for long, and look for growing processes and lost cycles or records.
+"""Run plant and daemon on a vcan for a long time, and detect growing processes and lost cycles or records.
 
 Usage: tools/run bench/soak [--seconds 1200] [--axes 1] [--json]
 
-A client asks for the status and sets a value all the time. Memory and descriptors of plant, daemon, log writer and
-socket server are sampled; the slope of the memory is fitted after the first quarter. Exit code 1: the memory of a
-process grows, descriptors were left open, cycles or records are not accounted for, or the run had a fault.
+A client continuously requests the status and sets a value. Memory and descriptors of plant, daemon, log writer and
+socket server are sampled, and the slope of the memory is fitted after the first quarter. The exit code is 1 if the
+memory of a process grows, descriptors stay open, cycles or records are missing, or the run had a fault.
 
-Needs a vcan; without one it runs under tools/vcan.
+The command needs a vcan and otherwise runs under tools/vcan.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from tsa_ctrl.system.process_supervisor import plant, tsa
 START = 120.0  # s until the daemon runs
 EVERY = 5.0  # s between two samples
 WARM_UP = 0.25  # share of the run that does not count for the slope
-ALLOWED = 256.0  # KiB/min; the index of the log that its writer keeps takes 82
-ALLOWED_IN_ALL = 1024.0  # KiB over the run: a short run cannot distinguish less from no growth
+ALLOWED = 256.0  # KiB/min; the index of the log grows by 82 in the log writer
+ALLOWED_IN_ALL = 1024.0  # KiB over the run; smaller growth is not significant in a short run
 NAMES = {"plant": "plant", "run": "daemon", "tsa_ctrl.log.writer": "log writer", "tsa_ctrl.ipc.server": "socket server"}
 KEYS = ("process", "samples", "first_kib", "last_kib", "kib_per_min", "descriptors_first", "descriptors_last")
 
@@ -63,7 +63,7 @@ def soak(folder: Path, seconds: float) -> tuple[Samples, Row]:
                 raise BusError("the daemon does not answer")
             time.sleep(0.1)
     except FileNotFoundError:
-        pass  # a process ended between two looks: the run is over
+        pass  # a process ended between two samples, so the run is over
     finally:
         out, err = daemon.communicate(timeout=60)
     if not out:
@@ -72,7 +72,7 @@ def soak(folder: Path, seconds: float) -> tuple[Samples, Row]:
 
 
 def ask(path: str, number: int) -> bool:
-    """Ask for the status, and every tenth time set a value; return False while no daemon answers."""
+    """Request the status, and every tenth time set a value. Return False while no daemon answers."""
     try:
         with Client(path, timeout=1.0) as client:
             status = client.ask(Status())
@@ -84,7 +84,7 @@ def ask(path: str, number: int) -> bool:
 
 
 def row_of(name: str, samples: list[tuple[float, float, int]]) -> Row:
-    """Return what a process held after the first quarter and at the end, and the slope between."""
+    """Return memory and descriptors of a process after the first quarter and at the end, and the memory's slope."""
     kept = samples[round(WARM_UP * len(samples)) :]
     t, memory, _ = zip(*kept, strict=True)
     slope = 60.0 * float(np.polyfit(t, memory, 1)[0]) if len(kept) > 1 else 0.0
@@ -92,12 +92,12 @@ def row_of(name: str, samples: list[tuple[float, float, int]]) -> Row:
 
 
 def problems(rows: list[Row], summary: Row, axes: int) -> list[str]:
-    """Return what is wrong, one line each."""
+    """Return the problems of the run, one line each."""
     found = [f"{name}: not seen" for name in sorted(set(NAMES.values()) - {row["process"] for row in rows})]
     for row in rows:
         if row["kib_per_min"] > ALLOWED and row["last_kib"] - row["first_kib"] > ALLOWED_IN_ALL:
             found.append(f"{row['process']}: memory grows by {row['kib_per_min']:.0f} KiB/min")
-        if row["descriptors_last"] > row["descriptors_first"] + 1:  # one may be the client's connection of the moment
+        if row["descriptors_last"] > row["descriptors_first"] + 1:  # one may be the present connection of the client
             found.append(f"{row['process']}: descriptors {row['descriptors_first']} -> {row['descriptors_last']}")
     cycles, records = summary["cycles"], summary["log_records"]
     if cycles["planned"] != cycles["sent"] + cycles["skipped"]:

@@ -1,15 +1,15 @@
 """Identify stiffness and shape of random rigs, and verify the joint torque from the tendon elongation.
 
-Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--results FILE] [--json]
-Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness, bends anywhere up to
-s_c = 0.7, evenly or in two bends, and has an inertia and a delay of its own. A gait of 6 s is its log, in which `tsa
-calibrate --stretch` finds stiffness, shape and course of the bends, with the joint torque sensor, or stiffness without
-one (then the shape is told). Then the observer follows a joint that is held, one on a weight, and the gait with other
-noise, against the truth of the distributed plant. Errors are RMS, of the torque's RMS, from 1.5 s on. The band should
-hold 95 % of the samples: it does so on average of the rigs, and of one rig more or less, as what is left of stiffness
-and shape is one error all along and no noise. With a sensor each run is looked at once more with the true course of
-the bends told and the rest identified: what is left then is not the course's. With --results each rig is kept in a file
-as it ends, so that a long list is done in slices.
+Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--rows FILE] [--json]
+Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness. Its sheath has an even or a
+double bend with a centre of up to s_c = 0.7. Motor inertia and delay are random. The log is a gait of 6 s. With a joint
+torque sensor the fit of `tsa calibrate --stretch` identifies stiffness and curvature profile. Without a sensor it
+identifies the stiffness, and the true profile is given. Then the observer runs on a locked joint, a weight, and the
+gait with other noise, and is compared with the distributed plant. Errors are RMS values from 1.5 s on, divided by the
+RMS torque. The band should contain 95 % of the samples on average over the rigs. The share of one rig varies, because
+the remaining errors of stiffness and profile are constant. With a sensor each run is also evaluated with the true
+profile, which shows the error that the identified profile does not cause. --rows keeps each finished rig in a file, so
+that a long list can be run in parts.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ RUNS: dict[str, tuple[str, dict[str, Any], float]] = {
 
 
 def shape(seed: int, number: int) -> Profile:
-    """A course of the bending: even or in two bends, squeezed to a centre of at most 0.7."""
+    """Return a random curvature profile, even or with two bends, shifted to a centre of 0.1 to 0.7."""
     rng = np.random.default_rng([seed, number, 7])
     return centred(Profile((NAMED["uniform"], S_BENT)[int(rng.integers(2))]), float(rng.uniform(0.1, MOST_CENTRE)))
 
@@ -58,7 +58,7 @@ def shape(seed: int, number: int) -> Profile:
 def play(
     folder: Path, rig: Drawn, bends: Profile, load: str, setpoint: dict[str, Any], seconds: float, seed: int
 ) -> AxisResult:
-    """A run of the nominal controller on the true rig."""
+    """Run the nominal controller on the true rig."""
     save_model(rig.nominal, folder / "nominal.toml")
     gait().write_setpoint(folder / "setpoint.csv")
     gait().write_motion(folder / "motion.csv")
@@ -105,7 +105,7 @@ def identify(
 
 
 def verify(result: AxisResult, model: TendonSheath, inertia: float) -> dict[str, float]:
-    """Return the observer's errors in a run over the torque's RMS, and the share of samples within its band."""
+    """Return the observer's errors divided by the RMS torque, and the share of samples within its band."""
     log = result.log
     seen = StretchObserver(model, PERIOD, COUNTS, inertia)
     told = np.full((log["t"].size, 2), np.nan)
@@ -134,7 +134,7 @@ def _rms(values: np.ndarray) -> float:
 
 
 def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:
-    """One rig: what was identified, and the errors of each run."""
+    """Return the identified parameters of one rig, and the observer's errors in each run."""
     rig, bends = draw(seed, number), shape(seed, number)
     with tempfile.TemporaryDirectory(prefix="bench-stretch-") as name:
         folder = Path(name)
@@ -172,7 +172,9 @@ def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     command.share(parser, "rigs first seed rows processes json", rigs=30, seed=1)
-    parser.add_argument("--without-sensor", action="store_true", help="of the joint torque; the shape is told then")
+    parser.add_argument(
+        "--without-sensor", action="store_true", help="use no joint torque sensor; the true curvature profile is given"
+    )
     arguments = parser.parse_args()
     numbers = range(arguments.first, arguments.first + arguments.rigs)
     asked = [(arguments.seed, number, not arguments.without_sensor) for number in numbers]
@@ -186,7 +188,7 @@ def _trial(asked: tuple[int, int, bool]) -> dict[str, Any]:
 
 
 def report(rows: list[dict[str, Any]]) -> Iterator[Table | str]:
-    """Yield the table of errors over the torque's RMS, median (worst) of the rigs; then the interval coverage."""
+    """Yield the table of the relative errors, median (worst) of the rigs, then the coverage of the intervals."""
     kinds = {"sliding": "sliding", "all": "all samples"}
     if "gait_all_told" in rows[0]:
         kinds |= {"sliding_told": "course told: sliding", "all_told": "course told: all"}
@@ -215,5 +217,5 @@ def _cells(rows: list[dict[str, Any]], label: str, kinds: Iterable[str]) -> list
 
 
 def _spread(shares: list[float]) -> str:
-    """Median and worst, %."""
+    """Format median and worst value, %."""
     return f"{100.0 * np.median(shares):.1f} % ({100.0 * max(shares):.1f})"

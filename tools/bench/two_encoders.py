@@ -1,12 +1,12 @@
-"""Measure what the angles of both pulleys add to a diagnosis: groups that become single causes, and groups that stay.
+"""Measure how the angles of both pulleys improve a diagnosis: groups that become single causes, and groups that stay.
 
 Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--shapes joint even motor] [--names ROW:SHAPE ...]
                                     [--by-row] [--rows FILE] [--processes 1]
 
-Each row of the catalogue's twins is hidden in short logs (tests/blind/two_encoders.py) on a sheath that bends at the
-joint, evenly, or at the motor, as the model file says. The same logs are diagnosed without and with the motor's angle.
-Rows that no torque shows (a spring, creep, slip, backlash; `nothing`) are identified by the angles alone. With --by-row
-the table has a line for each row instead of each shape.
+Each row of the indistinguishable effects of the catalogue is hidden in short logs (tests/blind/two_encoders.py). The
+sheath bends at the joint, evenly or at the motor, and the model file has this profile. The same logs are diagnosed
+without and with the motor's angle. Effects without influence on the torque (a spring, creep, slip, backlash; `nothing`)
+can be identified by the angles only. With --by-row the table has a line for each row instead of each shape.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KINDS = ("found alone", "in a group", "not named", "wrong")
 
 
 def one(job: tuple[str, int]) -> Row:
-    """Return a case with the causes that one angle and two angles identify."""
+    """Return the row of a case with the causes that are identified without and with the motor's angle."""
     name, seed = job
     row: Row = {"name": name, "seed": seed, "truth": NOTHING, "error": ""}
     try:
@@ -42,7 +42,7 @@ def one(job: tuple[str, int]) -> Row:
 
 
 def kind(causes: list[list[str]], truth: str) -> str:
-    """Return the kind of `KINDS`: the truth as the only name, among others, no name at all, or only other names."""
+    """Return the kind of answer, one of `KINDS`."""
     if not causes:
         return "found alone" if truth == NOTHING else "not named"
     if not any(truth in group for group in causes):
@@ -51,7 +51,7 @@ def kind(causes: list[list[str]], truth: str) -> str:
 
 
 def report(every: list[Row], by_row: bool) -> Iterator[Table | str]:
-    """Yield the table by shape or by row, and what both angles separate."""
+    """Yield the table by shape or by row, and the groups that both angles separate or leave."""
     yield from (f"{row['name']} {row['seed']}: {row['error']}" for row in every if row["error"])
     rows = [row for row in every if not row["error"]]
     place = 0 if by_row else 2

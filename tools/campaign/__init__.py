@@ -1,1 +1,1 @@
-"""Attacks: faults, nonsense, mistakes in the source, a long time; each ends with a count of what went wrong."""
+"""Campaigns with faults, invalid input and mutants of the source. Each reports the number of failures."""

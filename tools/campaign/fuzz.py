@@ -1,16 +1,16 @@
-"""Send invalid input to loop, plant, bring-up, socket and files, and look for crashes, torque and leaks.
+"""Send invalid input to loop, plant, bring-up, socket and files, and detect crashes, torque and leaks.
 
 Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
 
-  loop      spoiled, random and lying frames to the daemon's loop on a bus in memory; a judge that reads only the frames
-            says when there may be torque
-  plant     random frames and SDO requests to the simulated nodes; after each batch a reset must bring them back
-  bring-up  the start over a bus that spoils SDO answers: it succeeds, or says in one line why not
-  socket    spoiled requests to the local socket's process
-  files     spoiled configuration files to every reader
+  loop      corrupted, random and false frames to the daemon's loop on a bus in memory; an independent check of the
+            frames decides when torque is permitted
+  plant     random frames and SDO requests to the simulated nodes; after each batch a reset must restore them
+  bring-up  startup on a bus that corrupts SDO answers; it must succeed or fail with one line
+  socket    corrupted requests to the socket server
+  files     corrupted configuration files to every reader
 
---frames is shared by loop and plant; the other parts take their share of it. Memory and descriptors are those after the
-first quarter and at the end. Exit code 1: a problem was found; its seed repeats it.
+loop and plant get half of --frames each, the other parts a smaller share. Memory and descriptors are compared between
+the first quarter and the end. Exit code 1: a problem was found. The same seed reproduces it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def main() -> int:
 
 
 def row_of(part: Part) -> Row:
-    """Return inputs, cost and problems of a part."""
+    """Return inputs, memory growth, open descriptors and problems of a part."""
     growth = part.after.memory - part.before.memory
     opened = part.after.descriptors - part.before.descriptors
     problems = list(part.problems)

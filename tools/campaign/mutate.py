@@ -1,14 +1,14 @@
-"""Measure how many small mistakes in the modules that decide the torque the tests detect.
+"""Measure how many mutants of the modules that limit the torque are detected by the tests.
 
 Usage: tools/run campaign/mutate [MODULE...] [--sample N] [--json]
 
-A mutant is a module with one mistake: a moved or turned comparison, a forced condition, `and` for `or`, another number,
-a statement left out. The tests of the module run against each mutant in a separate process. A mutant that fails a test
-is killed. The score is the share of killed mutants; the others are printed with their line. MODULE selects by a part of
-the path. --sample N takes N mutants of each module, spread over the module.
+A mutant is a module with one mistake: a changed comparison, a forced condition, `and` for `or`, another number, or a
+missing statement. The tests of the module run against each mutant in a separate process. A mutant that fails a test is
+killed. The score is the share of killed mutants. The others are printed with their line. MODULE selects modules by a
+part of their path. --sample N takes N mutants of each module, spread over the module.
 
-mutmut 3.8 leaves out the defaults and bounds of settings, and cosmic-ray 8.7 starts pytest again for each mutant (13
-minutes for the limiter instead of 64 s). Therefore the operators and the fork are here.
+mutmut 3.8 does not mutate the defaults and bounds of settings, and cosmic-ray 8.7 starts pytest again for each mutant
+(13 minutes for the limiter instead of 64 s). Therefore this module has its own operators and forks for each mutant.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from collections.abc import Iterator
 from tools import command
 from tsa_ctrl.errors import UsageError
 
-TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must detect its mistakes, quick ones first
+TARGETS: dict[str, tuple[str, ...]] = {  # tests of each module, fast ones first
     "tsa_ctrl/safety/limiter.py": ("tests/safety/test_limiter.py",),
     "tsa_ctrl/safety/supervisor.py": ("tests/safety/test_supervisor.py",),
     "tsa_ctrl/safety/guard.py": ("tests/safety/test_guard.py",),
     "tsa_ctrl/control/law.py": ("tests/control/test_law_bounds.py", "tests/control/test_law.py"),
 }
-PATIENCE = 3.0  # s beyond twice the duration of the original's tests; a mutant may loop for ever
+PATIENCE = 3.0  # s beyond twice the duration of the tests without a mutant; a mutant may loop forever
 COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE), ast.GtE: (ast.Gt, ast.Lt),
     ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,), ast.Is: (ast.IsNot,), ast.IsNot: (ast.Is,),
@@ -42,11 +42,11 @@ OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.BitOr: ast.BitAnd,
     ast.BitAnd: ast.BitOr,
 }  # fmt: skip
-TYPES = ("returns", "annotation", "decorator_list", "bases")  # fields that do nothing when the module runs
+TYPES = ("returns", "annotation", "decorator_list", "bases")  # fields without effect at run time, or not mutated
 
 
 def replacements(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what may stand in the place of a node."""
+    """Yield the mutated replacements of a node."""
     match node:
         case ast.Compare(ops=[operator]):
             yield from (ast.Compare(node.left, [each()], node.comparators) for each in COMPARISONS[type(operator)])
@@ -69,7 +69,7 @@ def replacements(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def mutants(source: str) -> Iterator[tuple[str, str]]:
-    """Yield line and change, and the source, of each mutant of a module."""
+    """Yield a description (line and change) and the source of each mutant of a module."""
     tree = ast.parse(source)
     for parent in list(ast.walk(tree)):
         for field, value in ast.iter_fields(parent):
@@ -91,7 +91,7 @@ def _put(parent: ast.AST, field: str, index: int | None, node: ast.AST) -> None:
 
 
 def passes(path: str, source: str, seconds: float) -> bool:
-    """Return whether the tests of a module pass with this source in its place, in a process of their own."""
+    """Return True if the tests of a module pass in a forked process that uses this source instead."""
     pid = os.fork()
     if pid == 0:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -119,10 +119,10 @@ def _tested(path: str, source: str) -> int:
 
 
 def score(path: str, sample: int) -> command.Row:
-    """Return mutants, killed and survivors of one module.
+    """Return the number of mutants, the killed mutants and the survivors of one module.
 
     Raises:
-        UsageError: the tests fail without any mistake.
+        UsageError: The tests fail without a mutant.
     """
     source = (command.ROOT / path).read_text(encoding="utf-8")
     begun = time.monotonic()
@@ -144,8 +144,8 @@ def main() -> int:
     options = parser.parse_args()
     os.environ |= {"CI": "true", "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}  # hypothesis draws the same examples each time
     os.chdir(command.ROOT)
-    sys.dont_write_bytecode = True  # of a mutant
-    import numba  # noqa: F401  # what all tests import, before the fork
+    sys.dont_write_bytecode = True  # do not write a mutant's bytecode
+    import numba  # noqa: F401  # imported before the fork, because all tests need it
 
     chosen = [path for path in TARGETS if not options.modules or any(part in path for part in options.modules)]
     rows = [score(path, options.sample) for path in chosen]

@@ -1,12 +1,12 @@
-"""Look for motion that the controller sustains: five campaigns of the real loop on distributed tendons.
+"""Detect motion that the controller sustains, in five campaigns of the real loop on distributed tendons.
 
 Usage: tools/run campaign/runaway scan      less friction than the file's from the start, one nudge
        tools/run campaign/runaway changes   friction, pretension, bending or the motor change while the loop runs
-       tools/run campaign/runaway loss      a sudden loss or a wrong drive, next to the same at compensation 0
-       tools/run campaign/runaway tracking  the torque error of healthy rigs, here and on another revision
+       tools/run campaign/runaway loss      a sudden loss or a wrong drive, compared with compensation 0
+       tools/run campaign/runaway tracking  the torque error of healthy rigs, with --against also of another revision
        tools/run campaign/runaway healthy   an hour without a fault
 
-Each runs with three sensor configurations: the motor alone, a joint encoder, a joint encoder and a joint torque sensor.
+Each campaign has three sensor configurations: no joint sensor, a joint encoder, a joint encoder and a torque sensor.
 `tools/run campaign/runaway MODE --help` lists the measures, goals and options of a mode.
 """
 

@@ -1,23 +1,22 @@
-"""Put every fault into every phase at twenty moments of the cycle, and judge motor and joint, in virtual time.
+"""Inject every fault in every phase at twenty moments of the cycle, and judge motor and joint, in virtual time.
 
 Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--rows FILE] [--seed 1]
                                   [--sensors motor encoder sensor] [--processes 1|2] [--keep] [--json] [--list]
 
-The daemon's own loop on the real plant under one clock: every fault of the catalogue while it starts, enables, fades
-in, runs, is tuned, stops, is in fault, resets and recovers; joint (imposed, held, free, spring, weight, limb, wearer),
-shape of the sheath, set-point, motor, delay, sensor and number of axes are drawn for each trial by the seed. No trial
-is repeated and none is left out; the same trial gives the same result to the last bit. --pairs: two faults at once.
+The daemon's loop and the simulated plant share one clock. Every fault of the catalogue is injected while the loop
+starts, enables, fades in, runs, is tuned, stops, is in fault, resets or recovers. Load (imposed, held, free, spring,
+weight, limb, wearer), shape of the sheath, set-point, motor, delay, sensor and number of axes are drawn for each trial
+by the seed. The same trial gives the same result to the last bit. --pairs injects two faults at once.
 
-A trial is safe if, at the plant, the motor torque stays within the limiter's bound, is zero within [safety]
-zero_torque_within of a fault that must end it and stays zero, and the cause is reported. The joint must also not move
-by more than 2 rad/s, 0.35 rad or 0.1 J beyond its motion without the fault, with the torque off or, after a requested
-recovery, in a first startup of the same length (phase/verdict.py gives the reason). The same three limits judge a wrong
-signal that shows only with motion.
+A trial is safe if the motor torque of the plant stays within the limiter's bound. After a fault that must end the
+torque, it must be zero within [safety] zero_torque_within and stay zero, and the cause must be reported. The joint must
+not exceed the motion of the reference runs (see phase/verdict.py) by more than 2 rad/s, 0.35 rad or 0.1 J. A wrong
+signal that only a motion reveals is judged by these three limits.
 
-Each trial is a line in --rows (default virtual.jsonl), written at once: an interrupted run goes on with the same
-command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes the
-result of all lines into tools/campaign/phase/hazards.json, from which `tools/run manual/write` makes the table of
-hazards. Ends with the line `N trials, N safe`; exit code 1 unless all are.
+Each trial is written to --rows (default virtual.jsonl) at once, so the same command continues an interrupted run.
+--part I/N runs every N-th trial from the I-th on, and --sample N the first N in a random order. --keep writes the
+summary of all rows to tools/campaign/phase/hazards.json, the source of the table of hazards (`tools/run manual/write`).
+The last line is `N trials, N safe`. Exit code 1: a trial was unsafe.
 """
 
 from __future__ import annotations
@@ -49,8 +48,8 @@ def main() -> int:
     parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="trials with TEXT in their name")
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, help="every trial with each (default: as drawn)")
     command.share(parser, "sample rows seed processes json", rows=Path("virtual.jsonl"), seed=1)
-    parser.add_argument("--keep", action="store_true", help="sum all lines up for the manual")
-    parser.add_argument("--list", action="store_true", help="the names of all trials")
+    parser.add_argument("--keep", action="store_true", help="write the summary of all rows for the manual")
+    parser.add_argument("--list", action="store_true", help="only print the names of the trials")
     options = parser.parse_args()
     kind = "pairs" if options.pairs else "full"
     trials = chosen(options.seed, kind, options.sample or None, tuple(options.only), part(options.part))
@@ -71,7 +70,11 @@ def main() -> int:
 
 
 def part(text: str) -> tuple[int, int]:
-    """Return I and N of "I/N"; raises UsageError."""
+    """Return I and N of "I/N".
+
+    Raises:
+        UsageError: The text has another form.
+    """
     place, slash, parts = text.partition("/")
     if not (slash and place.isdigit() and parts.isdigit() and 1 <= int(place) <= int(parts)):
         raise UsageError(f"--part {text}: allowed is I/N with I from 1 to N, for example 1/4")
@@ -84,7 +87,7 @@ def play(trials: dict[tuple[int, str], Trial], key: tuple[int, str]) -> Row:
 
 
 def keep(rows: list[Row], seed: int) -> None:
-    """Write the sums for the manual."""
+    """Write the summary for the manual."""
     about = {
         "date": datetime.date.today().isoformat(),
         "python": platform.python_version(),
@@ -97,7 +100,7 @@ def keep(rows: list[Row], seed: int) -> None:
 
 
 def report(rows: list[Row]) -> Iterator[str]:
-    """Yield a line for each hazard, the worst and the unsafe trials, and the last line."""
+    """Yield a line for each hazard, the worst and the unsafe trials, and the totals."""
     found = summary(rows)
     for hazard, each in ((hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found):
         within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"

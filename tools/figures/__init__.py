@@ -1,1 +1,1 @@
-"""Pictures of the manual."""
+"""Draw the pictures of the manual."""

@@ -1,8 +1,8 @@
-"""Take a picture of `tsa dashboard` next to a running demo, with a headless Chromium.
+"""Take a picture of `tsa dashboard` during a demo, with a headless Chromium.
 
 Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8] [--width 390 --width 900]
 
-Starts the demo (plant and daemon on the best bus of this machine), the dashboard on the daemon's socket, and Chromium.
+The command starts the demo, the dashboard on the daemon's socket, and Chromium.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def socket_in(folder: Path) -> Path:
-    """Return the socket of the daemon that runs with torque."""
+    """Return the socket of the daemon in `folder` as soon as it is in the phase "running"."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         for path in folder.rglob("*.sock"):
@@ -70,7 +70,7 @@ def main() -> int:
                     for width in widths:
                         out = options.out if len(widths) == 1 else options.out.with_stem(f"{options.out.stem}-{width}")
                         page.resize(width)
-                        time.sleep(1.0)  # the charts follow the width with the next drawing
+                        time.sleep(1.0)  # the charts take the new width when they are drawn again
                         page.picture(out, width, page.evaluate("document.body.scrollHeight"))
                         print(out)
     return 0

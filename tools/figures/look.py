@@ -1,4 +1,4 @@
-"""One look for the pictures of this folder: sizes, colours, a quiet grid, units on every axis."""
+"""Define the common style of the pictures: sizes, colours and a light grid."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ plt.rcParams.update(
 
 
 def grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, list[list[Axes]]]:
-    """A figure with rows x columns axes; width and height in inches."""
+    """Return a figure with rows x columns axes, and the axes. Width and height are in inches."""
     figure, axes = plt.subplots(rows, columns, figsize=(width, height), squeeze=False, layout="constrained")
     return figure, axes.tolist()
 
 
 def save(figure: Figure, folder: Path, name: str) -> None:
-    """Write a PNG and say where it is."""
+    """Write a figure as PNG, and print its path."""
     folder.mkdir(parents=True, exist_ok=True)
     figure.savefig(folder / name)
     plt.close(figure)

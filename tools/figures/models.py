@@ -1,10 +1,10 @@
-"""Draw the simplified, full and distributed tendon models on the same motion, and print how far they differ.
+"""Draw the simplified, full and distributed tendon models for the same motion, and print their differences.
 
 Usage: tools/run figures/models [--seconds 8] [--out .readme]
 
-The sheath is evenly bent; motion and motor torque are the same for all. (3.55) and (3.53) are formulas for sliding. The
-full model of the plant adds standstill. In the distributed tendons a slip front
-travels from the motor after a reversal.
+The sheath is evenly bent. All models have the same motion and motor torque. (3.55) and (3.53) are formulas for sliding.
+The full model of the plant also has standstill. In the distributed tendons a slip front travels from the motor after a
+reversal.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from tsa_ctrl.plant.settings import load_plant
 Array = NDArray[np.float64]
 PERIOD = 1e-3  # s between two commands
 TORQUE, OFFSET, FREQUENCY = 0.5, 0.15, 0.31  # N*m, N*m, Hz of the motor torque
-SETTLE = 1.0  # s in which the motion grows from standstill; not shown
+SETTLE = 1.0  # s, in which the motion grows from standstill; not drawn
 SHOWN = 4.0  # s in the picture
-SLIDING = 0.3  # s after a reversal from which on the whole tendon slides
+SLIDING = 0.3  # s after a reversal, when the whole tendon slides
 
 
 def run(kind: str, seconds: float) -> dict[str, Array]:
-    """Return the signals of one axis whose plant has exactly the nominal parameters and a motor without inertia."""
+    """Return the signals of one axis of the plant, with nominal parameters and a motor without inertia."""
     axis = {
         "name": "joint",
         "actuator": "actuator.toml",
@@ -64,7 +64,7 @@ def run(kind: str, seconds: float) -> dict[str, Array]:
 
 
 def sliding(course: dict[str, Array]) -> NDArray[np.bool_]:
-    """Return the samples more than SLIDING s after a reversal."""
+    """Return a mask of the samples that are more than SLIDING s after a reversal."""
     t = course["t"]
     flips = np.flatnonzero(np.diff(np.sign(course["omega_j"]))) + 1
     last = np.concatenate([[0.0], t[flips]])[np.searchsorted(flips, np.arange(t.size), side="right")]

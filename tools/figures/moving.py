@@ -1,10 +1,10 @@
-"""Draw the moving pictures of the README: a joint that lifts a weight, and a leg whose joints bend its sheaths.
+"""Draw the animations of the README: a joint that lifts a weight, and a leg whose joints bend its sheaths.
 
 Usage: tools/run figures/moving [--leg] [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
 
-Runs `tsa demo --virtual --load weight` (or takes the folder that one left, --from) and draws its logs: the
-joint by its encoder, the desired torque and the torque of the joint sensor. With --leg it runs `tsa demo --leg` and
-draws hip, knee and ankle by their encoders, and the torque error of the knee without and with `[routing]`.
+The command runs `tsa demo --virtual --load weight`, or takes the output folder of such a run (--from), and draws its
+logs: the angle of the joint encoder, the desired torque and the torque of the joint sensor. With --leg it runs
+`tsa demo --leg` and draws the angles of hip, knee and ankle, and the knee's torque error without and with `[routing]`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tsa_ctrl.system.process_supervisor import tsa
 Columns = dict[str, NDArray[np.float64]]
 
 RUNS = {"without": ("without compensation", look.BACKWARD), "with": ("with compensation", look.FORWARD)}
-MARGIN = 2.0  # s more than are shown: fade-in and stop
+MARGIN = 2.0  # s of the run that are not drawn, fade-in and stop
 ARM = 2.6  # length of the arm in the drawing, in radii of the joint's pulley
 
 
@@ -44,7 +44,11 @@ def run(folder: Path, seconds: float) -> None:
 
 
 def course(folder: Path, seconds: float) -> Columns:
-    """Return the measured columns of a run, with `t` from 0; raises UsageError without a log."""
+    """Return the measured columns of a run, with `t` from 0.
+
+    Raises:
+        UsageError: The folder has no log.
+    """
     logs = sorted(folder.glob("*.mcap"))
     if not logs:
         raise UsageError(f"{folder}: no log in it; give a folder that `tsa demo --out` left")
@@ -53,7 +57,7 @@ def course(folder: Path, seconds: float) -> Columns:
 
 
 class Panel:
-    """One run: the joint on the left, its torque on the right."""
+    """Draw one run, with the joint on the left and its torque on the right."""
 
     def __init__(self, drawing: Axes, chart: Axes, columns: Columns, words: str, colour: str, seconds: float) -> None:
         self._columns = columns
@@ -74,14 +78,14 @@ class Panel:
         return float(max(np.abs(self._columns[name]).max() for name in ("tau_j_des", "tau_j")))
 
     def show(self, t: float) -> list[Artist]:
-        """Show the state at `t` s."""
+        """Draw the state at `t` s, and return the changed lines."""
         until = int(np.searchsorted(self._columns["t"], t, side="right"))
         angle = float(self._columns["q_j"][max(until - 1, 0)])
         x, y = ARM * math.sin(angle), -ARM * math.cos(angle)
         self._arm.set_data([0.0, x], [0.0, y])
         self._weight.set_data([x], [y])
         changed: list[Line2D] = [self._arm, self._weight]
-        every = slice(0, until, 10)  # of 1 kHz: more than a pixel has
+        every = slice(0, until, 10)  # every tenth sample of 1 kHz, because a pixel is wider
         for line, name in ((self._wanted, "tau_j_des"), (self._delivered, "tau_j")):
             line.set_data(self._columns["t"][every], self._columns[name][every])
             changed.append(line)
@@ -89,7 +93,7 @@ class Panel:
 
 
 def draw(runs: dict[str, Columns], seconds: float, rate: float, out: Path) -> None:
-    """The picture of both runs, `rate` frames a second."""
+    """Write the animation of both runs, with `rate` frames per second."""
     figure, axes = look.grid(len(runs), 2, 6.4, 3.6)
     panels = [Panel(row[0], row[1], runs[name], *RUNS[name], seconds) for row, name in zip(axes, RUNS, strict=True)]
     largest = 1.15 * max(panel.extreme for panel in panels)
@@ -111,7 +115,7 @@ JOINT = "knee"
 
 
 class Limb:
-    """One run of the leg: its bones on the left, the torque error of the knee on the right."""
+    """Draw one run of the leg, with its bones on the left and the torque error of the knee on the right."""
 
     def __init__(self, drawing: Axes, chart: Axes, run: dict[str, Columns], words: str, colour: str) -> None:
         self._run = run
@@ -133,7 +137,7 @@ class Limb:
         return float(np.abs(self._error).max())
 
     def show(self, t: float) -> list[Artist]:
-        """Show the state at `t` s."""
+        """Draw the state at `t` s, and return the changed lines."""
         x, y, direction = [0.0], [0.0], 0.0
         for name, length in BONES.items():
             columns = self._run[name]
@@ -149,7 +153,7 @@ class Limb:
 
 
 def draw_leg(folder: Path, seconds: float, rate: float, out: Path) -> None:
-    """The leg without and with routing, by the logs of `tsa demo --leg --out folder`."""
+    """Write the animation of the leg without and with routing, from the logs of `tsa demo --leg --out folder`."""
     figure, axes = look.grid(len(LEG), 2, 6.4, 3.6)
     panels = []
     for row, (name, words) in zip(axes, LEG.items(), strict=True):
@@ -170,11 +174,11 @@ def draw_leg(folder: Path, seconds: float, rate: float, out: Path) -> None:
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--leg", action="store_true", help="the leg, to .readme/leg_moving.gif")
+    parser.add_argument("--leg", action="store_true", help="draw the leg (default file .readme/leg_moving.gif)")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--seconds", type=float, default=6.0)
-    parser.add_argument("--rate", type=float, default=12.0, help="frames a second")
-    parser.add_argument("--from", type=Path, dest="folder", help="what tsa demo --out left")
+    parser.add_argument("--rate", type=float, default=12.0, help="frames per second")
+    parser.add_argument("--from", type=Path, dest="folder", help="output folder of tsa demo --out")
     asked: argparse.Namespace = parser.parse_args()
     out = asked.out or command.ROOT / ".readme" / ("leg_moving.gif" if asked.leg else "moving.gif")
     with tempfile.TemporaryDirectory(prefix="tsa-moving-") as name:

@@ -1,10 +1,11 @@
-"""Stable and unstable: share of the friction that is compensated over the share that is there, for each load.
+"""Draw stable and unstable runs by compensation and share of the friction that the plant has, for each load.
 
 Usage: tools/run figures/runaway [--out .readme] [--quick]
 
-Lines are the condition, c h_model = h_true; points are runs of the real loop in virtual time, on distributed tendons
-whose pretension is that share of the model file's, at a set-point of 0, nudged once and with the guard asleep. A point
-is a runaway when term and friction together did work on the joint from the nudge on; where they took it, it is passive.
+The lines are the condition c h_model = h_true. The points are runs of the real loop in virtual time at set-point 0, on
+distributed tendons with a share of the pretension of the model file. The joint is nudged once, and the guard never
+acts. A point is a runaway if friction and compensation together did positive work on the joint after the nudge, and
+otherwise passive.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ from tools.figures import look
 from tsa_ctrl.virtual.script import Fault
 
 LOADS = ("weight", "spring", "free", "limb")
-LEFT = (0.2, 0.4, 0.6, 0.8)  # of the half loop: h_true / h_model; c stays below 1, where `bound` cuts it
-BESIDE = (-0.2, -0.05, 0.05, 0.2)  # c less that
-NUDGED, SECONDS = 0.4, 0.8  # s of the log, and from there to the end
-ASLEEP = 100.0  # J: the guard is not to end what is shown
+LEFT = (0.2, 0.4, 0.6, 0.8)  # h_true / h_model of the friction torque h; with BESIDE c is at most 1
+BESIDE = (-0.2, -0.05, 0.05, 0.2)  # difference of c from this share
+NUDGED, SECONDS = 0.4, 0.8  # s of the log, and s from then to the end
+ASLEEP = 100.0  # J, so large that the guard does not end the run
 
 
 def work(load: str, left: float, compensation: float) -> float:
-    """Return the work in J that the joint is given from the nudge on, at a set-point of 0."""
+    """Return the work on the joint from the nudge on at set-point 0, J."""
     asleep = {"law": {"settle": 0.0}, "passivity": {"energy": ASLEEP}}
     rig = Experiment(load, "zero", pretension=left, compensation=compensation, fade_in=0.1, axis=asleep)
     result = rig.play(NUDGED + SECONDS, [Fault("push value=0.8 duration=0.05", NUDGED)])
@@ -38,7 +39,7 @@ def work(load: str, left: float, compensation: float) -> float:
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--out", type=Path, default=command.ROOT / ".readme")
-    parser.add_argument("--quick", action="store_true", help="one share of the friction a load")
+    parser.add_argument("--quick", action="store_true", help="only one share of the friction for each load")
     options = parser.parse_args()
     figure, (axes,) = look.grid(1, len(LOADS), 11.0, 3.2)
     agree = total = 0
@@ -66,5 +67,5 @@ def main() -> int:
     ]
     axes[0].legend(handles=marks, loc="upper left", fontsize=7)
     look.save(figure, options.out, "runaway.png")
-    print(f"{agree} of {total} points lie on the side of the line that the condition says")
+    print(f"{agree} of {total} points are on the side of the line that the condition predicts")
     return 0

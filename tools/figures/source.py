@@ -2,7 +2,8 @@
 
 Usage: tools/run figures/source [--out .readme]
 
-alpha + beta and |alpha - beta| against the bending angle for mu = 0.01 to 0.05, all curvature at the motor end.
+The figure shows alpha + beta and |alpha - beta| over the bending angle for mu = 0.01 to 0.05, with all curvature at the
+motor end.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""A virtual CAN for one command, where the kernel has none a guest that has; standard library only."""
+"""Provide a virtual CAN for one command, in a user-mode Linux guest if the kernel has none."""

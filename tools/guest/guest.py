@@ -1,7 +1,7 @@
-"""Run a command in a user-mode Linux guest that has a vcan; its streams, signals and exit status are the caller's.
+"""Run a command in a user-mode Linux guest that has a vcan, and pass its streams, signals and exit status.
 
-The host's files are the guest's root file system, so the command finds everything where it was. The guest has its own
-/dev/shm, its own processes and network (lo and the vcan) and one processor, and nothing of it remains.
+The root file system of the guest is that of the host, so all paths are the same. The guest has its own /dev/shm,
+processes and network (lo and the vcan), and one processor. It leaves nothing on the host.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from types import FrameType
 from tools.command import ROOT
 from tools.guest.kernel import Kernel, UnavailableError, cache_folder
 
-BOOT_SECONDS = 120.0  # two on an idle machine
-GRACE_SECONDS = 10.0  # between the caller's signal, or the time-out, and the end of the guest
+BOOT_SECONDS = 120.0  # an idle machine needs 2 s
+GRACE_SECONDS = 10.0  # from the caller's signal or the time-out to the end of the guest
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 TIMED_OUT = 124  # as timeout(1)
 PR_SET_PDEATHSIG = 1
@@ -39,14 +39,18 @@ LIBC = ctypes.CDLL(None)
 
 @dataclass(frozen=True)
 class Limits:
-    """Of a guest: its memory in bytes, and the seconds that a command may take."""
+    """Memory of a guest in bytes, and the longest duration of its command in s."""
 
     memory: int  # bytes
     seconds: float | None
 
 
 def run(kernel: Kernel, command: list[str], environment: dict[str, str], limits: Limits) -> int:
-    """The command's exit status, 124 after the time-out; raises UnavailableError if the guest did not come up."""
+    """Run a command in a guest. Return its exit status, or 124 after the time-out.
+
+    Raises:
+        UnavailableError: The guest did not start.
+    """
     with (
         tempfile.TemporaryDirectory(prefix="tsa-vcan-", dir="/tmp", ignore_cleanup_errors=True) as folder,
         _processor_claim() as processor,
@@ -59,7 +63,7 @@ def run(kernel: Kernel, command: list[str], environment: dict[str, str], limits:
 
 
 class Guest:
-    """A guest that is starting; handles signals and the alarm of this process from then on."""
+    """Start a guest, and handle the signals and the alarm of this process from then on."""
 
     def __init__(
         self,
@@ -72,16 +76,18 @@ class Guest:
     ) -> None:
         self._folder = folder
         self._processor = processor
-        self._ending: int | None = None  # exit status once a signal or the time-out asked for the end
+        self._ending: int | None = None  # exit status after a signal or the time-out
         _write_request(kernel, command, environment, folder)
         self._start(kernel, memory)
         for number in SIGNALS:
             signal.signal(number, self._on_signal)
         signal.signal(signal.SIGALRM, self._on_alarm)
-        signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # reading the terminal in the background shall fail, not stop us
+        signal.signal(
+            signal.SIGTTIN, signal.SIG_IGN
+        )  # reading a terminal in the background must fail, not stop this process
 
     def run(self, seconds: float | None) -> int:
-        """Pass streams and signals until the guest has ended."""
+        """Pass streams and signals until the guest has ended. Return the exit status."""
         self._wait_until_ready()
         signal.setitimer(signal.ITIMER_REAL, seconds or 0)
         Thread(target=_feed, args=(self._keyboard, self._acknowledged), daemon=True).start()
@@ -114,7 +120,7 @@ class Guest:
                 stdout=console,
                 stderr=console,
                 pass_fds=passed,
-                start_new_session=True,  # the terminal's Ctrl-C is for this process, which passes it on
+                start_new_session=True,  # Ctrl-C goes to this process, which passes it on
                 preexec_fn=self._prepare,
             )
         for fd in passed:
@@ -124,7 +130,7 @@ class Guest:
             thread.start()
 
     def _prepare(self) -> None:
-        """In the guest's process: ends with this one, and stays on one processor, which nearly halves a round trip."""
+        """End the guest's process with this one, and pin it to one processor, which nearly halves a round trip."""
         LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if self._processor is not None:
             os.sched_setaffinity(0, {self._processor})
@@ -147,7 +153,7 @@ class Guest:
         try:
             while data := os.read(source, BLOCK):
                 _write_all(target, data)
-        except OSError:  # whoever read our output has gone
+        except OSError:  # the reader of the output has closed it
             self._ending = 128 + signal.SIGPIPE
             self.kill()
 
@@ -158,7 +164,7 @@ class Guest:
         self._end(signal.SIGTERM, TIMED_OUT)
 
     def _end(self, number: int, status: int) -> None:
-        """Pass the signal on and give the command time to end; the second call ends the guest at once."""
+        """Pass the signal to the command and start the grace period. A second call ends the guest at once."""
         if self._ending is not None or not self._is_up():
             self._ending = self._ending or status
             self.kill()
@@ -179,7 +185,7 @@ class Guest:
 
     def _last_words(self) -> str:
         lines = (self._folder / "console").read_text(errors="replace").split("\n")
-        return " | ".join([line.strip() for line in lines if line.strip()][-3:]) or "it said nothing"
+        return " | ".join([line.strip() for line in lines if line.strip()][-3:]) or "no output"
 
 
 def _write_request(kernel: Kernel, command: list[str], environment: dict[str, str], folder: Path) -> None:
@@ -200,10 +206,10 @@ def _write_request(kernel: Kernel, command: list[str], environment: dict[str, st
 
 
 def _feed(keyboard: int, acknowledged: int) -> None:
-    """Our standard input in blocks with their length before them; a length of zero is its end.
+    """Send the standard input in blocks, each after its length. The length 0 marks the end.
 
-    A serial line of the guest may stall for good once its buffer has been full, so no block is sent before the last one
-    is acknowledged.
+    A serial line of the guest may stall permanently after its buffer was full. Therefore each block is acknowledged
+    before the next one is sent.
     """
     with suppress(OSError):
         data = b"-"
@@ -223,7 +229,7 @@ def _write_all(fd: int, data: bytes) -> None:
 
 @contextmanager
 def _processor_claim() -> Iterator[int | None]:
-    """A processor that no other guest has; None when all are taken."""
+    """Yield a processor that no other guest uses, or None if all are in use."""
     with ExitStack() as stack:
         for processor in sorted(os.sched_getaffinity(0), reverse=True):
             claim = stack.enter_context((cache_folder() / f"processor-{processor}").open("wb"))
@@ -235,7 +241,10 @@ def _processor_claim() -> Iterator[int | None]:
 
 
 def _memory_folder(memory: int, otherwise: Path) -> str:
-    """Where the guest's memory goes: /dev/shm if it has room (containers often have 64 MB), else `otherwise`."""
+    """Return the folder for the guest's memory: /dev/shm if it is large enough, else `otherwise`.
+
+    /dev/shm of a container often has only 64 MB.
+    """
     shared = Path("/dev/shm")
     if shared.is_dir() and os.access(shared, os.W_OK):
         state = os.statvfs(shared)

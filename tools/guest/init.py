@@ -1,9 +1,9 @@
-"""First process of the user-mode Linux guest: mounts, a vcan, the command, its exit status, power off.
+"""Run as first process of the user-mode Linux guest: mount, create a vcan, run the command, and power off.
 
-Called by the kernel with FOLDER, which (on the host's file system) holds `request.json` and gets `ready` and
-`status`. The command's output and errors go out on the serial lines 0 and 1, its input comes in on line 2 in blocks
-(two bytes of length, then the bytes; length 0 is the end) each of which is acknowledged by a byte, signals for it on
-line 3, one number per line.
+The kernel calls it with FOLDER on the host's file system, which contains `request.json`. The files `ready` and `status`
+are written there. The serial lines 0 and 1 carry the command's output and errors. Line 2 carries its input in blocks,
+which have two bytes of length and then the data. Length 0 is the end, and each block is acknowledged by one byte. Line
+3 carries signals, one number per line.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 from tools.guest import link
 
 LIBC = ctypes.CDLL(None, use_errno=True)
-SYS_FINIT_MODULE = 313  # x86-64; user-mode Linux exists for no other 64-bit processor
+SYS_FINIT_MODULE = 313  # x86-64, the only 64-bit processor with user-mode Linux
 POWER_OFF = 0x4321FEDC  # linux/reboot.h
 MODULES = (
     "net/can/can.ko",
@@ -55,7 +55,7 @@ def main() -> int:
 def prepare(modules: Path, interface: str) -> None:
     mount("proc", "/proc")
     mount("sysfs", "/sys")
-    with suppress(OSError):  # the kernel has mounted it where the root has a /dev
+    with suppress(OSError):  # the kernel has already mounted it if the root has a /dev
         mount("devtmpfs", "/dev")
     names = {"fd": "/proc/self/fd", "stdin": "fd/0", "stdout": "fd/1", "stderr": "fd/2"}
     for path, target in names.items():
@@ -86,7 +86,7 @@ def check(result: int, what: str) -> None:
 
 
 def run(request: dict[str, Any], lines: list[int]) -> int:
-    """Run the command to its end with its streams on the serial lines; its exit status as a shell counts it."""
+    """Run the command with its streams on the serial lines. Return its exit status as a shell does."""
     os.environ.clear()
     os.environ.update(request["environment"])
     os.chdir(request["directory"])
@@ -110,14 +110,14 @@ def run(request: dict[str, Any], lines: list[int]) -> int:
         thread.start()
     status = wait(child)
     with suppress(ProcessLookupError):
-        os.kill(-1, signal.SIGKILL)  # what the command left behind would hold its output open
+        os.kill(-1, signal.SIGKILL)  # remaining processes would keep the output open
     for thread in pumps:
         thread.join()
     return status
 
 
 def wait(child: int) -> int:
-    """Collect ended processes, orphans too, until the child has ended."""
+    """Collect ended processes, including orphans, until the child has ended. Return its exit status."""
     while True:
         ended, status = os.wait()
         if ended == child:
@@ -126,7 +126,7 @@ def wait(child: int) -> int:
 
 
 def pump(source: int, line: int) -> None:
-    with suppress(OSError):  # a terminal whose last user has gone reads as an error
+    with suppress(OSError):  # reading a terminal fails after its last process has ended
         while data := os.read(source, BLOCK):
             write_all(line, data)
     termios.tcdrain(line)
@@ -152,13 +152,13 @@ def forward(line: int, child: int) -> None:
 
 
 def stream(terminal: bool, size: list[int], outwards: bool = False) -> tuple[int, int]:
-    """The command's end and ours of a pipe, or of a pseudo-terminal where the caller's stream is a terminal."""
+    """Return both ends of a pipe, or of a pseudo-terminal if the caller's stream is one. The command's end is first."""
     if not terminal:
         reader, writer = os.pipe()
         return (reader, writer) if outwards else (writer, reader)
     ours, theirs = os.openpty()
     attributes = termios.tcgetattr(theirs)
-    attributes[tty.OFLAG] &= ~termios.OPOST  # the caller's own terminal does all this once more
+    attributes[tty.OFLAG] &= ~termios.OPOST  # the caller's terminal does this
     attributes[tty.LFLAG] &= ~(termios.ECHO | termios.ISIG)
     termios.tcsetattr(theirs, termios.TCSANOW, attributes)
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))

@@ -1,7 +1,7 @@
-"""The user-mode Linux kernel of Debian unstable, unpacked into a cache folder; nothing of the system changes.
+"""Fetch the user-mode Linux kernel of Debian unstable into a cache folder, without changes to the system.
 
-The kernel is an ordinary program that needs a newer C library than a stable Debian has, so both packages are fetched
-with apt against lists of our own, and the program is told to load that library from beside it.
+The kernel is an ordinary program that needs a newer C library than Debian stable has. Therefore both packages are
+fetched with apt and separate package lists, and the program is changed to load this library from its own folder.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-OLDEST = "7.2um1"  # earlier ones crash at start on processors with large register state
+OLDEST = "7.2um1"  # earlier versions crash at startup on processors with a large register state
 LOADER = b"/lib64/ld-linux-x86-64.so.2\0"
 FETCH_SECONDS = 300
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 
 
 class UnavailableError(Exception):
-    """No guest on this machine; the message says why and what would help."""
+    """No guest can run on this machine. The message has the reason."""
 
 
 @dataclass(frozen=True)
 class Kernel:
-    """Runs with `folder` as its working directory and `LD_LIBRARY_PATH=lib`; the folder may be moved."""
+    """A kernel that runs in the working directory `folder` with `LD_LIBRARY_PATH=lib`. The folder may be moved."""
 
     folder: Path
 
@@ -54,7 +54,11 @@ def cached() -> Kernel | None:
 
 
 def kernel() -> Kernel:
-    """From the cache, else fetched (some 40 MB); raises UnavailableError."""
+    """Return the kernel from the cache, or fetch it (about 40 MB).
+
+    Raises:
+        UnavailableError: The kernel cannot be fetched, or the processor is not x86_64.
+    """
     if found := cached():
         return found
     if platform.machine() != "x86_64":
@@ -96,7 +100,7 @@ def _build(work: Path) -> Path:
 
 
 def _relink(source: Path, target: Path) -> None:
-    """Copy a program so that it takes its loader from `lib` in its working directory."""
+    """Copy a program, and set its loader to the one in `lib` of its working directory."""
     program = source.read_bytes()
     if program.count(LOADER) != 1:
         raise UnavailableError(f"{source.name} names its loader in a way not known here")
@@ -105,7 +109,7 @@ def _relink(source: Path, target: Path) -> None:
 
 
 def _download(work: Path) -> None:
-    """Put the packages into `work`: apt with this machine's settings (proxy, certificates) but none of its folders."""
+    """Download the packages to `work`. apt uses this machine's settings (proxy, certificates) but not its folders."""
     if not shutil.which("apt-get") or not shutil.which("dpkg"):
         raise UnavailableError("the user-mode Linux kernel comes from Debian, and this machine has no apt-get")
     for folder in ("etc", "lists/partial", "cache/archives/partial"):
@@ -125,7 +129,7 @@ def _download(work: Path) -> None:
         "APT::Update::Error-Mode": "any",
         "APT::Sandbox::User": "",
         "Acquire::Languages": "none",
-        # What is signed is good enough, however late the mirror or this machine's clock may be.
+        # The signature is sufficient, even if the mirror is outdated or this machine's clock is wrong.
         "Acquire::Check-Valid-Until": "false",
         "Acquire::Check-Date": "false",
     }
@@ -155,7 +159,7 @@ def _apt(config: Path, work: Path, *command: str) -> None:
 
 
 def _mirrors() -> list[str]:
-    """Addresses in the machine's apt sources that carry its Debian release, the likeliest first."""
+    """Return the mirrors in the machine's apt sources that have its Debian release, the most likely first."""
     release = platform.freedesktop_os_release()
     listing = _run("apt-get", "update", "--print-uris", "-o", "Debug::NoLocking=1")
     found = re.findall(r"^'(\S+?)/dists/(\S+?)/InRelease'", listing, re.MULTILINE)

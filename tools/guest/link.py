@@ -1,4 +1,4 @@
-"""The network of a guest or a namespace of its own: loopback, multicast on it, and a vcan; without iproute2."""
+"""Set up the network of a guest or a network namespace, with loopback, multicast and a vcan, without iproute2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ ROUTE = struct.Struct("=8BI")  # rtmsg: family, lengths, service, table, protoco
 
 
 def bring_up_alone(vcan: str) -> None:
-    """In a network namespace of our own; raises OSError with the kernel's reason."""
+    """Set up loopback, multicast and a vcan in a separate network namespace.
+
+    Raises:
+        OSError: The kernel rejects a request.
+    """
     flags = IFF_UP | IFF_MULTICAST
     request(RTM_NEWLINK, 0, LINK.pack(0, 0, socket.if_nametoindex("lo"), flags, flags))
     route_multicast("lo")
@@ -21,7 +25,11 @@ def bring_up_alone(vcan: str) -> None:
 
 
 def route_multicast(name: str) -> None:
-    """As `ip route add 224.0.0.0/4 dev NAME table local`; raises OSError with the kernel's reason."""
+    """Do the same as `ip route add 224.0.0.0/4 dev NAME table local`.
+
+    Raises:
+        OSError: The kernel rejects the request.
+    """
     header = ROUTE.pack(socket.AF_INET, 4, 0, 0, RT_TABLE_LOCAL, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST, 0)
     group = attribute(RTA_DST, socket.inet_aton("224.0.0.0"))
     device = attribute(RTA_OIF, struct.pack("=I", socket.if_nametoindex(name)))

@@ -1,4 +1,4 @@
-"""A vcan without rights: in a network namespace of this user's own, as `unshare --map-root-user --net` makes one."""
+"""Create a vcan without rights, in a network namespace of this user like that of `unshare --map-root-user --net`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def possible(vcan: str) -> bool:
-    """Tried in a child process, because there is no way back out of a namespace."""
+    """Return True if `enter` works. A child process tries it, because a process cannot leave a namespace."""
     child = os.fork()
     if not child:
         try:
@@ -25,7 +25,11 @@ def possible(vcan: str) -> bool:
 
 
 def enter(vcan: str) -> None:
-    """Move this process into a network namespace with loopback and `vcan`; raises OSError where that is denied."""
+    """Move this process into a network namespace with loopback and `vcan`.
+
+    Raises:
+        OSError: The kernel denies it.
+    """
     user, group = os.getuid(), os.getgid()
     if LIBC.unshare(CLONE_NEWUSER | CLONE_NEWNET):
         raise OSError(ctypes.get_errno(), "unshare")

@@ -1,18 +1,18 @@
 """usage: tools/vcan COMMAND [ARGUMENT...]
 
-Runs COMMAND where there is a virtual CAN interface, its name in TSA_VCAN, and ends with its exit status. The
-interface is, in this order: a vcan that is up; one that this user may create (as root for all, else in a network
-namespace for COMMAND alone); one in a user-mode Linux guest that is started for COMMAND (its root file system is this
-one; it has its own /dev/shm, TMPDIR, processes and network, and one processor).
-Without any of them: one line and exit status 77. A bus of local sockets, interface "datagram", is no vcan but carries
-frames between processes without any rights; TSA_VCAN is then datagram:NAME. Tests marked vcan do not accept it.
+Runs COMMAND with a virtual CAN interface, whose name is in TSA_VCAN, and returns its exit status. The first of these
+interfaces that is available is used: a vcan that is up; a vcan that this user may create (as root for all users, else
+in a network namespace for COMMAND alone); a vcan in a user-mode Linux guest that is started for COMMAND. The guest has
+the same root file system, its own /dev/shm, TMPDIR, processes and network, and one processor. If none is available, one
+line is printed and the exit status is 77. A bus of local sockets (interface "datagram") also carries frames between
+processes and needs no rights. TSA_VCAN is then datagram:NAME. Tests marked vcan do not accept it.
 
   TSA_VCAN          name of the interface; default a vcan that is up, else vcan0. "datagram:NAME" selects local sockets
-  TSA_VCAN_ELSE     datagram: if there is no vcan, run COMMAND on local sockets instead of exit status 77
-  TSA_VCAN_ALONE    1: not the machine's own, which others may use at the same time
+  TSA_VCAN_ELSE     datagram: without a vcan, run COMMAND on local sockets instead of exit status 77
+  TSA_VCAN_ALONE    1: do not use a vcan of this machine, which other programs may use at the same time
   TSA_REQUIRE_VCAN  1: without a vcan the exit status is 1, not 77
-  TSA_VCAN_TIMEOUT  seconds after which COMMAND is ended, with exit status 124; default none
-  TSA_VCAN_MEMORY   of the guest, as 512M or 4G; default 2G
+  TSA_VCAN_TIMEOUT  time in s after which COMMAND is ended with exit status 124; default none
+  TSA_VCAN_MEMORY   memory of the guest, for example 512M or 4G; default 2G
   TSA_CACHE         folder for the guest's kernel (16 MB, fetched once); default .cache of the project
 
 example: tools/vcan pytest -m vcan
@@ -37,7 +37,7 @@ FAILED, USAGE, SKIPPED, NOT_FOUND, INTERRUPTED = 1, 2, 77, 127, 130
 
 
 def main() -> int:
-    """The command's exit status."""
+    """Run the command of the command line, and return its exit status."""
     try:
         return run(sys.argv[1:])
     except KeyboardInterrupt:
@@ -45,7 +45,7 @@ def main() -> int:
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command where a vcan is, in this process if it can be."""
+    """Run a command with a vcan, if possible in this process."""
     if arguments[:1] in (["-h"], ["--help"]):
         print((__doc__ or "").strip())
         return 0
@@ -78,15 +78,15 @@ def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
         return guest.run(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits)
     except UnavailableError as reason:
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
-            end(FAILED, f"no vcan to be had: {reason}")
+            end(FAILED, f"no vcan available: {reason}")
         if os.environ.get("TSA_VCAN_ELSE") == "datagram":
-            print(f"tools/vcan: no vcan to be had: {reason}; local sockets take its place", file=sys.stderr)
+            print(f"tools/vcan: no vcan available: {reason}; local sockets are used instead", file=sys.stderr)
             run_here(command, f"{SUBSTITUTE}{interface}", limits)
-        end(SKIPPED, f"skipped, no vcan to be had: {reason}")
+        end(SKIPPED, f"skipped, no vcan available: {reason}")
 
 
 def found_or_created(name: str) -> str | None:
-    """The name of a vcan of this machine that is up; None where there is none and this user may not make one."""
+    """Return the name of a vcan of this machine that is up, or create one. Return None if this user may not do so."""
     existing = link.can_interfaces()
     named = link.read(name) if name else None
     if named is not None and named.kind != "vcan":
@@ -102,7 +102,7 @@ def found_or_created(name: str) -> str | None:
             link.make_vcan(name)
     except OSError:
         return None
-    print(f"tools/vcan: made {name}, which stays until 'ip link del {name}'", file=sys.stderr)
+    print(f"tools/vcan: created {name}; remove it with 'ip link del {name}'", file=sys.stderr)
     return name
 
 
@@ -111,7 +111,7 @@ def memory() -> int:
     match = re.fullmatch(r"(\d+)([MG])", value)
     size = int(match[1]) << {"M": 20, "G": 30}[match[2]] if match else 0
     if size < 128 << 20:
-        end(USAGE, f"TSA_VCAN_MEMORY={value}: a size from 128M on is wanted, as 512M or 2G")
+        end(USAGE, f"TSA_VCAN_MEMORY={value}: a size from 128M on is required, for example 512M or 2G")
     return size
 
 
@@ -120,7 +120,7 @@ def seconds() -> float | None:
     if not value:
         return None
     if not re.fullmatch(r"\d+(\.\d+)?", value) or not float(value):
-        end(USAGE, f"TSA_VCAN_TIMEOUT={value}: a number of seconds greater than 0 is wanted")
+        end(USAGE, f"TSA_VCAN_TIMEOUT={value}: a number of seconds greater than 0 is required")
     return float(value)
 
 

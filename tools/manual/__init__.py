@@ -1,1 +1,1 @@
-"""The manual's generated parts."""
+"""Generate the tables of the manual."""

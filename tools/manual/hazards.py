@@ -1,4 +1,4 @@
-"""The table of hazards, from the campaign in virtual time and its catalogue."""
+"""Generate the table of hazards from the catalogue and the results of the campaign in virtual time."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ HEAD = (
     "joint at worst: rad/s, rad, J", "residual risk", "safe of trials",
 )  # fmt: skip
 HARDWARE = (
-    ("the motor gives torque though its drive says that it is off", "safe torque off, by a switch in reach"),
+    ("the motor has torque although its drive reports that it is off", "safe torque off, by a switch in reach"),
     ("a limb falls when the torque ends", "a brake, a counterweight or springs; a mechanical end stop"),
-    ("both measurements of a quantity lie alike", "a second sensor of another kind; a slipping clutch"),
-    ("a tendon that does not pull tears: the other pulls with its pretension", "an end stop; less pretension"),
+    ("both measurements of a quantity have the same error", "a second sensor of another kind; a slipping clutch"),
+    ("the unloaded tendon tears, and the other pulls with its pretension", "an end stop; less pretension"),
 )
 WHOLE = len(HAZARDS) * len(plan.PHASES) * plan.MOMENTS  # trials of the campaign
 PAIRS = plan.PAIRS
@@ -27,26 +27,26 @@ STOPS = "latched"
 
 
 def load() -> dict[str, Any]:
-    """What `tools/run campaign/virtual --keep` wrote."""
+    """Return the results that `tools/run campaign/virtual --keep` wrote."""
     found: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8"))
     return found
 
 
 def rows() -> list[tuple[str, ...]]:
-    """A line for each hazard of the catalogue, in its order."""
+    """Return a line for each hazard with results, in the order of the catalogue."""
     found = load()["hazards"]
     return [_line(hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found]
 
 
 def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
     stopped, running = row["stopped"], row["running"]
-    goes_on = hazard.goes_on or "nothing to see within 0.45 s"
+    goes_on = hazard.goes_on or "no effect within 0.45 s"
     if not running:
-        reaction = "not tried with torque in this sample"
+        reaction = "no trial with torque in this sample"
     elif not stopped:
-        reaction = "the drive's own time-out" if hazard.act == "die" else f"goes on: {goes_on}"
+        reaction = "the drive's time-out" if hazard.act == "die" else f"continues: {goes_on}"
     elif stopped < running:
-        reaction = f"{STOPS} in {stopped} of {running}, else goes on: {goes_on}"
+        reaction = f"{STOPS} in {stopped} of {running}, otherwise continues: {goes_on}"
     else:
         reaction = STOPS
     detected = "; ".join(row["causes"]) or "-"
@@ -61,17 +61,17 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _open(hazard: Hazard, row: dict[str, Any]) -> str:
-    """What is known not to be met: how often, on which joints, by how much, and what limits it."""
+    """Return the known unsafe trials of a hazard in words: their number, joints and excess, and the limits."""
     if not hazard.open:
         return ""
     beyond = row.get("beyond")
     if beyond is None:
-        return f"open, though met in all of these: {hazard.open}"
+        return f"open, although all these trials were safe: {hazard.open}"
     count = sum(row["unsafe"].values())
     joints = ", ".join(f"{name} {times}" for name, times in beyond["joints"].items())
     worst = f"{beyond['speed']:.1f} rad/s, {beyond['travel']:.2f} rad, {beyond['energy']:.2f} J"
     if beyond["peak"] > LIMIT:
-        worst += f", {beyond['peak']:.1f} N*m of the motor"
+        worst += f", {beyond['peak']:.1f} N*m at the motor"
     return (
         f"open in {count} of {row['trials']} (joint {joints}; {beyond['blind']} of them without a torque sensor; at "
         f"worst {worst}): {hazard.open}"
@@ -79,6 +79,6 @@ def _open(hazard: Hazard, row: dict[str, Any]) -> str:
 
 
 def not_shown() -> list[str]:
-    """Causes of the supervisor that no trial of the campaign ended by."""
+    """Return the titles of the causes that are not among the main causes of any hazard."""
     shown = {cause_id for row in load()["hazards"].values() for cause_id in row["cause_ids"]}
     return [cause.title for cause in Cause if cause.id not in shown]

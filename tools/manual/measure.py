@@ -4,9 +4,9 @@ Usage: tools/run manual/measure [NAME ...] [--long] [--runs N] [--list]
        tools/run manual/measure TABLE --printed FILE
 
 `tools/manual/figures.toml` lists the figures and tables with their commands. Without names, the figures that take
-seconds are measured; with --long all figures and tables, which takes hours. A figure that does not vary is measured
-once, the others `--runs` times: median, lowest and highest. A table is taken from the output of its command;
---printed reads a file instead of running the command. At the end the pages are written, as by `tools/run
+seconds are measured. With --long all figures and tables are measured, which takes hours. A deterministic figure is
+measured once. Other figures are measured `--runs` times and have median, lowest and highest value. A table is taken
+from the output of its command, or from a file with --printed. At the end the pages are written, as by `tools/run
 manual/write`.
 """
 
@@ -31,7 +31,7 @@ from tsa_ctrl.errors import UsageError
 
 FOLDER = Path(__file__).parent
 FIGURES, TABLES = FOLDER / "figures.json", FOLDER / "tables.json"
-SIMULATED = 20.0  # s of a run whose speed is the figure
+SIMULATED = 20.0  # s of virtual time of a run whose speed is the figure
 
 
 @cache
@@ -42,7 +42,7 @@ def listed() -> dict[str, Row]:
 
 
 def load(path: Path) -> dict[str, Row]:
-    """Return what was measured, by name."""
+    """Return the measured figures or tables by name."""
     found: dict[str, Row] = json.loads(path.read_text(encoding="utf-8"))
     return found
 
@@ -55,14 +55,18 @@ def keep(path: Path, name: str, row: Row) -> None:
 
 
 def figure(name: str, runs: int, out: Path) -> Row:
-    """Run the command of a figure and return the figure; raises ValueError if it is not in what was printed."""
+    """Run the command of a figure, and return the figure.
+
+    Raises:
+        ValueError: The command failed, or its output does not contain the figure.
+    """
     given, values = listed()["figures"][name], []
     run = given["run"]
     for number in range(1 if run.get("once") else runs):
         printed, seconds = _printed(run["command"], number, out)
         match = re.search(run.get("read", "()"), printed, re.MULTILINE)
         if match is None:
-            raise ValueError(f"'{run['read']}' is not in what was printed")
+            raise ValueError(f"'{run['read']}' is not in the output")
         values.append(float(match[1].replace(",", "")) if "read" in run else SIMULATED / seconds)
     return {
         "value": statistics.median(values),
@@ -77,7 +81,7 @@ def figure(name: str, runs: int, out: Path) -> Row:
 
 @cache
 def _printed(line: str, number: int, out: Path) -> tuple[str, float]:
-    """Return what a command prints, and its duration, s; run once for all figures that read the same run."""
+    """Return output and duration (s) of a command. Figures that share a run use its cached output."""
     words = shlex.split(line.format(out=out / re.sub(r"\W+", "-", line)).replace("FILE", str(out / "rows.jsonl")))
     if words[0] == "tsa":
         words[0] = str(Path(sys.executable).with_name("tsa"))
@@ -89,10 +93,10 @@ def _printed(line: str, number: int, out: Path) -> tuple[str, float]:
 
 
 def table(name: str, text: str) -> Row:
-    """Return the first table in what was printed: lines with `|`, a drawn table, or columns apart by two blanks.
+    """Return the first table in an output: lines with `|`, a drawn table, or columns separated by two spaces.
 
     Raises:
-        UsageError: there is none.
+        UsageError: The output has no table.
     """
     rows: list[list[str]] = []
     for line in text.splitlines():
@@ -105,17 +109,17 @@ def table(name: str, text: str) -> Row:
         if len(row) > 1:
             rows.append(row)
     if len(rows) < 2:
-        raise UsageError(f"no table in what was read for '{name}'; give what {listed()['tables'][name]} prints")
+        raise UsageError(f"no table in the output for '{name}'; give the output of {listed()['tables'][name]}")
     return {"head": rows[0], "rows": rows[1:], "command": listed()["tables"][name]}
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("names", nargs="*", help="figures and tables; default all figures")
-    parser.add_argument("--runs", type=int, default=3, help="of what is not deterministic (default 3)")
+    parser.add_argument("--runs", type=int, default=3, help="of a figure that is not deterministic (default 3)")
     parser.add_argument("--long", action="store_true", help="also the tables, and the figures that take minutes")
-    parser.add_argument("--printed", type=Path, metavar="FILE", help="what the command of the table printed")
-    parser.add_argument("--list", action="store_true", help="names and commands only")
+    parser.add_argument("--printed", type=Path, metavar="FILE", help="output of the table's command")
+    parser.add_argument("--list", action="store_true", help="only print names and commands")
     arguments = parser.parse_args()
     figures, tables = listed()["figures"], listed()["tables"]
     if arguments.list:

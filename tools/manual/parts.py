@@ -1,4 +1,4 @@
-"""The generated parts of the manual's pages by name: tables of the catalogue, drives, hazards, figures and licences."""
+"""Generate the parts of the manual's pages: tables of effects, signals, drives, hazards, figures and licences."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def catalogue() -> str:
-    """Return every effect with its equation, its parameters and what a log needs."""
+    """Return the table of effects with equation, parameters and required columns of a log."""
     rows = []
     for spec in CATALOGUE.values():
         own = ", ".join(f"`{p.name}`" + ("" if p.unit == "1" or p.choices else f" ({p.unit})") for p in spec.parameters)
@@ -51,7 +51,7 @@ def catalogue() -> str:
 
 
 def signals() -> str:
-    """Return the table of signals: name, unit, meaning, and the places in which the daemon shows each."""
+    """Return the table of signals with name, unit, meaning, and the interfaces that contain them."""
     places = (Place.LOG, Place.STATUS, Place.CLIENT)
     rows = [
         (
@@ -86,7 +86,7 @@ def errors() -> str:
 
 
 def profiles() -> str:
-    """Return the shipped drive profiles, their sources, and the data that these lack."""
+    """Return the table of the shipped drive profiles with their sources and unknown data."""
     rows = []
     for path in sorted((CONFIG / "drives").glob("*.toml")):
         profile = load_profile(path.stem, CONFIG)
@@ -95,30 +95,30 @@ def profiles() -> str:
 
 
 def quirks() -> str:
-    """Return the keys by which the simulated drive differs from the standard."""
+    """Return the table of keys that make the simulated drive differ from the standard."""
     fields = filter(None, map(FIELD.match, inspect.getsource(Quirks).splitlines()))
     rows = [(f"`{field['key']}`", f"`{field['default']}`", field["words"]) for field in fields]
     return table(("key of `[axis.drive]`", "default", "what the drive does"), rows)
 
 
 def faults() -> str:
-    """Return every cause of a fault with its remedy."""
+    """Return the table of fault causes with their remedies."""
     head, rows = ("fault", "`tsa help`", "remedy"), [(each.title, f"`{each.id}`", each.remedy) for each in Cause]
     return table(head, rows)
 
 
 def verbs() -> str:
-    """Return every command with its sentence."""
+    """Return the table of the commands of `tsa` with their descriptions."""
     return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
 
 
 def _short(value: float) -> str:
-    """Return three digits, of a large number all before the point."""
+    """Format a number with three digits, or a number from 1000 on with all digits before the point."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 def figures() -> str:
-    """Return the measured figures."""
+    """Return the table of measured figures."""
     rows: list[tuple[str, ...]] = []
     for row in measure.load(measure.FIGURES).values():
         spread = "" if row["runs"] == 1 else f" ({_short(row['low'])} to {_short(row['high'])} in {row['runs']})"
@@ -128,7 +128,7 @@ def figures() -> str:
 
 
 def licences() -> str:
-    """Return the packages that are needed at run time by their licences."""
+    """Return the table of licences with the packages that are needed at run time."""
     by_licence: dict[str, list[str]] = {}
     for name, row in json.loads(FILE.read_text(encoding="utf-8")).items():
         by_licence.setdefault(row["licence"], []).append(f"**{name}**" if row["direct"] else name)
@@ -137,28 +137,28 @@ def licences() -> str:
 
 
 def hazard_table() -> str:
-    """Return every hazard of the campaign in virtual time, and what only hardware can do."""
+    """Return the hazards of the campaign in virtual time, and those that need hardware measures."""
     about = hazards.load()["about"]
     counted = (
         f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}` on {about['date']}, "
-        f"{about['pairs']} of them with two faults at once, of {hazards.WHOLE} and {hazards.PAIRS} that there are: "
+        f"{about['pairs']} of them with two faults at once, of {hazards.WHOLE} and {hazards.PAIRS} possible trials: "
         f"{about['safe']} safe."
     )
     missing = hazards.not_shown()
-    shown = f"Causes by which no trial ended first: {', '.join(missing)}." if missing else ""
-    only = table(("what no software can do", "what can"), hazards.HARDWARE)
+    shown = f"Causes that are not among the two most frequent of any hazard: {', '.join(missing)}." if missing else ""
+    only = table(("hazard without a software remedy", "hardware remedy"), hazards.HARDWARE)
     return "\n\n".join(part for part in (counted, table(hazards.HEAD, hazards.rows()), shown, only) if part)
 
 
 def measured_table(name: str) -> str:
-    """Return a table that a benchmark printed, with the command that prints it."""
+    """Return a table from the output of a benchmark, with its command."""
     row = measure.load(measure.TABLES)[name]
     return f"{table(row['head'], row['rows'])}\n\n(`{row['command']}`, {row['date']}, {row['commit']})"
 
 
 def of_rows(name: str) -> str:
-    """Return the table of a benchmark of measured drives, from its kept rows."""
-    from tools.bench import measured  # the diagnosis with it: slow to import
+    """Return the table of a benchmark of measured drives, from its saved rows."""
+    from tools.bench import measured  # slow, because it imports the diagnosis
     from tools.measured import diagnose
 
     module = {"folds": diagnose, "hidden-in-measured": measured}[name]

@@ -1,4 +1,4 @@
-"""Build the manual as a web site with search, from the pages of `tsa help`, and a reference of the Python names.
+"""Build the manual as a web site with search, from the pages of `tsa help` and a reference of the Python names.
 
 Usage: tools/run manual/site [--out out/site]
 
@@ -27,18 +27,18 @@ from tsa_ctrl.errors import UsageError
 
 ROOT = PACKAGE.parent
 INDEX = ROOT / "README.md"
-MARK = "objects.inv"  # of a folder that holds a site
+MARK = "objects.inv"  # file that identifies a folder as a site
 LINK = re.compile(r"(?P<picture>!?)\[(?P<text>[^\]]*)\]\((?P<target>[^)#\s]+)(?P<place>#[^)]*)?\)")
 
 
 def sources() -> dict[Path, str]:
-    """Return the name in the site of each page of the manual, by the page's path."""
+    """Return the file name in the site for the path of each page of the manual."""
     topics = {(PACKAGE / name).resolve(): f"{topic}.md" for topic, (name, _) in TOPICS.items()}
     return {INDEX.resolve(): "index.md", **topics}
 
 
 def page(path: Path, names: dict[Path, str], pictures: Path) -> str:
-    """Return the text of a page with the links of the site, and copy its pictures."""
+    """Return the text of a page with its links changed for the site, and copy its pictures."""
 
     def link(found: re.Match[str]) -> str:
         target = found["target"]
@@ -81,7 +81,8 @@ def settings(out: Path) -> dict[str, Any]:
 def build(out: Path) -> subprocess.CompletedProcess[str]:
     """Write the site to the folder `out`, and return the result of mkdocs.
 
-    Raises UsageError without the extra `docs`, or if `out` holds anything else, which mkdocs would delete.
+    Raises:
+        UsageError: The extra `docs` is missing, or `out` has other files, which mkdocs would delete.
     """
     if importlib.util.find_spec("mkdocs") is None:
         raise UsageError("mkdocs is not installed; run pip install '.[docs]'")
@@ -94,7 +95,7 @@ def build(out: Path) -> subprocess.CompletedProcess[str]:
         pages.mkdir()
         for path, target in names.items():
             (pages / target).write_text(page(path, names, pages / "pictures"), encoding="utf-8")
-        tables = pages / "figures.md"  # whose numbers would come before every page that explains the word
+        tables = pages / "figures.md"  # less weight in the search, because its tables match many words
         tables.write_text("---\nsearch:\n  boost: 0.1\n---\n\n" + tables.read_text(encoding="utf-8"), encoding="utf-8")
         (pages / "python.md").write_text(reference(), encoding="utf-8")
         # mkdocs reads YAML, and JSON is YAML.

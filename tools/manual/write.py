@@ -2,8 +2,8 @@
 
 Usage: tools/run manual/write [--check]
 
-A part stands between `<!-- NAME: written by tools/run manual/write -->` and `<!-- end of NAME -->`. With --check
-nothing is written; exit status 1 when a page differs from what its sources say.
+A part is the text between `<!-- NAME: written by tools/run manual/write -->` and `<!-- end of NAME -->`. With --check
+nothing is written, and the exit status is 1 if a page differs from its sources.
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ _PART = re.compile(
 
 
 def rewritten(text: str, sources: Mapping[str, Callable[[], str]], where: str) -> str:
-    """The page with each part as its source says; raises KeyError naming page and part where there is no source."""
+    """Return the text of a page with all parts generated again.
+
+    Raises:
+        KeyError: A part has no source. The message has page and part.
+    """
 
     def fill(found: re.Match[str]) -> str:
         name = found["name"]
@@ -49,7 +53,7 @@ def rewritten(text: str, sources: Mapping[str, Callable[[], str]], where: str) -
 
 
 def differing(root: Path) -> dict[Path, str]:
-    """Pages that differ from their sources, with what they should be."""
+    """Return the paths of the pages that differ from their sources, with their new texts."""
     found = {}
     for name in PAGES:
         path = root / name
@@ -62,7 +66,7 @@ def differing(root: Path) -> dict[Path, str]:
 
 
 def write_pages(check: bool = False) -> int:
-    """Write the pages that differ; with `check` only name them, and return 1 if there is one."""
+    """Write the pages that differ from their sources. With `check` only list them, and return 1 if there are any."""
     pages = differing(command.ROOT)
     for path, text in pages.items():
         print(f"{path.relative_to(command.ROOT)}: {'differs from its sources' if check else 'written'}")
@@ -73,5 +77,5 @@ def write_pages(check: bool = False) -> int:
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 when a page differs")
+    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 if a page differs")
     return write_pages(parser.parse_args().check)

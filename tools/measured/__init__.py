@@ -1,1 +1,1 @@
-"""What is done with measured data of a cable drive (TSA_DATA, else ../shared/data)."""
+"""Evaluate the measured data of a cable drive (TSA_DATA, else ../shared/data)."""

@@ -1,13 +1,12 @@
-"""Diagnose a measured cable drive, one load level (then one frequency) left out at a time.
+"""Diagnose a measured cable drive with leave-one-load-out and leave-one-frequency-out folds.
 
 Usage: tools/run measured/diagnose [--processes 2] [--rows FILE] [--reports FOLDER] [--pictures FOLDER] [--list]
 
-Each fold is a plain `diagnose(logs, model, hold_out=PATTERN)` on all 25 trials; its report goes below --reports. The
-errors are those of all samples of the trials left out, reversals and starts included, with the model fitted on the
-others; pooled over the folds. A fold that stands in --rows (default: the file that the manual's table is written from)
-is not run again, but for those that --pictures draws.
-The data are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line and
-nothing to do.
+Each fold is a call `diagnose(logs, model, hold_out=PATTERN)` with all 25 trials. Its report is written to --reports.
+The model is fitted on the other trials, and the error includes all samples of the held-out trials. The errors of each
+split are also pooled over its folds. A fold in --rows (default: the source of the manual's table) is not run again,
+except if --pictures draws it. The data are searched in TSA_DATA, then in ../shared/data. Without data the command
+prints one line.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ FOLDS = {
     "frequency": ("*_0.1Hz*", "*_0.2Hz*", "*_0.3Hz*", "*_0.4Hz*", "*_0.5Hz*"),
 }
 STEPS = ("as given", "recalibrated", "extended")
-# What hand-made fits reach, mN*m, from the README of the data: (3.55), with presliding, with load, with a spring.
+# Errors of the manual baseline, mN*m, from the README of the data: (3.55), then with presliding, load, and a spring.
 BY_HAND = {"load": (45.7, 15.3, 9.2, 7.0), "frequency": (45.0, 12.9, 8.5, 6.4)}
-PUBLISHED = 4.42  # mN*m, of a neural network, on splits of its own with all loads seen
+PUBLISHED = 4.42  # mN*m, of a published neural network, on other splits with all loads in the training data
 SHOWN = ("load010_0.3Hz.csv.gz", "load050_0.3Hz.csv.gz", "load090_0.3Hz.csv.gz")
-STRETCH = (0.0, 9.0)  # s of them
+STRETCH = (0.0, 9.0)  # s, the section of these trials that is drawn
 
 
 FILE = command.ROOT / "tools" / "manual" / "folds.jsonl"
@@ -44,7 +43,7 @@ Curve = tuple[str, np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # trial, t, 
 
 
 def fold(job: tuple[str, str, Path, Path]) -> tuple[Row, list[Curve]]:
-    """Diagnose with the logs of one pattern held out: errors in mN*m by STEPS, causes; curves of trials in SHOWN."""
+    """Diagnose with the logs of one pattern held out. Return the row, with errors in mN*m, and the curves to draw."""
     split, pattern, data, out = job
     model = data / "actuator.toml"
     logs = [load_log(path) for path in sorted(data.glob("*.csv.gz"))]
@@ -72,12 +71,15 @@ def fold(job: tuple[str, str, Path, Path]) -> tuple[Row, list[Curve]]:
 
 
 def pooled(rows: Sequence[Row]) -> np.ndarray:
-    """All folds hold out as many samples: the root of the mean of the squares, mN*m, shape (3,); nan if one refused."""
+    """Return the pooled errors by STEPS, mN*m, shape (3,), or nan if a fold has no error.
+
+    All folds hold out about the same number of samples, so the squares are averaged without weights.
+    """
     return np.asarray(np.sqrt(np.mean(np.square(np.array([row["rms"] for row in rows], dtype=np.float64)), axis=0)))
 
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows: a fold a line, those of a split before its pooled errors and what people reach by hand."""
+    """Return head and lines of the table: the folds of each split, then their pooled errors and the manual baseline."""
     head = ("left out", "as given", "(3.55) recalibrated", "extended, mN·m", "named (s of one processor)", "measured")
     lines: list[tuple[str, ...]] = []
     by = {(row["split"], row["left_out"]): row for row in rows}
@@ -96,13 +98,13 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 
 
 def spoken(pattern: str) -> str:
-    """What a pattern leaves out, in words."""
+    """Return the held-out load or frequency of a pattern in words."""
     name = pattern.strip("*_")
     return f"load {int(name.removeprefix('load'))} %" if name.startswith("load") else name.replace("Hz", " Hz")
 
 
 def picture(curves: Sequence[Curve], folder: Path) -> None:
-    """Draw held-out trials."""
+    """Draw the curves of held-out trials."""
     if curves:
         figure, axes_of = grid(len(curves), 1, 8.0, 1.9 * len(curves) + 0.5)
         for (axes,), (name, t, measured, recalibrated, extended) in zip(axes_of, sorted(curves), strict=True):
@@ -120,9 +122,11 @@ def picture(curves: Sequence[Curve], folder: Path) -> None:
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     command.share(parser, "processes rows", rows=FILE)
-    parser.add_argument("--reports", type=Path, default=command.ROOT / "out" / "davinci_diagnose", help="their folder")
+    parser.add_argument(
+        "--reports", type=Path, default=command.ROOT / "out" / "davinci_diagnose", help="folder of the reports"
+    )
     parser.add_argument("--pictures", type=Path, help="folder of the pictures; default: none are drawn")
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
+    parser.add_argument("--list", action="store_true", help="only print the table of the results in --rows")
     options = parser.parse_args()
     data = None if options.list else command.measured_data(__name__)
     if data is None and not options.list:

@@ -1,12 +1,13 @@
-"""Joint torque of a measured cable drive from the angles and the torque of its motor: what the stretch tells there.
+"""Estimate the joint torque of a measured cable drive from the tendon elongation and the motor torque.
 
 Usage: tools/run measured/stretch
-One load level, then one frequency, is left out in turn; the rest gives the numbers of a line, the trials left out its
-error, all samples, reversals included, pooled. Lines: a constant; motor torque and direction, which is (3.55) with
-free numbers; the stretch s = r_M q_M - r_J q_J; stretch and motor torque, tau_J = P s - Q tau_M as in
-`tsa_ctrl/model/stretch.py`; and with the joint's angle, which is a spring at the joint or a pulley's radius that is
-off: only the ratio of the radii is known. No line knows friction, pretension or, but for the second, direction. The
-data are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line.
+Linear models are fitted with one load level or one frequency held out, and their error is pooled over all samples of
+the held-out trials, including reversals. The regressors are: a constant; motor torque and direction, which is (3.55)
+with free coefficients; the elongation s = r_M q_M - r_J q_J; elongation and motor torque, tau_J = P s - Q tau_M as in
+`tsa_ctrl/model/stretch.py`. Two more models add the joint angle. Its coefficient is a spring at the joint or an error
+of a pulley's radius, because only the ratio of the radii is known. The models do not use friction or pretension, and
+only the second one uses the direction. The data are searched in TSA_DATA, then in ../shared/data. Without data the
+command prints one line.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from tools.measured.diagnose import FOLDS
 from tsa_ctrl.identify.dataset import Dataset, load_log, matches
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 
-EVERY = 10  # samples of 1 kHz, of which one is taken: the motion is below 1 Hz
+EVERY = 10  # every tenth sample of 1 kHz is used, because the motion is below 1 Hz
 LINES: dict[str, tuple[str, ...]] = {
     "a constant": (),
     "motor torque and direction": ("tau_m", "direction"),
@@ -32,7 +33,7 @@ LINES: dict[str, tuple[str, ...]] = {
 
 
 def columns(log: Dataset, model: TendonSheath) -> dict[str, np.ndarray]:
-    """What the lines are made of, and the torque that was measured."""
+    """Return the regressors and the measured joint torque of a log."""
     stretch = model.motor_pulley_radius * log["q_m"] - model.joint_pulley_radius * log["q_j"]
     found = {name: log[name] for name in ("tau_m", "q_j", "tau_j")}
     found |= {"stretch": stretch, "direction": np.sign(log["omega_j"]), "one": np.ones_like(stretch)}
@@ -45,7 +46,7 @@ def rows(logs: list[dict[str, np.ndarray]], names: tuple[str, ...]) -> tuple[np.
 
 
 def left_out(logs: dict[str, dict[str, np.ndarray]], names: tuple[str, ...], split: str) -> float:
-    """RMS error on what the line was not fitted on, mN*m."""
+    """Return the RMS error on held-out trials over all folds of a split, mN*m."""
     errors = []
     for pattern in FOLDS[split]:
         inside = [log for name, log in logs.items() if not matches(name, pattern)]
@@ -74,7 +75,7 @@ def main() -> int:
     stiffness = numbers[0] * (1.0 - centre) / (2.0 * model.joint_pulley_radius)
     count = 2.0 * np.pi * np.hypot(model.motor_pulley_radius / 8192, model.joint_pulley_radius / 4000) / np.sqrt(12.0)
     print(
-        f"torque to be told: {1e3 * np.sqrt(np.mean(everything**2)):.1f} mN·m RMS. The last line on all trials: "
+        f"measured torque: {1e3 * np.sqrt(np.mean(everything**2)):.1f} mN·m RMS. The last line on all trials: "
         f"P = {numbers[0]:.0f} N, Q = {-numbers[1]:.2f}, that is s_c = {centre:.2f} and k_t = "
         f"{1e-3 * stiffness:.1f} kN/m; {1e3 * numbers[2]:.0f} mN·m/rad of the joint's angle; the encoders' counts make "
         f"{1e3 * numbers[0] * count:.2f} mN·m of the error"

@@ -1,1 +1,1 @@
-"""The distribution: built, checked, tried bare; and the licences of what it needs."""
+"""Build and check the distribution, and list the licences of its dependencies."""

@@ -1,9 +1,9 @@
-"""Build backend of pyproject.toml: setuptools, and with TSA_COMPILE=1 the modules of the cycle as machine code.
+"""Build the package with setuptools, and with TSA_COMPILE=1 compile the modules of the cycle to machine code.
 
     TSA_COMPILE=1 pip install .
 
 mypyc compiles the modules below from the same source. It needs a C compiler and Python's headers. Without the variable
-neither is needed, and the package is the same source, interpreted. `tsa doctor` reports which of the two runs.
+neither is needed, and the source is interpreted. `tsa doctor` reports which build runs.
 
 A module may be listed if it has no `msgspec.Struct`, no ctypes structure, no TypeVar with values, no Enum with a
 constructor, no function of numba, and no base class of an interpreted class. mypyc ignores the class arguments of a
@@ -40,7 +40,7 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
     "plant": "cia301 cia402 drive faults machine mechanism motion node pdo sensors state",
 }
 OPTIONS = ("--config-file=", "--ignore-missing-imports", "--follow-imports=silent")  # CI checks the types strictly
-TYPES = ("mypy>=2.4", "numpy>=2.0", "msgspec>=0.19")  # what mypyc reads of the packages that are imported
+TYPES = ("mypy>=2.4", "numpy>=2.0", "msgspec>=0.19")  # mypyc, and the packages whose types it reads
 
 
 def modules() -> list[str]:
@@ -66,10 +66,10 @@ def extensions() -> list[setuptools.Extension]:
 
 
 class SourceArchive(sdist):  # type: ignore[misc]  # setuptools has no types
-    """A source archive that contains this backend, without which it could not be built."""
+    """Source archive with this backend, which is needed to build it."""
 
     def make_distribution(self) -> None:
-        """Add this file to the files that setuptools has found."""
+        """Add this file to the file list of setuptools, and make the distribution."""
         self.filelist.append("tools/package/backend.py")
         super().make_distribution()
 
@@ -78,16 +78,16 @@ class Backend(build_meta._BuildMetaBackend):  # type: ignore[misc]
     """The hooks of PEP 517 and PEP 660."""
 
     def run_setup(self, setup_script: str = "setup.py") -> None:
-        """Set up the package. There is no setup.py: pyproject.toml has the rest."""
+        """Set up the package without a setup.py. pyproject.toml has the other settings."""
         modules = extensions() if "bdist_wheel" in sys.argv else []  # the metadata does not need them
         setuptools.setup(ext_modules=modules, cmdclass={"sdist": SourceArchive})
 
     def get_requires_for_build_wheel(self, config_settings: Mapping[str, Any] | None = None) -> list[str]:
-        """Return the packages that building needs in addition to setuptools."""
+        """Return the packages that the build needs in addition to setuptools."""
         return list(TYPES) if wanted() else []
 
     def get_requires_for_build_editable(self, config_settings: Mapping[str, Any] | None = None) -> list[str]:
-        """Return no packages; reject an editable compiled build, which would ignore each change of the source."""
+        """Return no packages. Reject an editable compiled build, because it would ignore changes of the source."""
         if wanted():
             raise ValueError(
                 f"an editable installation runs the source; unset {VARIABLE}, or install without --editable"

@@ -1,10 +1,10 @@
-"""Build the wheel, check it as a package index would, and try it where there is no checkout.
+"""Build the wheel, check it as a package index would, and try it in a new environment without a checkout.
 
 Usage: tools/run package/check [--out FOLDER] [--python PYTHON ...]
 
-Builds source distribution and wheel from the files that git knows, `twine check`s both, and for each PYTHON (default:
-3.11 and 3.13, those that are there) makes a bare virtual environment, installs the wheel alone, and runs what a
-newcomer would. Exit status 1 when anything failed. Needs a package registry.
+The command builds source distribution and wheel from the tracked files, and runs `twine check` on both. For each PYTHON
+(default: 3.11 and 3.13 if installed) it creates a virtual environment, installs the wheel, and runs the first commands
+of a new user. The exit status is 1 if a step failed. A package registry is required.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ TRIED: tuple[tuple[str, ...], ...] = (
 
 
 def source(folder: Path) -> Path:
-    """The files that git knows, as a tree of their own: what lies about beside them does not get in."""
+    """Copy the files that git tracks to `folder`, so that no other file gets into the build."""
     names = subprocess.run(
         ["git", "-C", str(command.ROOT), "ls-files", "-z"], capture_output=True, text=True, check=True
     ).stdout.split("\0")
@@ -47,7 +47,11 @@ def source(folder: Path) -> Path:
 
 
 def build(out: Path) -> tuple[Path, Path]:
-    """Source distribution and wheel in `out`; raises CalledProcessError with what the builder said."""
+    """Build source distribution and wheel in `out`.
+
+    Raises:
+        CalledProcessError: The build failed. The error has its output.
+    """
     with tempfile.TemporaryDirectory(prefix="tsa-build-") as folder:
         tree = source(Path(folder) / "tsa-ctrl")
         line = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(tree)]
@@ -57,13 +61,20 @@ def build(out: Path) -> tuple[Path, Path]:
 
 
 def twine(files: Sequence[Path]) -> str:
-    """What `twine check --strict` says; raises CalledProcessError where it refuses."""
+    """Return the output of `twine check --strict`.
+
+    Raises:
+        CalledProcessError: The check failed.
+    """
     line = [sys.executable, "-m", "twine", "check", "--strict", *map(str, files)]
     return subprocess.run(line, capture_output=True, text=True, check=True).stdout
 
 
 def tried(python: str, wheel: Path) -> list[tuple[str, int, float, str]]:
-    """Command, exit status, seconds and last line, from a bare environment in a folder of its own."""
+    """Install the wheel in a new environment and run the commands.
+
+    Return command, exit status, duration (s) and last line of the output for each step.
+    """
     rows = []
     with tempfile.TemporaryDirectory(prefix="tsa-bare-") as name:
         folder = Path(name)

@@ -1,12 +1,12 @@
-"""Make the compiled build of this source, and compare it with the interpreted one: results, speed, tests.
+"""Make the compiled build of this source, and compare results, speed and tests with the interpreted build.
 
 Usage: tools/run package/compiled [--rows N] [--seed 0] [--speed ROUNDS] [--tests]
 
-Makes the build in .cache if there is none of the present source, and prints its time and size. The commands of
-tools/run use it from then on, until the source changes; TSA_COMPILE=0 makes them interpret the source. Needs a C
-compiler and Python's headers.
+If .cache has no build of the present source, it is made, and its time and size are printed. All commands of tools/run
+use it until the source changes. TSA_COMPILE=0 makes them interpret the source. A C compiler and Python's headers are
+required.
 
---rows N runs N drawn rows of the virtual runs of `tools/run pins` in both builds (0: none). Every value of the log,
+--rows N runs N random rows of the virtual runs of `tools/run pins` in both builds (0: none). Every value of the log,
 of the plant's truth and of the result must be equal to the last bit. --speed runs the example files in turns in both
 builds. --tests runs the tests of the loop in virtual time on the compiled build. Exit code 1: a row differs, or a
 test failed.
@@ -57,7 +57,7 @@ def main() -> int:
 
 
 def build() -> Path:
-    """Return the folder of the compiled build, which is made if it is missing."""
+    """Return the folder of the compiled build, and make the build if it is missing."""
     place = compiled.build_folder()
     if not place.is_dir():
         shutil.rmtree(compiled.BUILDS, ignore_errors=True)
@@ -79,7 +79,7 @@ def build() -> Path:
 
 
 def child(build: str, *words: str) -> Any:
-    """Return what this command prints as a process of its own in a build: "0" interpreted, "1" compiled."""
+    """Run this command as a child process in a build ("0" interpreted, "1" compiled), and return its parsed output."""
     line = command.process(__name__, *words)
     done = subprocess.run(line, env={**os.environ, compiled.VARIABLE: build}, capture_output=True, text=True)
     if done.returncode != 0:
@@ -88,7 +88,7 @@ def child(build: str, *words: str) -> Any:
 
 
 def digests(count: int, seed: int) -> dict[str, str]:
-    """Return the SHA-256 of all values of drawn virtual runs, and which build made them."""
+    """Return the SHA-256 of all values of random virtual runs, and the kind of build that ran them."""
     from tools import pin_rows
     from tsa_ctrl.version import build_kind
 
@@ -101,7 +101,7 @@ def digests(count: int, seed: int) -> dict[str, str]:
 
 
 def equal(count: int, seed: int) -> bool:
-    """Return True if the drawn rows are equal in both builds; print those that differ."""
+    """Return True if the random rows are equal in both builds. Print rows that differ."""
     options = ("--child", "rows", "--rows", str(count), "--seed", str(seed))
     ours, theirs = (child(build, *options) for build in "01")
     kinds = ours.pop("build"), theirs.pop("build")
@@ -115,7 +115,7 @@ def equal(count: int, seed: int) -> bool:
 
 
 def speed() -> float:
-    """Return virtual over processor time of the example files, without the first run, which loads what was compiled."""
+    """Return virtual time over processor time of the example files, after a first run that loads the compiled code."""
     from tsa_ctrl import simulate_loop
 
     files = command.CONFIG / "controller.toml", command.CONFIG / "plant.toml"
@@ -126,7 +126,7 @@ def speed() -> float:
 
 
 def paired(rounds: int) -> None:
-    """Print the speed of both builds, which take turns."""
+    """Run both builds in turns, and print their speed."""
     pairs = [(child("0", "--child", "speed"), child("1", "--child", "speed")) for _ in range(rounds)]
     ours, theirs = (statistics.median(each) for each in zip(*pairs, strict=True))
     gain = statistics.median(second / first for first, second in pairs)
@@ -140,6 +140,6 @@ def tests() -> int:
     """Return the exit code of the tests of the loop on the compiled build."""
     environment = {**os.environ, compiled.SAFE_PATH: "1", "PYTHONPATH": str(compiled.build_folder())}
     marks = "not soak and not vcan and not hil and not interpreted"
-    # -p loads the package before pytest puts this folder, with the source, in front
+    # -p loads the package before pytest puts this folder with the source first in the path
     line = [sys.executable, "-m", "pytest", "-q", "-p", "tsa_ctrl", "-n", "2", "-m", marks, *TESTS]
     return subprocess.run(line, cwd=command.ROOT, env=environment, check=False).returncode

@@ -1,8 +1,9 @@
-"""Write the licences of everything that the package needs at run time, as its distributions state them.
+"""Write the licences of all packages that are needed at run time, as their distributions state them.
 
 Usage: tools/run package/licences
 
-Writes tools/package/licences.json: name, licence and why it is there; `tools/run manual/write` makes the table of it.
+The file tools/package/licences.json has name, licence, and if the dependency is direct. `tools/run manual/write`
+generates a table from it.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zli
 
 
 def runtime() -> list[str]:
-    """Names of the direct dependencies: those of the package and of its extras for users."""
+    """Return the names of the direct dependencies of the package and of its extras for users."""
     project = tomllib.loads((command.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"], *extras["formats"]]
@@ -37,7 +38,7 @@ def _name(requirement: str) -> str:
 
 
 def licence(name: str) -> str:
-    """As the distribution states it: the expression, else the classifier, else the first line of the text."""
+    """Return the licence that the distribution states: its expression, classifier, or first line of its text."""
     about = metadata.metadata(name).json
     if about.get("license_expression"):
         return str(about["license_expression"])
@@ -46,7 +47,7 @@ def licence(name: str) -> str:
 
 
 def needed(names: list[str]) -> list[str]:
-    """The names and all that they need in turn, where installed."""
+    """Return the names and all their direct and indirect dependencies that are installed."""
     found: set[str] = set()
     waiting = list(names)
     while waiting:
@@ -69,7 +70,7 @@ def main() -> int:
     settings.write_text(FILE, json.dumps(rows, indent=1, sort_keys=True) + "\n")
     strange = [name for name, row in rows.items() if not COMPATIBLE.search(str(row["licence"]))]
     for name in strange:
-        print(f"{name}: {rows[name]['licence']}: is this compatible?")
+        print(f"{name}: {rows[name]['licence']}: check if this licence is compatible")
     return int(bool(strange))
 
 

@@ -1,1 +1,1 @@
-"""Ways to run a control cycle on a real bus, measured in turns."""
+"""Variants of a control cycle on a real bus, measured in turns."""

@@ -1,4 +1,4 @@
-"""Controller files for the measuring tools: one to eight axes at the highest rate that the bus carries."""
+"""Write controller and plant files for the benchmarks, with one to eight axes at the highest rate of the bus."""
 
 from __future__ import annotations
 
@@ -37,9 +37,10 @@ TOLERANT = "[bus.supervision]\ntolerated_misses = 100\nlost_share = 1.0"
 def controller_text(
     folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False, each: str = ""
 ) -> str:
-    """TOML of a controller whose files lie in `folder`; `rate` 0 is the highest that the bit rate carries.
+    """Return the TOML of a controller whose files are in `folder`. Rate 0 is the highest that the bit rate allows.
 
-    `patient`: the machine's stalls shall be measured, not end the run. `each`: TOML that every axis gets besides.
+    With `patient` long time-outs are set, so that a stall of the machine does not end the run. `each` is TOML that is
+    added to every axis.
     """
     shutil.copy(CONFIG / "actuator.toml", folder)
     drive_more, more = PATIENT if patient else ("", "")
@@ -64,7 +65,7 @@ path = "{folder}/tsa.sock"
 
 
 def plant_text(interface: str, axes: int) -> str:
-    """TOML of the plant to it: its axes follow a gait, and their truth is not the controller's model."""
+    """Return the TOML of the matching plant, whose friction and pretension differ from the controller's model."""
     axis = """
 [[axis]]
 name = "axis{n}"

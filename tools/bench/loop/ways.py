@@ -1,4 +1,4 @@
-"""The ways to run one cycle that bench/cycle compares; each is a context that gives a function of the time."""
+"""The variants of a control cycle that bench/cycle compares, each as a context manager that yields a `Way`."""
 
 from __future__ import annotations
 
@@ -40,9 +40,10 @@ PATIENCE = 0.05  # s for an answer
 
 @dataclass(frozen=True)
 class Way:
-    """`cycle`: one cycle at the time now (s), whether all answers came. `rest`: what follows it, not measured.
+    """The functions of one variant.
 
-    `wait`: until an absolute time (ns).
+    `cycle` runs one cycle at the present time (s) and returns True if all answers came. `wait` sleeps until an absolute
+    time (ns). `rest` does the work after the cycle, which the wall time of the cycle excludes.
     """
 
     cycle: Callable[[float], bool]
@@ -71,7 +72,7 @@ def _raw(configuration: Configuration) -> Iterator[tuple[socket.socket, bytes, l
 
 @contextlib.contextmanager
 def raw_socket(configuration: Configuration) -> Iterator[Way]:
-    """SYNC out, TPDOs in, RPDOs out, nothing else."""
+    """Yield a cycle in Python that only sends SYNC, receives the TPDOs and sends the RPDOs."""
     with _raw(configuration) as (bus, sync, commands, answers):
         send, recv_into, buffer, expected = bus.send, bus.recv_into, bytearray(16), range(answers)
 
@@ -91,7 +92,7 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
 
 @contextlib.contextmanager
 def raw_socket_in_c(configuration: Configuration, library: ctypes.CDLL) -> Iterator[Way]:
-    """Run the same cycle in C; `library` is floor.c. The call from Python is included, about a microsecond."""
+    """Yield the same cycle in C, by the compiled floor.c. It includes the call from Python of about 1 us."""
     with _raw(configuration) as (bus, sync, commands, answers):
         handle, frames, axes, run = bus.fileno(), b"".join(commands), len(commands), library.cycle
         yield Way(lambda now: bool(run(handle, sync, frames, axes, answers) == 1))
@@ -109,7 +110,7 @@ def floor_library(folder: str) -> ctypes.CDLL | None:
 
 @contextlib.contextmanager
 def ours(configuration: Configuration) -> Iterator[Way]:
-    """The control cycle of `tsa run`, torque permitted."""
+    """Yield the control cycle of `tsa run`, with enabled axes."""
     file = configuration.file
     bus = SocketCan(file.bus.channel, file.bus.send_queue)
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
@@ -137,7 +138,7 @@ def ours(configuration: Configuration) -> Iterator[Way]:
 
 @contextlib.contextmanager
 def ours_all(configuration: Configuration) -> Iterator[Way]:
-    """With the record, the log writer's process, the socket server's process, and a command per cycle at most."""
+    """Yield the cycle with log record, log writer, socket server, and at most one command per cycle."""
     collect = configuration.file.controller.collect * configuration.period
     with _with_children(configuration) as (rig, axes, tuners, mailbox, telemetry):
         count = 0
@@ -179,7 +180,7 @@ def _with_children(configuration: Configuration) -> Iterator[tuple[Any, ...]]:
 
 
 def _tell_faults(axes: Sequence[ControlAxis]) -> None:
-    """A measurement with a fault in it is one of cycles without torque."""
+    """Print faults, because the cycles after a fault ran without torque."""
     for axis in axes:
         for fault in axis.supervisor.faults:
             print(f"\nfault while measuring: {axis.name}: {fault}", file=sys.stderr)
@@ -192,15 +193,15 @@ Factory = Callable[[], contextlib.AbstractContextManager[Way]]
 
 
 class Samples:
-    """Durations in us of one way."""
+    """Durations of one variant, us."""
 
     def __init__(self) -> None:
         self.cycle: list[float] = []
         self.lateness: list[float] = []
         self.lost = 0
-        self.worst: list[float] = []  # p99 of the lateness in each block
-        self.user = self.kernel = 0.0  # us of the processor, of all cycles with their waits and `rest`
-        self.counted = 0  # cycles of the two
+        self.worst: list[float] = []  # p99 of the wake-up latency in each block
+        self.user = self.kernel = 0.0  # us of processor time, of all cycles with `wait` and `rest`
+        self.counted = 0  # cycles in `user` and `kernel`
 
     def figures(self) -> dict[str, float | int]:
         found: dict[str, float | int] = {"cycles": len(self.lateness), "lost": self.lost}
@@ -243,12 +244,12 @@ def block(samples: Samples, cycles: int, period: int, way: Way) -> None:
 
 
 def nodes(configuration: Configuration) -> contextlib.AbstractContextManager[None]:
-    """The nodes of a configuration as a process that answers each SYNC: those of `tsa bench`."""
+    """Run the nodes of a configuration as a process that answers each SYNC, as in `tsa bench`."""
     return standing_in(configuration.file.bus, configuration.file.axes)
 
 
 def measure(table: Mapping[str, Factory], rate: float, rounds: int, cycles: int) -> dict[str, dict[str, float]]:
-    """Figures (us) of every way; `rate` in Hz."""
+    """Measure all variants in turns at `rate` (Hz), and return their figures (us)."""
     period = round(1e9 / rate)
     found = {name: Samples() for name in table}
     names = list(table)

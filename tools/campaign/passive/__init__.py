@@ -1,1 +1,1 @@
-"""The runaway campaign's parts: what is played, and how it is judged."""
+"""Experiments of the runaway campaign, and their evaluation."""

@@ -1,4 +1,4 @@
-"""A change while the loop runs: one run of it, and its measures by the plant's truth."""
+"""Run one change of the plant while the loop runs, and evaluate it by the plant's true torque and speed."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 
-AT, WATCHED, LATCHED = 1.2, 3.0, 1.2  # s of the log of the change; s that are watched after it, and after a latch
-LET_GO = 0.2  # s after it
-TO_REST, AT_REST, MEASURED = 2.0, 3.0, 1.0  # s: the set-point's gain goes to 0, all comes to rest, then it is measured
-SWUNG = 0.05  # s after the guard acted, in which a swing has died out
-FELT = 1e-3  # J: three times the energy of a healthy reversal
+AT, WATCHED, LATCHED = 1.2, 3.0, 1.2  # s: time of the change; observation after the change, and after a latch
+LET_GO = 0.2  # s from the change until the hand lets go
+TO_REST, AT_REST, MEASURED = 2.0, 3.0, 1.0  # s: set-point gain fades to 0, motion decays, measurement at rest
+SWUNG = 0.05  # s after the guard acted, until which a swing has decayed
+FELT = 1e-3  # J, three times the energy of a healthy reversal
 ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
-CONFIRMED = 2.5  # s of the log, by which a sine has slid the tendons in both directions
-LOST = {"free": 60e-3}  # J, added by a loss once confirmed, with a joint encoder; 30 mJ on other loads
+CONFIRMED = 2.5  # s of the log, by which the tendons have slid in both directions with a sine
+LOST = {"free": 60e-3}  # J that a loss after CONFIRMED may add with a joint encoder; 30 mJ with other loads
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 LOWERED = "friction and pretension together are about"  # first words of the estimator's report
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run; without a `change` the set-point ends. `at`: s of the log."""
+    """One run with a change at `at` s of the log. Without a `change` the set-point ends at this time."""
 
     sensors: str
     load: str
@@ -55,7 +55,7 @@ class Case:
 
     @property
     def most(self) -> float | None:
-        """J that may be added; None without a goal."""
+        """Return the goal for the added work, J, or None without a goal."""
         if self.sensors == "sensor":
             return 0.5 * INERTIA[self.load]
         lost = self.change in ("pretension", "friction") and self.share < 1.0
@@ -64,7 +64,7 @@ class Case:
         return None
 
     def play(self, compensation: float) -> Simulation:
-        """Run it."""
+        """Run the case with this compensation."""
         go = self.at + LET_GO
         hands: dict[str, Sequence[Sequence[float]]] = {
             "limb": ((0.0, 0.0, 1.0, 0.0), (go, 0.0, 1.0, 0.0), (go + 0.01, 0.0, 0.0, 0.0)),
@@ -84,7 +84,7 @@ class Case:
 
 
 class Ended:
-    """Ends a run once a latch has lasted for a while or, if requested, the joint has rested long enough."""
+    """Return True to end a run, some time after a latch or, with `stands`, after the joint has rested long enough."""
 
     def __init__(self, at: float, stands: bool) -> None:
         self._at, self._stands = at, stands
@@ -99,7 +99,7 @@ class Ended:
 
 
 def judge(case: Case, compensation: float, compare: bool = False) -> dict[str, Any]:
-    """Run a case and, where it may miss a goal or `compare`, the same at compensation 0."""
+    """Run and evaluate a case. If it may miss a goal, or with `compare`, also run it at compensation 0."""
     result = case.play(compensation)
     events = result.summary.events
     row: dict[str, Any] = {**dataclasses.asdict(case), "compensation": compensation, **reactions(events, case.at)}
@@ -137,7 +137,7 @@ def judge(case: Case, compensation: float, compare: bool = False) -> dict[str, A
 
 @functools.lru_cache(maxsize=8)
 def _without(case: Case) -> tuple[FloatArray, FloatArray, float]:
-    """Return times, work per row and highest speed of a case at compensation 0, which no sensor changes."""
+    """Return times, work per row and highest speed of a case at compensation 0, which is the same for all sensors."""
     result = case.play(0.0)
     return *power(result, case.at), peak_speed(result, case.at)
 

@@ -1,25 +1,26 @@
-"""Measure the work on a joint when friction, pretension, bending or the motor changes while the loop runs.
+"""Measure the work on a joint if friction, pretension, bending or the motor changes while the loop runs.
 
 Usage: tools/run campaign/runaway changes [--sensors motor ...] [--loads free ...] [--set-points sine ...]
                                           [--changes friction=0.1 ...] [--at 3] [--sample N] [--rows FILE] [--worst]
-       tools/run campaign/runaway loss    (a sudden loss or a wrong drive, next to the same at compensation 0)
+       tools/run campaign/runaway loss    (a sudden loss or a wrong drive, compared with compensation 0)
 
 Each case is one run of the real loop on distributed tendons in virtual time. The model file is true until --at, s of
 the log. Then one quantity steps to a share of its value: pretension, friction, bending, or the motor's torque constant
-(torque_gain; the reported torque stays). A resting joint is nudged at this moment, and the hand on a limb lets go.
-A run ends 1.2 s after something latched, after 1 s of rest, or 3 s after the change. The plant's truth is judged:
+(torque_gain; the reported torque stays). With set-point zero or constant the joint is nudged at this moment, and the
+hand on a limb lets go. A run ends 1.2 s after a latch, after 1 s of rest, or 3 s after the change. The plant's true
+torque and speed are evaluated:
 
-  added    the largest work on the joint in any window after the change beyond the set-point's, less the work of the
-           same run at compensation 0. With the torque sensor at most J/2 (1 rad/s)^2. With a joint encoder alone, a
-           sine and a loss from 2.5 s on (both directions have slid) at most 30 mJ, on a free joint 60 mJ. All other
-           values are printed only.
-  late     the same, counted from 1 s after the first 1 mJ on: at most 1 mJ with the torque sensor.
-  silent   more than 4 mJ were added and nothing was reported: missed with the torque sensor.
-  after    of the work, the share after the guard had taken all compensation back: delay, and the swing of the motor.
+  added    the largest work on the joint in any window after the change, less the work of the set-point and the work of
+           the same run at compensation 0. Goals: J/2 (1 rad/s)^2 with the torque sensor. With a joint encoder alone, a
+           sine and a loss from 2.5 s on (after sliding in both directions) 30 mJ, or 60 mJ on a free joint. Other
+           values have no goal.
+  late     the same work from 1 s after the first 1 mJ on. Goal: at most 1 mJ with the torque sensor.
+  silent   more than 4 mJ were added without a report. This misses the goal with the torque sensor.
+  after    the part of the work after the guard first acted, caused by delay and the swing of the motor.
 
-Without a change the set-point ends instead. 3 s later the joint must rest (0.02 rad/s RMS) and the motor be quiet
-(0.02 N*m peak to peak). --rows FILE: cases in the file are not run again. --worst: the 20 worst of each sensor
-configuration. --which: those that missed a goal. Exit code 1: a goal was missed.
+Without a change the set-point ends instead. 5 s later the joint must rest (0.02 rad/s RMS), and the motor torque must
+be constant (0.02 N*m peak to peak). --rows FILE: cases in the file are not run again. --worst prints the 20 worst cases
+of each sensor configuration, --which those that missed a goal. Exit code 1: a goal was missed.
 """
 
 from __future__ import annotations
@@ -58,7 +59,11 @@ def cases(chosen: argparse.Namespace) -> list[Case]:
 
 
 def change_of(text: str) -> tuple[str, float]:
-    """Return name and share of "friction=0.1" or "nothing"; raises UsageError."""
+    """Return name and share of "friction=0.1" or "nothing".
+
+    Raises:
+        UsageError: The name or the share is invalid.
+    """
     name, equals, value = text.partition("=")
     if text == "nothing":
         return "", 1.0
@@ -117,7 +122,7 @@ LISTED: command.Columns = {
 
 
 def losses(rows: Sequence[Row]) -> Table:
-    """Return a line for each load, set-point and loss: the worst work before and once both directions have slid, mJ."""
+    """Return a line for each load, set-point and loss, with the worst work before and after CONFIRMED, mJ."""
     found = Table("load", "set-point", "change", *SENSORS, "c = 0", title=LOSS_TITLE, title_justify="left")
     keys = dict.fromkeys((row["load"], row["set_point"], case_of(row).what) for row in rows)
     for key in keys:
@@ -134,7 +139,7 @@ def losses(rows: Sequence[Row]) -> Table:
 
 
 def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
-    """Add the options; `loss`: with the defaults of a sudden loss."""
+    """Add the options. With `loss` the defaults are those for a sudden loss."""
     losses = [f"{name}={share:g}" for name, share in LOSSES] if loss else []
     parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=tuple(INERTIA))
     parser.add_argument(
@@ -144,13 +149,13 @@ def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
     parser.add_argument("--delays", type=int, nargs="+", default=(1,) if loss else (1, 3), help="periods")
     parser.add_argument("--at", type=float, nargs="+", default=(3.0, 3.5, 1.0) if loss else (AT,), help="s of the log")
     command.share(parser, "sensors compensation sample seed rows processes json")
-    parser.add_argument("--worst", action="store_true", help="the 20 worst of each configuration, besides")
-    parser.add_argument("--which", action="store_true", help="those that missed a goal, besides")
+    parser.add_argument("--worst", action="store_true", help="also print the 20 worst of each configuration")
+    parser.add_argument("--which", action="store_true", help="also print the cases that missed a goal")
     parser.set_defaults(loss=loss)
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Run the chosen cases and print them; 1 if one missed a goal."""
+    """Run and print the chosen cases. Return 1 if a case missed a goal."""
     found = command.drawn(cases(chosen), chosen)
     play = functools.partial(judge, compensation=chosen.compensation, compare=chosen.loss)
 
@@ -170,19 +175,19 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def good(row: Row) -> bool:
-    """Return whether a case met its goals."""
+    """Return True if a case met its goals."""
     return bool(row["good"])
 
 
 def _at(row: Row, compensation: float) -> Case | None:
-    """Return the case of a row with this compensation; None for a row of another one."""
+    """Return the case of a row, or None if the row has another compensation."""
     return case_of(row) if row["compensation"] == compensation else None
 
 
 def words(row: Row) -> str:
     """Return the measurement as a line."""
     if not row["change"]:
-        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")
+        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", reported" if row["told"] else "")
     added = f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late"
     reported = "not reported" if row["reported"] is None else f"reported after {row['reported']:.3f} s"
     return f"{added}, {abs(row['speed']):.1f} rad/s at the change, {row['peak']:.1f} at most, {reported}"

@@ -1,7 +1,7 @@
-"""One run of the real loop on distributed tendons: rig, sensors, set-point and what happens meanwhile.
+"""Run the real loop on distributed tendons with a given rig, sensors, set-point, faults and changes.
 
-The controller's file is true, except for the tendons' stiffness, which comes from a data sheet. The file
-does not contain a plant's smaller `friction` or `pretension` from the start, nor its later faults.
+The controller's model file is true, except for the tendons' stiffness, which comes from a data sheet. The file does not
+contain a smaller `friction` or `pretension` of the plant, nor its later faults.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer":
 SENSORS = command.SENSORS
 SET_POINTS = ("zero", "constant", "sine", "gait")
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
-GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
+GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque, so that a joint of 0.02 kg*m^2 stays below 5 rad/s
 _PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
 
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 
-Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s of the joint, events: all was seen
+Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s of the joint, events; True ends the run
 
 
 def true_model(
@@ -46,7 +46,7 @@ def true_model(
 ) -> TendonSheath:
     """Return the model of the plant: friction, pretension and stiffness times `factors`, shape, and the encoder's lag.
 
-    (3.55) is exact with all bends at the joint, but a reversal of the motor is planned by where they are.
+    (3.55) is exact with all bends at the joint. The shape is also needed to plan a reversal of the motor.
     """
     effects: dict[str, dict[str, Any]] = {
         "velocity_lag": {"time_constant": ENCODER_LAG},
@@ -59,14 +59,20 @@ def true_model(
 
 @dataclass(frozen=True)
 class Experiment:
-    """A rig and its set-point. `friction`, `pretension`: of the plant, as shares of the file's, from the start on.
+    """A rig and its set-point.
 
-    `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
-    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has the true
-    value, not the data sheet's; `feedback`: Hz, of the torque sensor, where there is one; `file_model` replaces the
-    controller's model; `hand`: script of a hand on the joint, default for a wearer: the wearer's script. `axis`,
-    `file`, `plant`: tables that replace values of the controller's [[axis]], of its other tables and of the plant's
-    [[axis]].
+    Args:
+        friction, pretension: The plant's values as shares of the file's values, 1.
+        centre: s_c, centre of the bends along the sheath, from 0 (motor) to 1 (joint).
+        delay: Delay of the drive, periods.
+        motor_bits, joint_bits: Resolution of the encoders.
+        inertia: Inertia of the motor, kg*m^2.
+        true_stiffness: The controller's file has the true stiffness instead of the data sheet's value.
+        feedback: Bandwidth of the torque feedback with a torque sensor, Hz.
+        file_model: Replaces the controller's model.
+        hand: Script of a hand on the joint; by default a wearer has its own script.
+        axis, file, plant: Tables that replace values of the controller's [[axis]], of its other tables, and of the
+            plant's [[axis]].
     """
 
     load: str
@@ -114,7 +120,7 @@ class Experiment:
                 run.close()
 
     def model(self) -> TendonSheath:
-        """Return the controller's: true friction, pretension and shape; stiffness as `true_stiffness` has it."""
+        """Return the controller's model, with true friction, pretension and shape, and the selected stiffness."""
         true = true_model(self._curvature())
         return true if self.true_stiffness else dataclasses.replace(true, axial_stiffness=rig.NOMINAL.axial_stiffness)
 
@@ -159,7 +165,7 @@ class Experiment:
             del axis["encoder"]
         if self.sensors != "sensor":
             del axis["torque_sensor"]
-        elif self.compensation > 0.0 and hasattr(LawSettings, "feedback"):  # a revision to compare with may lack it
+        elif self.compensation > 0.0 and hasattr(LawSettings, "feedback"):  # an older revision may not have it
             axis["law"]["feedback"] = self.feedback
         _over(axis, self.axis)
         _over(tables, self.file)
@@ -172,7 +178,7 @@ def _over(tables: rig.Tables, changes: dict[str, Any]) -> None:
 
 
 class _Seen:
-    """Hands the plant's truth on, and stops the loop once all has been seen."""
+    """Forward the plant's truth to the recorder, and stop the loop once `ended` returns True."""
 
     def __init__(self, run: Run, record: Record, ended: Ended) -> None:
         self._run, self._record, self._ended = run, record, ended

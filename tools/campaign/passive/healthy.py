@@ -1,10 +1,10 @@
-"""Healthy: does the guard, or any check, report something while nothing is wrong?
+"""Run healthy rigs, and count the reports of the guard and the faults of any check.
 
 Usage: tools/run campaign/runaway healthy [--seconds 3600] [--sensors ...] [--loads ...] [--slices N] [--rows FILE]
 
-Each load plays the gait (weight, free and wearer a sine) with true parameters in slices of 60 s, each with noise of its
-own. With --rows the run continues where it was interrupted; --slices limits the slices of each load in one call. Exit
-code 1: something was reported or latched.
+Each load plays the gait (weight, free and wearer a sine) with true friction, pretension and shape, in slices of 60 s
+with different noise. With --rows an interrupted run continues. --slices limits the new slices of each load in one call.
+Exit code 1: the guard reported something, or a fault occurred.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import GUARD
 
 LOADS = ("imposed", *INERTIA)
-SLICE = 60.0  # s: a log of an hour does not fit into memory
-SINE = ("weight", "free", "wearer")  # loads that the gait would throw about
+SLICE = 60.0  # s; a log of an hour does not fit into memory
+SINE = ("weight", "free", "wearer")  # loads that would move too fast with the gait
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Slice:
 
 
 def play(part: Slice, compensation: float) -> dict[str, Any]:
-    """Run a slice and return its reports and latches."""
+    """Run a slice, and return the guard's reports and the faults."""
     set_point = "sine" if part.healthy in SINE else "gait"
     rig = Experiment(part.healthy, set_point, part.sensors, compensation=compensation, seed=part.slice, fade_in=1.0)
     result = rig.play(part.seconds)
@@ -71,7 +71,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Run the slices that are missing; 1 if anything was reported."""
+    """Run the missing slices. Return 1 if anything was reported."""
     count = math.ceil(chosen.seconds / SLICE)
     lengths = [min(SLICE, chosen.seconds - number * SLICE) for number in range(count)]
     product = itertools.product(enumerate(lengths, 1), chosen.sensors, chosen.loads)
@@ -87,5 +87,5 @@ def run(chosen: argparse.Namespace) -> int:
 
 
 def key_of(row: dict[str, Any]) -> tuple[Slice, float]:
-    """Return what makes a slice."""
+    """Return the slice of a row and its compensation."""
     return command.from_row(Slice, row), row["compensation"]

@@ -1,4 +1,4 @@
-"""Scan for joints that the controller keeps moving when the plant has less friction than the controller's file.
+"""Scan for joints that the controller keeps moving if the plant has less friction than the controller's file.
 
 Usage: tools/run campaign/runaway scan [--sensors motor ...] [--loads free ...] [--shares 0.1 ...] [--sample N]
 
@@ -6,14 +6,15 @@ Each cell is one run of the real loop on distributed tendons in virtual time. Th
 friction (--of friction, pretension or both) from the start on. The set-point is 0 or 0.3 N*m, and the joint is nudged
 once (0.4 N*m for 0.1 s). Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint
 encoder, "sensor" has both. Shape, delay and encoders are drawn for each cell by the seed. A run ends once the joint has
-been at rest for --rest seconds. The plant's truth is judged:
+been at rest for --rest seconds. The plant's true torque and speed are evaluated:
 
-  speed   RMS of the joint over 0.5 s, 3 s after the nudge. Set-point 0: at most 0.05 rad/s. Constant set-point: at most
-          0.2 rad/s above the same run at compensation 0, and above the run whose tendons have no friction ("ideal").
-          A free joint that follows its set-point is not a runaway; the last line counts the cells without this excuse.
-  work    the largest that any window gave the joint beyond the work of the set-point, integral of (tau_J - tau_J_des)
-          omega_J dt, minus the work of the same run at compensation 0. Set-point 0: at most 10 mJ with torque sensor,
-          otherwise 0.1 J in class "worn" and 0.4 J in class "bench" (--class). Otherwise it is printed only.
+  speed   RMS of the joint over 0.5 s, 3 s after the nudge. Goal at set-point 0: at most 0.05 rad/s. Goal at a constant
+          set-point: at most 0.2 rad/s above the faster of two reference runs, the same run at compensation 0 and the
+          run without friction ("ideal"). A free joint that follows its set-point is not a runaway. The last line counts
+          the cells that exceed the first reference alone.
+  work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less that of the same run at
+          compensation 0. Goal at set-point 0: at most 10 mJ with a torque sensor, otherwise 0.1 J in class "worn" and
+          0.4 J in class "bench" (--class). At a constant set-point there is no goal.
 
 One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
 --joint-bits 20`. Exit code 1: a goal was missed.
@@ -49,11 +50,11 @@ SET_POINTS = ("zero", "constant")
 CENTRES, DELAYS, BITS = (0.3, 0.5, 0.65), (1, 2, 3), (14, 20)  # 1, periods, least and most
 NUDGE = 0.4  # N*m on the joint
 NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log when it begins, s that it lasts
-WATCHED, WINDOW = 3.0, 0.5  # s after the nudge when the speed is measured, s over which
+WATCHED, WINDOW = 3.0, 0.5  # s from the nudge to the measurement of the speed, and duration of the measurement
 STILL, REST = 0.01, 1.0  # rad/s of a joint at rest, s of rest that end a run
 RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
-IDEAL = 0.01  # share of the friction that counts as none: the set-point alone moves the joint
-MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above the same run without compensation
+IDEAL = 0.01  # share of the friction in the run without friction
+MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above the reference runs
 MOST_WITH_SENSOR = 10e-3  # J
 WIDTH = 190  # characters of the table
 MOST_WORK = {"worn": 0.1, "bench": 0.4}  # J by class of use, without a joint torque sensor
@@ -61,7 +62,7 @@ MOST_WORK = {"worn": 0.1, "bench": 0.4}  # J by class of use, without a joint to
 
 @dataclass(frozen=True)
 class Cell:
-    """One run of the scan; `of` names what of the plant is a `share` of the file's."""
+    """One run of the scan. `of` selects the parameters of the plant that are a `share` of the file's values."""
 
     sensors: str
     load: str
@@ -79,7 +80,7 @@ class Cell:
         return f"{self.sensors}, {self.load}, {self.set_point}, {self.of} {self.share:g}, {rig}"
 
     def experiment(self, compensation: float, **more: Any) -> Experiment:
-        """The rig; `more` replaces fields of it."""
+        """Return the experiment of the cell. `more` replaces its fields."""
         each = self.share**0.5 if self.of == "both" else self.share
         fields: dict[str, Any] = {
             "friction": each if self.of != "pretension" else 1.0,
@@ -114,7 +115,7 @@ class Judge:
         without = ideal = 0.0
         if cell.set_point == "constant" and left > bound:
             without = speed(self._play(cell.experiment(0.0)), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
-            if left > without + bound:  # a free joint follows its set-point: that motion is desired
+            if left > without + bound:  # a free joint may follow its set-point, so compare without friction
                 bare = dataclasses.replace(cell, of="friction", share=IDEAL).experiment(0.0)
                 ideal = speed(self._play(bare), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
         if work > most:
@@ -155,7 +156,7 @@ def cells(
     shares: Sequence[float],
     fixed: dict[str, Any],
 ) -> list[Cell]:
-    """All cells; `fixed` values take the place of drawn ones (centre, delay, motor_bits, joint_bits)."""
+    """Return all cells. `fixed` values replace drawn ones (centre, delay, motor_bits, joint_bits)."""
     found = []
     for names in itertools.product(sensors, loads, set_points, of, shares):
         rng = np.random.default_rng([seed, zlib.crc32(repr(names).encode())])
@@ -174,7 +175,7 @@ def good(row: dict[str, Any]) -> bool:
 
 
 def table(rows: Sequence[Row]) -> Table:
-    """One line for each sensor configuration, load and set-point: worst speed and worst work, each with its cell."""
+    """Return a line for each sensor configuration, load and set-point, with the worst speed and work."""
     heads = ("sensors", "load", "set-point", "cells", "missed", "speed (rad/s)", "at c = 0; ideal", "of the cell")
     found = Table(*heads, "work (mJ)", "of the cell", title="scan", title_justify="left")
     for key in itertools.product(SENSORS, INERTIA, SET_POINTS):
@@ -212,12 +213,18 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
     parser.add_argument("--joint-bits", type=int, help="bits of the joint encoder, of every cell")
     command.share(parser, "sensors seed sample compensation axis file rows processes json")
-    parser.add_argument("--class", dest="use", choices=tuple(MOST_WORK), default="bench", help="whose work counts")
+    parser.add_argument(
+        "--class",
+        dest="use",
+        choices=tuple(MOST_WORK),
+        default="bench",
+        help="class of use whose goal for the work applies",
+    )
     parser.add_argument("--rest", type=float, default=REST, help=f"s of rest that end a run (default {REST:g})")
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Run the chosen cells and print them; 1 if a cell missed a goal."""
+    """Run and print the chosen cells. Return 1 if a cell missed a goal."""
     command.seeded(chosen)
     drawn = {name: getattr(chosen, name) for name in ("centre", "delay", "motor_bits", "joint_bits")}
     fixed = {name: value for name, value in drawn.items() if value is not None}

@@ -1,19 +1,19 @@
-"""Tracking: what does the protection against motion that the controller sustains cost on a healthy rig?
+"""Measure the torque error that the protection against sustained motion causes on healthy rigs.
 
 Usage: tools/run campaign/runaway tracking [--against REV] [--sensors ...] [--loads ...] [--set-points ...]
 
 Each cell is one run of the real loop on distributed tendons in virtual time, with true parameters. Errors are RMS
 values of the delivered joint torque less the desired one, by the plant's truth, in mN*m:
 
-  first       from the end of the fade-in to 4 s: nothing has been confirmed yet
-  confirmed   6 s from 10 s on (wearer 12 s: its hand's script)
+  first       from the end of the fade-in to 4 s, before the friction is confirmed
+  confirmed   6 s from 10 s on (12 s with a wearer, the length of the hand's script)
   again       the first 4 s after an EMCY disabled the drive and a recovery enabled it again
 
-A held joint at a constant set-point of 0.3 N*m loses "loss", % of the delivered torque, from 1.5 s to 20 s. With
---against REV the same cells also run on the package of another revision, without --axis and --file, in a worktree below
-.cache/against that is kept with its rows. Each value is then followed by its ratio to that revision. Goals: confirmed
-at most 1.2 times, again at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a goal was
-missed.
+For a locked joint at a constant set-point of 0.3 N*m, "loss" is the decrease of the delivered torque from 1.5 s to 20
+s, in %. With --against REV the same cells also run on the package of another revision, without --axis and --file. Its
+worktree and rows are kept in .cache/against. Each value is then followed by its ratio to that revision. Goals:
+confirmed at most 1.2 times, again at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a
+goal was missed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ FIRST, BEGIN, LENGTH = 4.0, 10.0, {"wearer": 12.0}  # s of the log; 6 s for othe
 DISABLED = 0.3  # s from the EMCY to the recovery
 LOSS_FROM, LOSS_TO, HELD = 1.5, 20.0, 0.2  # s of the log, s over which the torque is averaged
 MOST = {"confirmed": 1.2, "again": 1.3}  # times the other revision
-LEAST = 2.0  # mN*m: smaller errors are equal
+LEAST = 2.0  # mN*m; smaller errors count as 2
 MOST_LOSS = 5.0  # %
 
 
@@ -100,21 +100,21 @@ def _rms(axis: AxisResult, begin: float, end: float) -> float:
 
 
 def _enabled_again(axis: AxisResult, after: float) -> float:
-    """Return s of the log at which the axis gives torque again; infinite when it does not."""
+    """Return the time at which the axis is enabled again, s of the log, or infinity if it is not."""
     t = axis.log["t"]
     on = t[(t > after) & (axis.log["limit_reason"] != Reason.DISABLED.value) & (t < axis.until)]
     return float(on[0]) if on.size else math.inf
 
 
 def cells(chosen: argparse.Namespace) -> list[Cell]:
-    """Return the chosen cells; a constant set-point is of the held joint alone."""
+    """Return the chosen cells. Only the locked joint has a constant set-point."""
     product = itertools.product(chosen.loads, chosen.set_points, chosen.sensors)
     found = [Cell(sensors, load, set_point) for load, set_point, sensors in product]
     return [cell for cell in found if cell.set_point != "constant" or cell.load == "held"]
 
 
 def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) -> dict[Cell, dict[str, Any]]:
-    """Return the rows of the same cells on another revision's package, run by these tools in a worktree of it."""
+    """Return the rows of the same cells on another revision's package, run in a worktree."""
     place = WORKTREES / commit_of(revision)[:8]
     worktree(revision, place)
     measured_by = b"".join(Path(__file__).with_name(name).read_bytes() for name in ("tracking.py", "experiment.py"))
@@ -143,7 +143,7 @@ def _ratio(row: dict[str, Any], other: dict[str, Any], name: str) -> float:
 
 
 def table(rows: Sequence[dict[str, Any]], others: dict[Cell, dict[str, Any]], title: str) -> Table:
-    """Return a line for each load and set-point; each value is followed by its ratio to the other revision."""
+    """Return a line for each load and set-point. With `others` each value is followed by its ratio to them."""
     found = Table("load", "set-point", *SENSORS, "missed", title=title, title_justify="left")
     for load, set_point in itertools.product(LOADS, SET_POINTS):
         for name in ("loss",) if set_point == "constant" else ("first", "confirmed", "again"):
@@ -171,13 +171,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     """Add the options."""
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS)
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
-    parser.add_argument("--against", metavar="REV", help="another revision, on which the same runs")
+    parser.add_argument("--against", metavar="REV", help="another revision for comparison")
     command.share(parser, "sensors compensation axis file rows processes json")
     parser.add_argument("--delay", type=int, default=1, help="periods from measurement to torque (default 1)")
 
 
 def run(chosen: argparse.Namespace) -> int:
-    """Run the chosen cells, here and on the other revision; 1 if a goal was missed."""
+    """Run the chosen cells, here and on the other revision. Return 1 if a goal was missed."""
     found = cells(chosen)
     tables = (tomlkit.parse(chosen.axis).unwrap(), tomlkit.parse(chosen.file).unwrap())
     others = reference(chosen.against, found, chosen) if chosen.against else {}

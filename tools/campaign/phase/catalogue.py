@@ -1,4 +1,4 @@
-"""The faults of the campaign in virtual time, as data: what is done, and what must follow while the loop runs."""
+"""The faults of the campaign in virtual time, with the required reaction of the running loop."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Hazard:
-    """A fault with what it may do to the wearer.
+    """A fault and its hazard to the wearer.
 
-    `lines`: of the plant, as on its control socket, or `act`: a key of `ACTS`. `cause`: a regular expression, one of
-    whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
-    miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does;
-    it does not heal, and nor does what `stays`. `sticks`: whether the joint moves on or sticks
-    afterwards hangs on a hair. `goes_on`: why the loop may go on. `residual`: what is left, in words. `axes`: how many
-    it needs. `open`: that it is not always met safely is known, and where.
+    Attributes:
+        cause: Regular expression that a latched fault must match. If it is empty, no fault is required.
+        lines: Commands to the plant, as on its control socket.
+        act: Key of `ACTS`, instead of commands.
+        lie: The fault cannot be detected at once, so the trial is judged by the effect on the joint.
+        goes_on: Reason why the loop may continue.
+        residual: Description of the residual risk.
+        axes: Number of axes that the fault needs.
+        released: Friction or pretension that holds the joint is lost permanently, independent of the motor.
+        stays: The fault is permanent.
+        sticks: Small differences decide if the joint moves or sticks afterwards.
+        open: Description of the known unsafe trials; empty if none are known.
     """
 
     name: str
@@ -41,43 +47,44 @@ NOBODY = "unsupervised torque"
 _LOST = "stale PDO|heartbeat lost|node booted|emergency|drive fault|left operation|left the operational|obey|confirm"
 _MASTER = "second master|node booted|left the operational|stale PDO|emergency|drive fault|left operation"
 _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
-_LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
-_TORN = "a limb falls with its weight, or the other tendon pulls with its pretension: an end stop"
-_UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
-# Measures for hazards that are unsafe in some trials: what limits the hazard now, and what else can limit it. The table
-# lists the number of these trials, the joints and the excess.
+_LIMP = "a limb falls by its weight; add a brake or springs"
+_TORN = "a limb falls by its weight, or the other tendon pulls with its pretension; add an end stop"
+_UNSEEN = "an error that no measurement shows is bounded by the limits alone; add a second sensor"
+# Hazards that are unsafe in some trials: their present limits, and additional measures. The table lists the number of
+# these trials, the joints and the excess.
 _LATE = (
-    "the motor's torque is beyond the limit from the first period on, which only the drive's own current limit bounds; "
-    "where the torque changes by a thirtieth of its limit, the tendons' stretch tells it, where it rests only a joint "
-    "torque sensor does: until then a weight or a free joint is thrown; current limit, over_speed, an end stop"
+    "the motor torque exceeds the limit from the first period on, and only the drive's current limit bounds it; the "
+    "tendon elongation shows it once the torque changes by a thirtieth of its limit, at a constant torque only a joint "
+    "torque sensor shows it; until then a weight or a free joint accelerates; set the current limit and over_speed, "
+    "add an end stop"
 )
 _SLACK = (
-    "a tendon that hangs answers no torque until it is wound up, and on a joint that moves the stretch is not asked: a "
-    "healthy one answers as little; a spring or a switch at the tensioner tells it at once"
+    "a slack tendon transmits no torque until it is wound up, and on a moving joint the elongation of a healthy tendon "
+    "may be as small, so it is not evaluated; add a spring or a switch at the tensioner, which detects it at once"
 )
 _BLIND = (
-    "the joint is given too much friction compensation within what the stretch leaves out, for the half second that is "
-    "looked at; mostly without a joint torque sensor, with which the guard takes it back; a sensor, a counterweight"
+    "the friction compensation is too large within the uncertainty of the elongation, during the observed half second; "
+    "mostly without a joint torque sensor, with which the guard reduces it; add a sensor or a counterweight"
 )
 _MORE = (
-    "what follows the command and gives 40 % more is a motor with another torque constant, to everything but a joint "
-    "torque sensor; a sensor, or a weight on the joint when it is put into use"
+    "without a joint torque sensor, a motor with 40 % more torque cannot be distinguished from another torque "
+    "constant; add a sensor, or test with a weight on the joint during commissioning"
 )
 _FALLS = (
-    "a weight whose tendon tears while its torque is turned over falls, and the other tendon pulls the same way, until "
-    "over-speed ends the torque; an end stop, a counterweight, less [axis.limits] speed"
+    "if the tendon tears while the torque reverses, a weight falls and the other tendon pulls in the same direction "
+    "until over-speed ends the torque; add an end stop or a counterweight, reduce [axis.limits] joint_speed"
 )
 _PULLED = (
-    "a joint without a torque sensor is pulled by the tendon that is left with its pretension, below over-speed, and "
-    "motor and joint stay together; a joint torque sensor, an end stop"
+    "the remaining tendon pulls a joint without a torque sensor by its pretension, slower than over-speed, and motor "
+    "and joint move together; add a joint torque sensor or an end stop"
 )
 _DRIFT = (
-    "a free joint that misses a part of a sine's torque drifts on, slower than over-speed: [axis.limits] travel, an "
-    "end stop"
+    "a free joint that receives only a part of a sine's torque drifts, slower than over-speed; set [axis.limits] "
+    "travel, add an end stop"
 )
 _LOOSE = (
-    "a joint that stuck below its desired torque is shaken loose, because the friction term changes sign with the "
-    "noise, and then moves; check the encoder with tsa doctor, set [axis.limits] travel"
+    "a joint that friction held below its desired torque starts to move, because the friction term changes sign with "
+    "the noise; check the encoder with tsa doctor, set [axis.limits] travel"
 )
 
 HAZARDS: tuple[Hazard, ...] = (
@@ -103,10 +110,10 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("another mode", OTHER, "wrong mode|does not enable|confirms", ("wrong_mode",)),
     Hazard("command ignored, bit 12 low", OTHER, "ignores the command|does not enable", ("ignored_command",)),
     # frames lost, late, repeated
-    Hazard("TPDOs stuck", OLD, "", ("stuck_tpdo",), lie=True, residual="until torque or motion shows it"),
+    Hazard("TPDOs stuck", OLD, "", ("stuck_tpdo",), lie=True, residual="lasts until torque or motion shows it"),
     Hazard(
         "encoder's TPDOs stuck", OLD, "", ("stuck_tpdo node=encoder",), lie=True,
-        residual="until the motor has gone farther than its torque stretches the tendons by",
+        residual="lasts until the motor has moved farther than its torque elongates the tendons",
     ),
     Hazard("sensor's TPDOs stuck", OTHER, "", ("stuck_tpdo node=torque_sensor",), lie=True),
     Hazard("TPDOs 50 ms late", OLD, "stale PDO|confirm|enable", ("late_tpdo value=0.05",)),
@@ -115,10 +122,13 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("encoder's TPDOs lost", OLD, "stale PDO.*encoder", ("missing_tpdo node=encoder",)),
     Hazard("two of three TPDOs lost", OLD, "stale PDO", ("sparse_tpdo value=2",), lie=True),
     Hazard("every other TPDO lost", OLD, "stale PDO", ("sparse_tpdo value=1",), lie=True),
-    Hazard("a tenth of the TPDOs lost", OLD, "", ("missing_tpdo value=0.1",), goes_on="told; a value is a period old"),
+    Hazard(
+        "a tenth of the TPDOs lost", OLD, "", ("missing_tpdo value=0.1",),
+        goes_on="reported; values are a period old",
+    ),
     Hazard("TPDOs of a wrong length", OLD, "stale PDO|confirm|enable", ("wrong_length",)),
     Hazard("TPDOs sent twice: a double id", OTHER, "repeated PDOs|two nodes", ("repeated_tpdo",), lie=True),
-    Hazard("stale TPDOs replayed", OLD, "", ("replay value=0.1",), goes_on="never taken for fresh"),
+    Hazard("stale TPDOs replayed", OLD, "", ("replay value=0.1",), goes_on="never accepted as new"),
     Hazard("flood of other identifiers", OLD, lines=("flood value=3000 duration=0.3",), goes_on="they are filtered"),
     Hazard("heartbeat of the drive lost", NOBODY, "heartbeat lost", ("heartbeat_lost",)),
     Hazard("heartbeat of the encoder lost", NOBODY, "heartbeat lost", ("heartbeat_lost node=encoder",)),
@@ -142,16 +152,16 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("a third party's SDO takes our heartbeat", NOBODY, "second master", ("foreign_sdo",)),
     Hazard(
         "a tool on another port takes the watchdogs", NOBODY, "configuration changed", ("watchdogs_lost",), lie=True,
-        residual="found within 2 s, by reading back; until then only the loop itself ends the torque",
+        residual="detected within 2 s by reading back; until then only the loop can end the torque",
     ),
     Hazard(
         "a tool on another port writes a torque offset", MOVES, "configuration changed|reports", ("torque_offset",),
-        lie=True, residual="found within 0.3 s, by reading back",
+        lie=True, residual="detected within 0.3 s by reading back",
     ),
     # the computer
     Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8|skipped", act="hang"),
     Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),
-    Hazard("loop dies", NOBODY, "", act="die", residual="the drive's own time-outs stop it: tsa verify-safety"),
+    Hazard("loop dies", NOBODY, "", act="die", residual="the drive's time-outs stop it: tsa verify-safety"),
     Hazard("recovery asked for meanwhile", MOVES, "", act="recover", goes_on="only from a latched fault"),
     # motor
     Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True),

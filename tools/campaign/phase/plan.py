@@ -1,4 +1,4 @@
-"""Which trials there are: fault by phase by moment in full, the joint, the shapes and the rest drawn for each."""
+"""Generate the trials of the campaign: each fault in each phase at each moment, with a random rig for each trial."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PHASES = (
 MOMENTS = 20  # within a cycle
 PAIRS = 500
 TWO_AXES = 0.1  # share of the trials
-LATER = 0.05  # s, within which the second of a pair follows
+LATER = 0.05  # s, the longest time between the two faults of a pair
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
 SHAPES = ("uniform", "motor_end", "joint_end", "s_bent")
 WANTED = ("constant", "sine", "step", "negative")
@@ -25,7 +25,7 @@ WANTED = ("constant", "sine", "step", "negative")
 
 @dataclass(frozen=True)
 class Draw:
-    """What a rig is like; `seed` of its noise, `share` 0 to 1: where in a phase that lasts the fault comes."""
+    """A random rig. `seed` is of its noise. `share` is the relative time of the fault in the phase, from 0 to 1."""
 
     load: str
     shape: str
@@ -33,7 +33,7 @@ class Draw:
     friction: float
     pretension: float
     inertia: float  # kg*m^2 of the motor
-    delay: int  # periods that the drive takes beyond the next SYNC
+    delay: int  # periods, in addition to the next SYNC
     sensor: bool
     axes: int
     share: float
@@ -43,14 +43,14 @@ class Draw:
 
 @dataclass(frozen=True)
 class Trial:
-    """One trial; `names` are one fault or a pair of them, `moment` of `MOMENTS` is that of the first."""
+    """One trial with one fault or a pair of faults. `moment`, from 0 to `MOMENTS` - 1, is the time of the first one."""
 
     names: tuple[str, ...]
     phase: str
     moment: int
-    gap: float  # s between the two of a pair
+    gap: float  # s between the two faults of a pair
     draw: Draw
-    sensors: str = ""  # a chosen configuration, not the drawn one
+    sensors: str = ""  # sensor configuration that replaces the drawn one
 
     @property
     def key(self) -> str:
@@ -63,7 +63,7 @@ class Trial:
 
 
 def draw(rng: random.Random, axes: int = 1) -> Draw:
-    """A rig whose truth is within 5 % of its file's, as after a calibration."""
+    """Return a random rig with friction and pretension within 5 % of the file's values, as after a calibration."""
     return Draw(
         load=rng.choice(LOADS),
         shape=rng.choice(SHAPES),
@@ -80,14 +80,14 @@ def draw(rng: random.Random, axes: int = 1) -> Draw:
 
 
 def full(seed: int) -> Iterator[Trial]:
-    """Every fault in every phase at every moment, in an order of their numbers."""
+    """Yield every fault in every phase at every moment."""
     for hazard, phase, moment in itertools.product(HAZARDS, PHASES, range(MOMENTS)):
         rng = random.Random(f"{seed} {hazard.name} {phase} {moment}")
         yield Trial((hazard.name,), phase, moment, 0.0, draw(rng, hazard.axes))
 
 
 def pairs(seed: int) -> Iterator[Trial]:
-    """Two faults together, or one soon after the other; no trial twice."""
+    """Yield trials with two faults, at the same time or shortly after each other."""
     for number in range(PAIRS):
         rng = random.Random(f"{seed} pair {number}")
         names = tuple(rng.sample(list(BY_NAME), 2))
@@ -97,9 +97,11 @@ def pairs(seed: int) -> Iterator[Trial]:
 
 
 def chosen(seed: int, kind: str, sample: int | None, only: tuple[str, ...], part: tuple[int, int]) -> list[Trial]:
-    """The trials to run: all or a drawn sample of them, those with a word of `only`, of these every n-th.
+    """Return the trials to run.
 
-    The order is drawn, every fault once before any comes again, so that an interrupted run has seen of everything.
+    `only` keeps trials whose key contains one of its words. `sample` keeps that many trials, and `part` every n-th of
+    them. The order is random, but each fault comes once before any fault comes again. Therefore an interrupted run has
+    trials of every fault.
     """
     trials = [*full(seed)] if kind == "full" else [*pairs(seed)]
     trials = [trial for trial in trials if not only or any(word in trial.key for word in only)]

@@ -1,4 +1,4 @@
-"""What a campaign found: a line of JSON for each trial, written at once, and what they come to for each hazard."""
+"""Results of a campaign: one row for each trial, and a summary for each hazard."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tools.campaign.phase.plan import Trial
 from tools.campaign.phase.verdict import Verdict
 from tools.command import Row
 
-WITH_TORQUE = ("ramping", "running", "tuning")  # phases in which a time to torque zero means something
-KEPT = Path(__file__).with_name("hazards.json")  # what the manual's table is written from
+WITH_TORQUE = ("ramping", "running", "tuning")  # phases with torque, for which the time to zero torque is evaluated
+KEPT = Path(__file__).with_name("hazards.json")  # source of the table in the manual
 
 
 def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
-    """One line."""
+    """Return the row of one trial."""
     draw, (speed, travel, energy) = trial.draw, verdict.excess
     return {
         "key": trial.key,
@@ -38,7 +38,7 @@ def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
 
 
 def summary(rows: Iterable[Row]) -> dict[str, Row]:
-    """By hazard: how many trials, how many safe, what found it, how soon, and the worst that the joint got."""
+    """Return for each hazard the trials, safe trials, causes, times to zero torque, and worst motion and energy."""
     by_name: dict[str, list[Row]] = {hazard.name: [] for hazard in HAZARDS}
     for each in rows:
         if len(each["names"]) == 1:
@@ -71,7 +71,7 @@ def _summed(rows: list[Row]) -> Row:
 
 
 def _beyond(rows: list[Row]) -> Row:
-    """Of the unsafe ones: on which joints, how many without a torque sensor, and the worst of each quantity."""
+    """Return the joints of the unsafe trials, the number without a torque sensor, and the worst values."""
     return {
         "joints": dict(Counter(each["rig"][0] for each in rows).most_common()),
         "blind": sum(not each["rig"][4] for each in rows),
@@ -80,7 +80,7 @@ def _beyond(rows: list[Row]) -> Row:
 
 
 def _short(cause: str) -> str:
-    """Its kind, without the figures of one trial."""
+    """Return the kind of a cause, without the figures of one trial."""
     words = cause
     for separator in (" says ", ": ", " by ", "; ", " (", ", "):
         words = words.partition(separator)[0]

@@ -1,4 +1,4 @@
-"""A drawn rig as the daemon's configuration and the plant's settings: the example's files, with what was drawn."""
+"""Return the daemon's configuration and the plant's settings of a random rig, based on the example files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LIMIT = 2.0  # N*m at the motor, [axis.limits] torque as shipped
 FADE_IN = 0.1  # s
 STOP_TIME = 0.1  # s
 SETTLE = 20  # cycles
-RATE_OF_TWO = 500.0  # Hz: two axes at 1000 need more than a bus of 1 Mbit/s has
+RATE_OF_TWO = 500.0  # Hz; two axes at 1000 Hz exceed a bus of 1 Mbit/s
 WANTED = {
     "constant": SetPointSettings(kind="constant", offset=0.5),
     "negative": SetPointSettings(kind="constant", offset=-0.5),
@@ -35,7 +35,7 @@ def _shipped() -> tuple[Configuration, PlantSettings]:
 
 
 def controller_of(draw: Draw, compensation: float | None = None) -> Configuration:
-    """`compensation`: instead of the shipped one."""
+    """Return the daemon's configuration of a rig. `compensation` replaces the shipped value."""
     base, _ = _shipped()
     file = base.file
     (axis,) = file.axes
@@ -44,7 +44,7 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
     if compensation is not None:
         law = _replace(law, compensation=compensation)
     sensor = axis.torque_sensor if draw.sensor else None
-    estimator = type(axis.estimator)()  # as the file has it: the default, which the shape decides
+    estimator = type(axis.estimator)()  # the default kind, which `with_estimators` chooses by the shape
     encoder = axis.encoder if draw.encoder else None
     wanted = WANTED[draw.wanted]
     axis = _replace(axis, setpoint=wanted, law=law, encoder=encoder, torque_sensor=sensor, estimator=estimator)
@@ -73,7 +73,7 @@ def _another(axis: ControlSettings, place: int) -> ControlSettings:
 
 
 def plant_of(draw: Draw) -> PlantSettings:
-    """Distributed tendons of the drawn shape, motion and time from the first enable on."""
+    """Return the plant's settings, with distributed tendons. Its motion and time begin at the first enable."""
     _, base = _shipped()
     (axis,) = base.axis
     factors = _replace(

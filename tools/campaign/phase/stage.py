@@ -1,7 +1,6 @@
-"""One trial in virtual time: the daemon's real loop on the real plant, brought into a phase, and a fault at a moment.
+"""Run one trial in virtual time: bring the daemon's loop with the plant into a phase, and inject a fault.
 
-Each trial is a run of its own from power-on: nothing is left over from another, so that the same trial gives the same
-result to the last bit.
+Each trial starts from power-on and shares no state with other trials, so its result is bit-exact reproducible.
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from tsa_ctrl.safety.supervisor import Phase
 from tsa_ctrl.virtual.lockstep import Wire
 from tsa_ctrl.virtual.simulation import Truth
 
-HANG = 0.3  # s: longer than every time-out
-HITCH = 0.01  # s: shorter than the shortest, 20 ms
-DEAD = 0.6  # s that are looked on after the loop died
-REBOOT = 0.03  # s of a drive without power
+HANG = 0.3  # s, longer than every time-out
+HITCH = 0.01  # s, shorter than the shortest time-out of 20 ms
+DEAD = 0.6  # s of observation after the loop has died
+REBOOT = 0.03  # s that a drive has no power
 
 
 class DiedError(Exception):
-    """The loop is gone, and the trial is over."""
+    """The loop has died, and the trial is over."""
 
 
 def _foreign(machine: Machine, wire: Wire, can_id: int, data: bytes) -> None:
-    """A frame that everybody hears."""
+    """Send a frame to the loop and to the nodes."""
     machine.inject(can_id, data)
     machine.handle(can_id, data, wire.now)
 
@@ -61,7 +60,7 @@ def reset(machine: Machine, wire: Wire) -> None:
 
 
 def sdo(machine: Machine, wire: Wire) -> None:
-    _foreign(machine, wire, 0x601, bytes.fromhex("2b00140500000000"))  # 0x1400:5 = 0: no time-out of commands
+    _foreign(machine, wire, 0x601, bytes.fromhex("2b00140500000000"))  # 0x1400:5 = 0 disables the time-out of commands
 
 
 def hang(machine: Machine, wire: Wire) -> None:
@@ -78,7 +77,7 @@ def die(machine: Machine, wire: Wire) -> None:
 
 
 def exchange(machine: Machine, wire: Wire) -> None:
-    """Two equal drives lose their power, and somebody exchanges their plugs."""
+    """Switch two identical drives off, exchange their connectors, and boot them again."""
     one, two = (unit.drive for unit in machine.axes[:2])
     nodes = [unit.by_kind["drive"] for unit in machine.axes[:2]]
     for node in nodes:
@@ -102,39 +101,47 @@ ACTS: dict[str, Callable[[Machine, Wire], None]] = {
 }
 
 
-RECOVER_ACT = "recover"  # of a hazard: a client asks for a recovery
-LOOK = 2.5e-4  # s between two looks at which phase it is
-WATCH = 0.45  # s from a fault until its cause is taken away: longer than the torque may last
-AFTER = 0.15  # s that are looked on afterwards
-BRING_UP = 0.25  # s of a start or a new bring-up, within which a fault comes
+RECOVER_ACT = "recover"  # `act` of a hazard in which a client requests a recovery
+LOOK = 2.5e-4  # s between two checks of the phase
+WATCH = 0.45  # s from a fault until its cause is removed, longer than the torque may last
+AFTER = 0.15  # s of observation after that
+BRING_UP = 0.25  # s of a startup or a recovery, within which the fault is injected
 READY = FADE_IN + 0.1  # s of torque before a fault of a running loop
 PERIOD = 1e-3  # s between two rows of the truth
-LONGEST = 6.0  # s of a whole trial: one that lasts longer hangs
-Traces = dict[str, NDArray[np.float64]]  # of one axis of the plant, by the names of its record, a row a millisecond
+LONGEST = 6.0  # s, the longest duration of a trial, after which it is stopped
+Traces = dict[str, NDArray[np.float64]]  # columns of the record of one axis of the plant, one row per PERIOD
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Results of a trial; times in s of the plant's clock.
+    """Results of a trial. Times are in s of the plant's clock.
 
-    `axes`: at the plant; `injected`: None when the phase never came; `cleared`: when the cause was taken away; `asked`:
-    when torque was asked for last (a start counts as 0).
+    Attributes:
+        axes: Record of each axis of the plant.
+        injected: Time of the fault, or None if it was not injected.
+        cleared: Time at which the cause was removed, or infinity.
+        asked: Time of the last request for torque, 0 for startup.
+        stopped: Time at which a stop was requested, or infinity.
+        faults, cause_ids: Texts and identifiers of the faults.
+        said: Texts of the other events.
+        refused: Text of a TsaError of the daemon, or "".
+        crashed: Any other exception of the daemon, or "".
     """
 
     axes: tuple[Traces, ...]
     injected: float | None
     cleared: float
     asked: float
-    stopped: float  # when a stop was asked for
+    stopped: float
     faults: tuple[str, ...]
-    cause_ids: tuple[str, ...]  # of the faults
+    cause_ids: tuple[str, ...]
     said: tuple[str, ...]
     refused: str
     crashed: str
 
 
 class Stage:
-    """A plant, the daemon's loop on it, and the script of a trial."""
+    """The plant, the daemon's loop that controls it, and the actions of a trial."""
 
     def __init__(self, draw: Draw, compensation: float | None = None) -> None:
         self.draw = draw
@@ -161,7 +168,7 @@ class Stage:
         self.daemon.recover()
 
     def act(self, name: str) -> None:
-        """Do one of `ACTS`; once the loop has died, nothing more is recorded."""
+        """Run one of `ACTS`. Stop the recording if the loop dies."""
         try:
             ACTS[name](self.machine, self.wire)
         except DiedError:
@@ -180,15 +187,15 @@ class Stage:
             self.daemon.mailbox.put(Command(place, number, value))
 
     def begin(self, line: str) -> None:
-        """Begin a fault of the first axis of the plant."""
+        """Begin a fault in the plant. Ignore a fault of an absent sensor."""
         absent = [("torque_sensor", self.draw.sensor), ("encoder", self.draw.encoder)]
         if any(name in line and not present for name, present in absent):
-            return  # a fault of a sensor that is not there has no effect
+            return
         _, settings = parse_fault(line)
         self.machine.begin_fault(None, settings, self.wire.now)
 
     def play(self, trial: Trial | None) -> Seen:
-        """Run the trial; without one, start the rig, apply torque for the same time, and stop."""
+        """Run the trial. Without a trial, start the rig, apply torque for the same time, and stop."""
         self.machine.start()
         refused = crashed = ""
         script = _Script(self, trial)
@@ -196,10 +203,10 @@ class Stage:
         try:
             self.daemon.lifecycle.run(math.inf)
         except DiedError:
-            pass  # what the way down did then is not in the record
+            pass  # the recording ended before
         except TsaError as error:
             refused = str(error)
-        except Exception as error:  # whatever it is, the trial says so
+        except Exception as error:  # the trial reports any exception as a crash
             crashed = f"{type(error).__name__}: {error}"
         finally:
             with contextlib.suppress(Exception):
@@ -220,7 +227,7 @@ class Stage:
             crashed,
         )
 
-    # what the script asks
+    # states that the script waits for
 
     @property
     def enabling(self) -> bool:
@@ -240,7 +247,7 @@ class Stage:
 
 
 class _Script:
-    """Steps of a trial: a generator that yields between two looks at the phase."""
+    """Run the steps of a trial, as a generator that yields between two checks of the phase."""
 
     def __init__(self, stage: Stage, trial: Trial | None) -> None:
         self._stage = stage
@@ -285,7 +292,7 @@ class _Script:
         stage.stop()
 
     def _reach(self, trial: Trial) -> Iterator[bool]:
-        """Wait until the phase has come, and then to a place within it."""
+        """Wait until the loop is in the phase of the trial, and then for a share of that phase."""
         stage, phase, share = self._stage, trial.phase, trial.draw.share
         if phase == "start":
             yield from self._wait(share * BRING_UP)
@@ -349,6 +356,9 @@ class _Script:
 
 
 def play(trial: Trial, compensation: float | None = None) -> tuple[Seen, float]:
-    """Return the results and s within which the torque must be zero; `compensation` replaces the shipped one."""
+    """Return the results, and the time in s within which the torque must be zero.
+
+    `compensation` replaces the shipped value.
+    """
     stage = Stage(trial.draw, compensation)
     return stage.play(trial), stage.bound

@@ -1,13 +1,13 @@
-"""Judge whether a trial was safe, by the plant alone: torque, joint speed, travel and energy, and the latched cause.
+"""Judge if a trial was safe, by torque, speed, travel and energy of the plant, and by the latched cause.
 
-A joint that moves too far after a fault is compared with reference runs; each excuses the motion that it has as well:
+If a joint moves too far after a fault, the motion of these reference runs is subtracted:
 
-- the same joint without the fault, and with the torque off from that moment on. No software can hold a falling weight.
+- the same joint without the fault, or with the torque off from that time on. No software can hold a falling weight.
 - the same fault without compensation, if tendons or sheaths change. The joint moves if friction no longer holds it.
-- the joint without the fault and with a tenth less friction, if the fault releases it for a moment. It may have stuck.
+- the joint without the fault and with 10 % less friction, if small differences decide whether the joint sticks.
 - a first startup of the same length, if a recovery was requested. The set-point starts at each enable.
 
-Motion without any torque of the motor comes from the wearer or the weight, and is safe.
+Motion without motor torque is caused by the wearer or the weight, and is safe.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from tools.campaign.phase.plan import Trial
 from tools.campaign.phase.rigs import LIMIT, STOP_TIME
 from tools.campaign.phase.stage import PERIOD, Seen, Traces, play
 
-ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
-PEAK = 1.05 * LIMIT  # N*m of the motor: the limiter's limit and the noise of a current loop
+ZERO = 0.01  # N*m, 1 % of the rated torque; a smaller motor torque counts as zero
+PEAK = 1.05 * LIMIT  # N*m, the limiter's limit and the noise of the current loop
 # rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s: twice
 # the 250 mm/s that ISO 10218-1 allows for a robot near people, and a fifth of the speed of a walking knee. A stretch
 # reflex responds after 50 to 100 ms; until then the joint has moved by 0.2 rad.
 SPEED = 2.0
-TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in the middle of its range
-LOOSE = 0.9  # of the friction: a joint that stuck by a hair where its twin went on is compared with one that does not
-ENERGY = 0.1  # J that the tendons give the joint beyond it: a limb of 0.05 kg*m^2 at `SPEED`
-EARLY = ("start", "enabling", "resetting", "recovering")  # phases in which torque may still be to come
-RECOVERED = ("fault", "resetting", "recovering")  # phases of axes that were off, in which a recovery may be asked for
-MOVED = ("imposed", "held")  # by another, whatever the motor does: judged by torque alone
-_ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # lines that are over when they have begun
+TRAVEL = 0.35  # rad of excess, 20 degrees, the reserve of a knee or an elbow in the middle of its range
+LOOSE = 0.9  # share of the friction in a reference run, in which the joint must not stick by chance
+ENERGY = 0.1  # J of excess work on the joint, the energy of a limb of 0.05 kg*m^2 at `SPEED`
+EARLY = ("start", "enabling", "resetting", "recovering")  # phases that may come before any torque
+RECOVERED = ("fault", "resetting", "recovering")  # phases of disabled axes, in which a recovery may be requested
+MOVED = ("imposed", "held")  # loads whose motion is independent of the motor; they are judged by torque alone
+_ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # faults that end at once
 OFF = "safe torque off"
 Excess = tuple[float, float, float]  # rad/s, rad, J
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the joints from some time on: rad/s, rad, and J from the tendons within the worst window."""
+    """Motion of the joints: highest speed (rad/s), range of the angle (rad), and largest work of any window (J)."""
 
     speed: float
     low: float
@@ -56,18 +56,18 @@ class Motion:
 
 @dataclass(frozen=True)
 class Verdict:
-    """`wrong`: what makes it unsafe, nothing when it is safe; `zero`: s from the fault to torque zero for good."""
+    """Verdict on a trial. `wrong` has the reasons if it is unsafe. `zero` is the time from fault to zero torque, s."""
 
     wrong: tuple[str, ...]
     zero: float | None
     peak: float
-    excess: Excess  # beyond the same joint without the fault
+    excess: Excess  # motion that exceeds all reference runs
     cause: str
     cause_id: str  # empty without a fault of the loop
 
 
 def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Motion:
-    """Return the worst of all axes between two times."""
+    """Return the largest motion of all axes between two times."""
     speed = energy = low = high = 0.0
     for truth in axes:
         on = (truth["clock"] >= since) & (truth["clock"] <= until)
@@ -96,7 +96,7 @@ class Judge:
         if seen.crashed:
             wrong.append(f"the loop ended by {seen.crashed}")
         if seen.injected is None and not seen.refused:
-            wrong.append(f"the phase {self._trial.phase} never came")
+            wrong.append(f"the phase {self._trial.phase} was not reached")
         peak = max(
             (float(np.abs(each["torque_loop"][each["clock"] >= self._since]).max(initial=0.0)) for each in seen.axes),
             default=0.0,
@@ -124,29 +124,29 @@ class Judge:
     def _torque(self) -> list[str]:
         """Return the errors in the times at which there was torque."""
         seen, trial, rows = self._seen, self._trial, self._rows
-        asked_since = seen.asked >= self._since  # somebody asked for torque after the fault, or by it: it may come back
+        asked_since = seen.asked >= self._since  # torque may return if a client requested it after the fault
         wrong = []
         if rows and rows[-1] > min(seen.stopped, 1e9) + STOP_TIME + self._bound:
-            wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was asked for")
+            wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was requested")
         if trial.phase == "fault" and rows and not asked_since:
             wrong.append("torque although a fault was latched")
         must = [hazard for hazard in self._hazards if (hazard.cause or hazard.act == "die") and not hazard.lie]
         if trial.phase in ("stopping", "fault") or not must or not rows or asked_since:
             return wrong
         early = trial.phase in EARLY
-        if early:  # axes enable one by one: another one may pull before this one has met its fault
+        if early:  # axes enable in turn, so another axis may have torque before the fault acts on the first one
             rows = self._of(seen.axes[:1])
             if not rows:
                 return wrong
         if early and (all(_over(hazard) for hazard in must) or rows[0] > seen.cleared):
-            return wrong  # it was over before there was torque, or met what was not yet there
+            return wrong  # the fault ended before there was torque
         first = rows[0] if early else self._since
         if rows[-1] - first > self._bound:
             within, allowed = 1e3 * (rows[-1] - first), 1e3 * self._bound
-            wrong.append(f"torque zero after {within:.0f} ms, allowed are {allowed:.0f}")
+            wrong.append(f"torque zero after {within:.0f} ms; the limit is {allowed:.0f} ms")
         named = [hazard for hazard in must if hazard.cause and _named(hazard, seen)]
         if not named and any(hazard.cause for hazard in must) and len(self._hazards) == 1:
-            wrong.append(f"nothing names its cause; told is: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
+            wrong.append(f"no fault reports the cause; reported: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
         return wrong
 
     def _motion(self) -> tuple[Excess, list[str]]:
@@ -160,14 +160,14 @@ class Judge:
         names = self._trial.names
         twins: list[tuple[tuple[str, ...], float | None]] = [((), None), ((OFF,), None)]
         if all(hazard.released for hazard in self._hazards):
-            twins.append((names, 0.0))  # the fault without what our compensation adds to it
-        if OFF not in names:  # what its load, or its wearer, does with a joint that the fault lets go
+            twins.append((names, 0.0))  # the fault without compensation
+        if OFF not in names:  # motion by the load or the wearer after the fault
             twins.append(((*names, OFF), None))
         others = [(self._trial, *twin) for twin in twins]
         if all(hazard.sticks for hazard in self._hazards):
             draw = dataclasses.replace(self._trial.draw, friction=LOOSE * self._trial.draw.friction)
             others.append((dataclasses.replace(self._trial, draw=draw), (), None))
-        for trial, names, compensation in others:  # each only where the one before is no excuse
+        for trial, names, compensation in others:  # run the next reference only if the excess is still too large
             twin, _ = play(dataclasses.replace(trial, names=names), compensation)
             there = motion(twin.axes, self._since if twin.injected is None else twin.injected)
             excess = _less(excess, here, there)
@@ -178,12 +178,14 @@ class Judge:
             excess = _less(excess, here, self._wanted())
             if _borne(excess):
                 return excess, []
-        if not self._rows:  # no torque since the fault: who moved this joint was its wearer, or its weight
+        if not self._rows:  # without torque since the fault, the wearer or the weight moved the joint
             return excess, []
         said = (
             (excess[0], SPEED, "rad/s of the joint"), (excess[1], TRAVEL, "rad of travel"), (excess[2], ENERGY, "J"),
         )  # fmt: skip
-        return excess, [f"{value:.2f} {unit} beyond, borne are {most:g}" for value, most, unit in said if value > most]
+        return excess, [
+            f"{value:.2f} {unit} in excess; the limit is {most:g}" for value, most, unit in said if value > most
+        ]
 
     def _wanted(self) -> Motion:
         """Return the motion of a startup without a fault, for as long as this trial was enabled after its recovery."""
@@ -195,7 +197,7 @@ class Judge:
 
 
 def first_enabled(axes: Sequence[Traces], since: float) -> float:
-    """Return when the first of these axes was enabled from `since` on, s; infinite when none was."""
+    """Return the first time from `since` on at which one of these axes was enabled, s, or infinity."""
     times = (each["clock"][(each["clock"] >= since) & (each["enabled"] > 0.0)] for each in axes)
     return float(np.concatenate([[math.inf], *times]).min())
 
@@ -213,7 +215,7 @@ def _borne(excess: Excess) -> bool:
 
 
 def _over(hazard: Hazard) -> bool:
-    """Return whether the fault ends by itself."""
+    """Return True if the fault ends without a command that clears it."""
     return bool(hazard.act) or any("duration" in line or line.split()[0] in _ONCE for line in hazard.lines)
 
 
