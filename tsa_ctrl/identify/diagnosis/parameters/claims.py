@@ -212,10 +212,11 @@ def _searched(
     from other first causes, and the causes that predict logs not used in the fit best are returned. This needs
     FEWEST_LOGS logs.
     """
-    found = [residual_structure(select(problem, start, catalogue, rng), catalogue, rng)]
+    greedy = select(problem, start, catalogue, rng)
+    found = [residual_structure(greedy, catalogue, rng)]
     logs = sum(bool(problem.mask[part].any()) for part in problem.frame.slices)
     if logs >= FEWEST_LOGS and structure_share(found[0][1]) and not start.names:
-        for begin in other_starts(problem, start, catalogue, rng):
+        for begin in other_starts(problem, greedy.rounds[0], catalogue):
             found.append(residual_structure(select(*begin, catalogue, rng), catalogue, rng))
     if len(found) == 1:
         return found[0]

@@ -109,18 +109,16 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
     return Selection(problem, fitted, _evidence(problem, fitted), tuple(rounds))
 
 
-def other_starts(
-    problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator
-) -> list[tuple[Problem, Fit]]:
-    """Return the problems and fits with a first cause that is accepted as well, but is not the best one.
+def other_starts(problem: Problem, first: Round, catalogue: Catalogue) -> list[tuple[Problem, Fit]]:
+    """Return the problems and fits with a cause that `first` accepts as well, but not as the best one.
 
     Greedy selection may begin with a cause that fits the sum of several others, and then cannot leave it.
     """
-    found = _round(problem, start, catalogue, rng)
-    accepted = [step for step in found.steps if enters(problem, start, step, found.threshold)]
-    first = {step.names[-1]: step for step in reversed(accepted)}  # best fit of each name
-    ranked = sorted(first.values(), key=accepted.index)
-    return [_entered(problem, step, catalogue) for step in ranked[1:MOST_STARTS]]
+    accepted: dict[str, Fit] = {}
+    for step in first.steps:
+        if step.names[-1] not in accepted and enters(problem, first.fitted, step, first.threshold):
+            accepted[step.names[-1]] = step
+    return [_entered(problem, step, catalogue) for step in [*accepted.values()][1:MOST_STARTS]]
 
 
 def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
