@@ -1,7 +1,7 @@
 """The loop under trial, a separate process: `python -m tsa_ctrl.drills.loop CONTROLLER.toml TORQUE`.
 
-It uses the configuration with these changes: a constant set-point (N*m at the motor), no friction compensation, no
-log, and a private socket. SIGUSR1 makes it withhold its heartbeat; everything else continues.
+It uses the configuration with a constant set-point (TORQUE, N*m at the motor), no friction compensation, no log, no
+monitor, and a private socket. SIGUSR1 makes it withhold its heartbeat; everything else continues.
 """
 
 from __future__ import annotations
