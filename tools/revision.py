@@ -78,7 +78,7 @@ def _definitions(place: Path) -> dict[str, set[str]]:
 
 
 def _lead_imports(path: Path, defined: dict[str, set[str]]) -> None:
-    """Rewrite the imports of a file whose names the revision defines in another module."""
+    """Redirect the imports of a file to the modules in which the revision defines the imported names."""
     text = path.read_text(encoding="utf-8")
     lines = text.splitlines(keepends=True)
     imports = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.ImportFrom) and node.module]

@@ -290,7 +290,7 @@ def with_limits(
 
 
 def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
-    """The file with an estimator for each axis, and why it is not the one by the stretch."""
+    """Return the file with an estimator for each axis, and the reasons for not using the elongation estimator."""
     axes, notes = [], []
     for axis, model in zip(file.axes, models, strict=True):
         follows = axis.bending.source != "fixed"
@@ -341,7 +341,7 @@ def _check_unique(path: Path, file: ControllerFile) -> None:
 
 
 def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:
-    """Contradictions between the sections of one axis, its model and the bus."""
+    """Raise UsageError for contradictions between the sections of one axis, its model and the bus."""
     drive, period = axis.drive, 1.0 / file.controller.rate
     if drive.rpdo_timeout < 2.0 * period:
         raise UsageError(
@@ -457,7 +457,7 @@ def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
 
 
 def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
-    """Times and gains of an axis' law; raises UsageError for a damping without margin."""
+    """Return times and gains of an axis' law; raise UsageError for a damping without gain margin."""
     law, drive, encoder, period = axis.law, axis.drive, axis.encoder, 1.0 / file.controller.rate
     return plan_of(
         model,

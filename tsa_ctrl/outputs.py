@@ -23,7 +23,7 @@ LOCK = ".tsa.lock"  # in a folder that is being written
 
 
 def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> None:
-    """Raise UsageError when `out` is one of the files that are read, by whatever name or link."""
+    """Raise UsageError if `out` is one of the files that are read, under any name or link."""
     for path in inputs:
         with contextlib.suppress(OSError, ValueError):
             if out.exists() and out.samefile(path):
@@ -31,7 +31,7 @@ def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> N
 
 
 def backups(path: Path) -> dict[int, Path]:
-    """Files that were replaced, `NAME.~N~` by N, oldest first."""
+    """Return the files that were replaced, `NAME.~N~`, by N, oldest first."""
     pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")
     found = {int(match[1]): other for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))}
     return dict(sorted(found.items()))
@@ -68,7 +68,7 @@ def move_into(beside: Path, path: Path) -> Path | None:
 
 @contextlib.contextmanager
 def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
-    """Where a file is written, in the same folder, before it becomes `path`, whole, when the block ends.
+    """Yield a temporary path in the same folder; the file becomes `path` as a whole when the block ends.
 
     `keeping`: the old file at `path` is kept. Raises UsageError when it cannot be written; then nothing of it is left.
     """
@@ -117,7 +117,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 def untaken(folder: Path, kind: str, suffix: str = "", now: datetime.datetime | None = None) -> Path:
-    """A path that is not taken: FOLDER/KIND-20250131-142501SUFFIX, with a number before SUFFIX if need be."""
+    """Return a free path FOLDER/KIND-20250131-142501SUFFIX, with a number before SUFFIX if necessary."""
     stem = f"{kind}-{now or datetime.datetime.now():%Y%m%d-%H%M%S}"
     path = folder / f"{stem}{suffix}"
     number = 1

@@ -194,7 +194,7 @@ def explain(message: str, kind: type, data: object = None) -> str:
 
 
 def _number_at(data: object, place: str) -> float | None:
-    """Return the number at a place of parsed TOML, or None."""
+    """Return the number at a key path of parsed TOML, or None."""
     for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
         try:
             data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]
@@ -261,7 +261,7 @@ class Table(NamedTuple):
 def tables_of(
     kind: object, path: tuple[str, ...] = (), listed: bool = False, above: tuple[object, ...] = ()
 ) -> Iterator[Table]:
-    """Every table of a settings class, the whole first; `listed`: there may be several of it."""
+    """Yield every table of a settings class, the top level first; `listed`: the table may occur several times."""
     if kind in above:
         return
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):

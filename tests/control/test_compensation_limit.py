@@ -270,7 +270,7 @@ def test_the_desired_share_is_of_the_measured_friction() -> None:
 
 
 def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
-    """If the bounds of the proven friction differ by some per cent, the end of the credit is not reported."""
+    """If the bounds of the proven friction differ by a few per cent, the end of the credit is not reported."""
     proof = Proof()
     proof.low, proof.high = 0.9 * FRICTION, 1.1 * FRICTION
     chosen = limit(proof)

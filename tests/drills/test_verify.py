@@ -170,7 +170,7 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
 
 
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:
-    """Write files of two axes with equal drives and no sensors, except for the given changes of each drive."""
+    """Write files of two axes with identical drives and no sensors, except for the given changes of each drive."""
     times = {"rpdo_timeout": 0.3, "host_timeout": 0.6, "heartbeat_timeout": 0.9}
     none = {"present": False}
     ours = controller(

@@ -1,4 +1,4 @@
-"""Several axes in virtual time: one device, several makes on one bus, equal drives, one encoder for two axes."""
+"""Several axes in virtual time: one device, several makes on one bus, identical drives, one encoder for two axes."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_one_encoder_for_two_axes(tmp_path: Path) -> None:
 
 @pytest.fixture
 def channel(tmp_path: Path) -> Iterator[str]:
-    """Run a plant with two equal drives with serial numbers 41 and 42, and yield its channel."""
+    """Run a plant with two identical drives with serial numbers 41 and 42, and yield its channel."""
     (tmp_path / "plant").mkdir()
     axes = (("a", 41), ("b", 42))
     text = "".join(f"[[axis]]\nname = '{axis}'\ndrive.serial_number = {serial}\n{STILL}" for axis, serial in axes)

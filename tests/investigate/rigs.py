@@ -70,7 +70,7 @@ class Rig:
 
 
 def _of_the_loop(cause: dict[str, Any]) -> bool:
-    """Return True for causes of every rig: a velocity delay of two cycles, and elastic tendons."""
+    """Return True for effects that every rig has: a velocity delay of up to two cycles, and elastic tendons."""
     limits = {"velocity_lag": ("time_constant", 2.0 / RATE), "presliding_hysteresis": ("presliding_distance", ELASTIC)}
     if cause["effect"] not in limits:
         return False

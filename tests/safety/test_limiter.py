@@ -166,7 +166,7 @@ def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(
 
 @pytest.mark.parametrize("wanted", [0.0, 0.4, 0.999])
 def test_a_torque_falls_as_fast_as_it_is_wanted_to(wanted: float) -> None:
-    """The rate limits only growth."""
+    """The rate limit applies only to a growing torque."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5), PERIOD)
     limiter.update(1.0, **CALM)
     limiter.rate = 0.1

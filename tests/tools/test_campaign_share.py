@@ -17,7 +17,7 @@ from tools.campaign.passive.experiment import SENSORS
 
 SHARE, SECONDS = 0.02, 8.0  # share of the cases; s of processor time of each campaign
 PROMISED = ("sensor",)  # configurations in which no cell of the scan sustains a motion
-SCANNED = 25e-3  # J; a free joint with 0.9 of the friction gets 19 mJ, while the campaign's goal is 10 mJ
+SCANNED = 25e-3  # J; a free joint with 90 % of the friction receives 19 mJ, while the campaign's goal is 10 mJ
 SURE = 0.5  # J that a change may add at most with a joint torque sensor
 FASTEST = 15.0  # rad/s; [axis.limits] over_speed is 12 rad/s as shipped
 SEED = secrets.randbelow(10**6)

@@ -1,4 +1,4 @@
-"""Drives of other makes with their own profile have the right units of torque, clamp and velocity."""
+"""Drives of other makes with their own profiles have the right units of torque, torque clamp and velocity."""
 
 from __future__ import annotations
 

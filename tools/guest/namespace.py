@@ -1,4 +1,4 @@
-"""Create a vcan without rights, in a network namespace of this user like that of `unshare --map-root-user --net`."""
+"""Create a vcan without root rights, in a network namespace of this user, as `unshare --map-root-user --net` does."""
 
 from __future__ import annotations
 

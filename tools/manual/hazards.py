@@ -16,7 +16,7 @@ HEAD = (
     "joint at worst: rad/s, rad, J", "residual risk", "safe of trials",
 )  # fmt: skip
 HARDWARE = (
-    ("the motor has torque although its drive reports that it is off", "safe torque off, by a switch in reach"),
+    ("the motor has torque although its drive reports that it is off", "safe torque off, by a switch within reach"),
     ("a limb falls when the torque ends", "a brake, a counterweight or springs; a mechanical end stop"),
     ("both measurements of a quantity have the same error", "a second sensor of another kind; a slipping clutch"),
     ("the unloaded tendon tears, and the other pulls with its pretension", "an end stop; less pretension"),

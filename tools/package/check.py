@@ -2,9 +2,9 @@
 
 Usage: tools/run package/check [--out FOLDER] [--python PYTHON ...]
 
-The command builds source distribution and wheel from the tracked files, and runs `twine check` on both. For each PYTHON
-(default: 3.11 and 3.13 if installed) it creates a virtual environment, installs the wheel, and runs the first commands
-of a new user. The exit status is 1 if a step failed. A package registry is required.
+The command builds the source distribution and the wheel from the tracked files, and runs `twine check` on both. For
+each PYTHON (default: 3.11 and 3.13 if installed) it creates a virtual environment, installs the wheel, and runs the
+first commands of a new user. The exit status is 1 if a step failed. A package registry is required.
 """
 
 from __future__ import annotations

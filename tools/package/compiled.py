@@ -7,7 +7,7 @@ use it until the source changes. TSA_COMPILE=0 makes them interpret the source. 
 required.
 
 --rows N runs N random rows of the virtual runs of `tools/run pins` in both builds (0: none). Every value of the log,
-of the plant's truth and of the result must be equal to the last bit. --speed runs the example files in turns in both
+of the plant's truth and of the result must be equal to the last bit. --speed runs the example files alternately in both
 builds. --tests runs the tests of the loop in virtual time on the compiled build. Exit code 1: a row differs, or a
 test failed.
 """
@@ -126,7 +126,7 @@ def speed() -> float:
 
 
 def paired(rounds: int) -> None:
-    """Run both builds in turns, and print their speed."""
+    """Run both builds alternately, and print their speed."""
     pairs = [(child("0", "--child", "speed"), child("1", "--child", "speed")) for _ in range(rounds)]
     ours, theirs = (statistics.median(each) for each in zip(*pairs, strict=True))
     gain = statistics.median(second / first for first, second in pairs)

@@ -117,9 +117,10 @@ class Responder:
 
 @contextlib.contextmanager
 def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
-    """Nodes that answer while the block lasts: a process, or a thread on python-can's bus that is in one process only.
+    """Simulate nodes that answer while the block runs, in a process.
 
-    Raises BusError when it cannot be started.
+    The interface "virtual" of python-can exists in one process only, so a thread is used there. Raises BusError if the
+    process does not start.
     """
     if settings.interface == "virtual":
         with _in_a_thread(settings, axes):

@@ -104,7 +104,7 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops
     rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, where the drive has it
     connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007
-    require_watchdog: bool = True  # refuse a drive that would go on when this computer dies
+    require_watchdog: bool = True  # reject a drive that would continue when this computer fails
 
     @property
     def differentiates(self) -> bool:

@@ -29,7 +29,7 @@ def diagnose_folder(
     scheduler: str | None,
     as_json: bool,
 ) -> None:
-    """Work through the folder and show what came out; a log that cannot be read is a row of the table."""
+    """Diagnose the logs of a folder, and print the results; a log that cannot be read is a row of the table."""
     load_model(model)  # its errors are reported once, and now
     logs = logs_in(folder)
     console = Console(stderr=True)

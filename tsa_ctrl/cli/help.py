@@ -78,7 +78,7 @@ def _identifier(topic: str) -> str:
 
 
 def _page(text: str) -> None:
-    """Rendered on a terminal, by a pager where it is longer than the screen; else as it is written."""
+    """Print a page: rendered and in a pager on a terminal, otherwise as plain text."""
     if not sys.stdout.isatty():
         click.echo(text)
         return

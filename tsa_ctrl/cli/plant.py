@@ -17,7 +17,7 @@ from tsa_ctrl import outputs
 @click.argument("configuration", metavar="PLANT.toml", required=False)
 @click.option("--check", is_flag=True, help="Validate the configuration and end; nothing goes on the bus.")
 @click.option("--record", metavar="FILE", help="Write the plant's own truth (torques, angles, tensions) as CSV.")
-@click.option("--control", metavar="SOCKET", help="Local socket that takes faults at run time.")
+@click.option("--control", metavar="SOCKET", help="Local socket that accepts faults at run time.")
 @click.option("--eds", metavar="FILE", help="Write the EDS of each simulated node and end; several: FILE-NODE.eds.")
 @click.option("--ask", "line", metavar="LINE", help="Send LINE to the plant at --control: a fault, clear, state, list.")
 def command(

@@ -83,18 +83,18 @@ class Instruments:
 BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
 _TRIPPING = {Reason.OVER_SPEED: Cause.OVER_SPEED, Reason.NOT_FINITE: Cause.NOT_FINITE}
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
-NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
+NOTICEABLE = 1e-3  # smallest relative change of a parameter that the law adopts
 
 
 @dataclass(slots=True)
 class Terms:
-    """Hold the inputs and results of the last cycle for the log; N*m, rad, rad/s, 1, s."""
+    """Hold the inputs and results of the last cycle for the log, in SI units."""
 
     q_j: float = 0.0
     omega_j: float = 0.0
-    q_m: float = 0.0  # rad, of the motor if both paths were of one length; without the next
+    q_m: float = 0.0  # rad, of the motor without `routed`, as if both paths had the same length
     omega_m: float = 0.0
-    routed: float = 0.0  # rad of the motor, by paths of different lengths
+    routed: float = 0.0  # rad of the motor, caused by paths of different lengths
     tau_j_des: float = 0.0
     tau_m_cmd: float = 0.0
     sigma: float = 0.0
@@ -243,7 +243,7 @@ class ControlAxis:
         self._register = register
 
     def joint(self) -> tuple[float, float]:
-        """Angle (rad) and velocity (rad/s) of the joint; without an encoder the motor's, geared."""
+        """Return angle (rad) and velocity (rad/s) of the joint; without an encoder, the geared values of the motor."""
         image = self.image
         if self._has_encoder:
             return image.q_j, image.omega_j
@@ -265,7 +265,7 @@ class ControlAxis:
         terms.q_m, terms.omega_m = image.q_m - terms.routed, image.omega_m - self._path_arm * rate
 
     def since_enable(self, now: float) -> float:
-        """Seconds since torque was permitted; the first call after a release starts the clock."""
+        """Return the seconds since torque was permitted; the first call after a release starts the clock."""
         if self._enabled_at is None:
             self._enabled_at = now
         if self._stopping:
@@ -373,7 +373,7 @@ class ControlAxis:
         return middle + either, middle - either
 
     def _stretch(self) -> float:
-        """Rad that motor and joint are apart; nan without an encoder."""
+        """Return the angle between motor and joint, rad at the motor; nan without an encoder."""
         return self.terms.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def pass_over(self, periods: int) -> None:
@@ -387,7 +387,7 @@ class ControlAxis:
             self.guard.pass_over(periods)
 
     def release(self) -> None:
-        """Torque is not permitted: forget everything, once. Disabled means reset."""
+        """Reset all states of the axis once, when torque is no longer permitted."""
         if self._stopping and self.request is Request.ENABLE:
             self.request = Request.DISABLE
         if self._enabled_at is None:

@@ -60,7 +60,7 @@ class _Joint:
         self._period = period
 
     def extremes(self) -> Span:
-        """Return the least and the most that the joint may add, rad.
+        """Return the smallest and the largest angle that the joint may add, rad.
 
         Without a travel the angles measured so far count. The fault of that axis takes the torque away soon.
         """
@@ -176,7 +176,7 @@ class Bending:
         return more
 
     def update(self) -> float:
-        """Theta now, rad, never below 0; nan when it is not known: fixed by the model, or a measurement is missing."""
+        """Return the present wrap angle, rad, at least 0; nan if the model fixes it or a measurement is missing."""
         if self.fixed:
             return math.nan
         theta = self.commanded if self._measured is None else self._measured()

@@ -158,7 +158,7 @@ RESTED = 0.5  # s of rest after which a new motion is not the old one: a leg tha
 MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill the credit
 REQUEST = 0.2  # of the friction torque, by which a set-point that changed asks a resting joint for motion again
 LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
-MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who walks on needs them
+MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who continues to walk needs them
 # s without a reading, while the set-point requests motion, after which the last upper bound grows older. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3

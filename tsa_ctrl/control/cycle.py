@@ -13,9 +13,9 @@ from tsa_ctrl.safety.limiter import Reason
 
 
 def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float) -> None:
-    """SYNC out, answers in, and for every axis one command out.
+    """Send SYNC, collect the answers, and send one command to every axis.
 
-    `now`: monotonic time in s; `deadline`: until when answers are waited for. The torque sent here acts at the next
+    `now`: monotonic time in s; `deadline`: end of the wait for answers, s. The torque sent here acts at the next
     SYNC, or on arrival, as the bus is configured.
     """
     rig.sync(now)
@@ -51,7 +51,7 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
 
 
 def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
-    """The rest of a cycle, which need not delay its commands: it acts from the next one on."""
+    """Do the rest of a cycle after its commands, so as not to delay them; it takes effect in the next cycle."""
     for axis in axes:
         axis.follow(now)
         if axis.supervisor.cut_off:  # commands do not reach it, or it does not obey: its reaction 0x6007 is left

@@ -1,22 +1,22 @@
-"""Damping of the motor's swing on its tendons, on its motion as it will be when the torque acts.
+"""Damp the motor's oscillation on its tendons, with the motion predicted for the time at which the torque acts.
 
-The motor is an inertia on the tendons' spring, joint held: J_M e'' + K e = tau, with e the motor's angle less the one
-that was planned (that of the joint, and the stretch that goes with the torques). A torque -k e' damps it; but what is
-measured now acts a total delay T_d later, and w_n T_d is more than a radian, so that the plain feedback drives the
-swing instead: k = 0.02 N*m*s/rad swings for ever at one period of delay, on the shipped rig. An oscillation of one
-frequency can be predicted:
+With a locked joint the motor is an inertia on the spring of the tendons: J_M e'' + K e = tau. Here e is the motor angle
+minus its planned value (the joint's angle, plus the elongation by the torques). A torque -k e' damps it. But a
+measurement acts only after the total delay T_d, and w_n T_d is more than a radian, so plain feedback excites the
+oscillation instead: on the shipped rig, k = 0.02 N*m*s/rad oscillates without end at one period of delay. An
+oscillation of one frequency can be predicted:
 
     e'(t + T_d) = e'(t) cos(w_n T_d) - w_n e(t) sin(w_n T_d),     tau = -k e'(t + T_d),     w_n = sqrt(K / J_M)
 
-The planned angle is compared T_d late, as it acted; the slow part of e (zero of the encoders, a wrong model) is left
-out. `margin` is the factor by which k may still grow.
+The planned angle is compared T_d later, when it acts. The slow part of e (zero of the encoders, a wrong model) is
+removed. `margin` is the gain margin of k.
 """
 
 from __future__ import annotations
 
 import math
 
-FORGET = 0.05  # s in which the mean of e follows: far slower than any ringing, faster than a gait
+FORGET = 0.05  # s, time constant of the mean of e: far slower than the oscillation, faster than a gait
 
 
 class Damping:
@@ -46,7 +46,7 @@ class Damping:
             self._planned[-1] = planned
 
     def pass_over(self) -> None:
-        """A period without a cycle: the last plan also replaces it."""
+        """Repeat the last planned value for a period without a cycle."""
         if self._planned:
             self._planned.append(self._planned[-1])
             if len(self._planned) > self._back + 2:

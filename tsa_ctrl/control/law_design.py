@@ -342,7 +342,7 @@ def _damping(
     where: str,
     notes: list[str],
 ) -> tuple[float, float]:
-    """The gain (N*m*s/rad) and its margin."""
+    """Return the damping gain (N*m*s/rad) and its gain margin."""
     if wanted == 0.0 or not inertia or not has_encoder:
         return 0.0, math.inf
     stiffness = inertia * ringing**2

@@ -98,7 +98,7 @@ def front_of(model: TendonSheath) -> Front:
 
 
 def _mean_above(course: list[tuple[float, float]], p: float) -> float:
-    """Integral of max(0, p - b) along a course of straight pieces."""
+    """Return the integral of max(0, p - b) along a piecewise linear profile."""
     total = 0.0
     for (u, b), (v, c) in itertools.pairwise(course):
         if v > u and b < p:
@@ -135,7 +135,7 @@ class Turn:
         self._ramps.clear()
 
     def update(self, sigma: float, age: float = 0.0) -> None:
-        """One period on; a new `sigma` begins a turn to it, which is `age` periods old already."""
+        """Advance by one period; a new `sigma` starts a transition to it, which is already `age` periods old."""
         ramps = self._ramps
         if sigma != self._end:
             ramps.append([sigma - self._end, age * self._step])
@@ -163,20 +163,20 @@ class Turn:
         self.turning = bool(ramps)
 
     def steepest(self) -> float:
-        """Largest change of `force` within a period, for a turn from 0 to 1."""
+        """Return the largest change of `force` within a period, for a transition from 0 to 1."""
         count = max(1, math.ceil(1.0 / self._step))
         values = [self.at(i * self._step) for i in range(count + 1)]
         return max(after - before for before, after in itertools.pairwise(values))
 
     def at(self, y: float) -> float:
-        """Share of the torque that has turned at y."""
+        """Return the fraction of the torque that has reversed at y."""
         place = min(1.0, max(0.0, y)) * _STEPS
         i = min(int(place), _STEPS - 1)
         return self._force[i] + (place - i) * (self._force[i + 1] - self._force[i])
 
 
 def _course(front: Front) -> tuple[float, ...]:
-    """The torque's share at equal steps of y."""
+    """Return the fraction of the torque at equal steps of y."""
     table, soft = front.table, _SOFT * max(front.centre, 1e-6)
     last = len(table) - 1
     softened = [s + soft * i / last for i, s in enumerate(table)]
@@ -228,7 +228,7 @@ class Slip:
         self._level = False
 
     def move(self) -> None:
-        """The joint moves: all slides soon."""
+        """Let all contacts slide within a short time, because the joint moves."""
         self.release(self._fade)
 
     def release(self, share: float) -> None:

@@ -17,7 +17,7 @@ from tsa_ctrl.control.settings import MOST_TORQUE, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
 Source = Callable[[float], float]
-# A sum of sines: s that are sampled, 40 samples per period of the fastest sine (0.3 % of it), and some 20 ms of work.
+# Of a sum of sines: s and number of samples at most (20 ms). 40 samples per period of the fastest have 0.3 % error.
 _SAMPLED, _MOST_SAMPLES = 60.0, 20_000
 
 
@@ -121,13 +121,13 @@ class SetPoint:
 
 
 def _place(time: float, period: float) -> tuple[int, float]:
-    """Whole periods in `time`, and the part of the next."""
+    """Return the number of whole periods in `time`, and the fraction of the next one."""
     whole, part = divmod(time / period, 1.0)
     return int(whole), part
 
 
 def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:
-    """The function of time that the settings describe; raises UsageError for a file that cannot be played."""
+    """Return the set-point as a function of time; raise UsageError for a file that cannot be played."""
     offset, amplitude = settings.offset, settings.amplitude
     if settings.kind == "constant":
         return lambda t: offset
@@ -175,7 +175,7 @@ def largest(settings: SetPointSettings, folder: str | Path = ".") -> float:
 
 
 def _chirp(offset: float, amplitude: float, first: float, last: float, duration: float) -> Source:
-    """Frequency linear in time from `first` to `last` Hz within `duration` s, then again."""
+    """Return a repeated chirp whose frequency changes linearly from `first` to `last` Hz within `duration` s."""
     slope = (last - first) / duration
 
     def source(t: float) -> float:
@@ -206,7 +206,7 @@ def _played(times: Sequence[float], values: Sequence[float], offset: float, loop
 
 
 def read_file(path: Path) -> tuple[list[float], list[float]]:
-    """Times (s, from 0) and joint torques (N*m) of a file; raises UsageError naming file, column and row."""
+    """Return times (s, from 0) and joint torques (N*m) of a file; raise UsageError with file, column and row."""
     from tsa_ctrl.log.table import from_zero, read_waypoints  # slow to import
 
     table = read_waypoints(path, ("tau_j_des",))

@@ -1,14 +1,15 @@
-"""Friction angle and pretension from the tendons' stretch: the estimator kind "stretch", no torque sensor, no load.
+"""Estimate friction angle and pretension from the tendon elongation (kind "stretch"), without torque sensor or load.
 
-The observer of the joint torque (`tsa_ctrl.observer.stretch`) learns ln x beside it, at a given pretension:
-it determines their product, the friction torque h = 2 T_p0 r_J f(x). That is parted here as every estimate is
-(`attribution`), gated, bounded and rate-limited as every estimate is; where the law uses it, the observer is given the
-pretension, too. The observer goes on while the drive is off; this does not. A joint torque sensor that contradicts the
-stretch (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid: it cannot be said which of them is wrong.
+The observer of the joint torque (`tsa_ctrl.observer.stretch`) also estimates ln x, at a given pretension. Both together
+determine the friction torque h = 2 T_p0 r_J f(x). Like every estimate, it is split into friction angle and pretension
+(`attribution`), gated, bounded and rate-limited here. If the law uses it, the observer receives the pretension. The
+observer continues while the drive is off; this estimator does not. A joint torque sensor that contradicts the
+elongation (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid, because the faulty one is not identifiable.
 
-Friction stretches the tendons the other way when they turn; a torque, a zero or a time that is wrong does not, and on a
-joint that goes one way for seconds looks like friction. So more than the model file's half loop is taken only as far as
-both ways of late have shown it (and `ROOM`), and less at once.
+When the tendons reverse, friction changes the sign of its share of the elongation. An error of torque, zero or time
+does not, so on a joint that moves in one direction for seconds it looks like friction. An estimate above the model
+file's friction torque is therefore used only as far as recent motion in both directions confirms it (plus `ROOM`). A
+lower estimate is used at once.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from tsa_ctrl.model.steady_sliding import sliding_by
 from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
-CERTAIN = 0.1  # 1, standard deviation of ln x below which it counts as estimated, as that of a half loop elsewhere
-BOTH_WAYS = 0.1  # s that the tendon went one way, after which what is estimated is what that way shows
-ROOM = 0.05  # 1, beyond the lesser of both: what a compensation of 0.95 leaves; without, 40 % more is followed late
-_EVERY = 64  # cycles between two looks: parameters move slowly, and the split of a bent sheath costs
+CERTAIN = 0.1  # 1, standard deviation of ln x below which it counts as estimated; same limit as for friction torque
+BOTH_WAYS = 0.1  # s of motion in one direction, after which the estimate counts for this direction
+ROOM = 0.05  # 1, above the lower of both: the rest of a compensation of 0.95; without it, a rise of 40 % takes longer
+_EVERY = 64  # cycles between two evaluations: parameters change slowly, and the split for a bent sheath takes time
 _FORGET = 0.5  # s over which the residual is averaged
 
 
 class StretchEstimator:
-    """The outputs hold while the observer determines nothing; invalid, they fall to the model file's and never rise."""
+    """Hold the outputs while the observer has no estimate; if it is invalid, lower them to the model file's values."""
 
     why = ""
 
@@ -58,7 +59,7 @@ class StretchEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the model file's values; the knowledge of the observer stays."""
+        """Return to the model file's values; the observer keeps its state."""
         self.friction_angle, self.pretension = self._target = self._nominal
         self.state = EstimateState.UNESTIMATED
         self.residual = 0.0  # (N*m)^2 at the joint
@@ -73,7 +74,7 @@ class StretchEstimator:
         return max(self._shown) / self._split.nominal if known else math.nan
 
     def update(self, seen: Sample) -> None:
-        """One cycle; the observer has already seen its measurements."""
+        """Process one cycle, whose measurements the observer has already processed."""
         observer = self._observer
         if seen.admit and observer.state is StretchState.TOLD:
             error = self._per_stretch * observer.innovation
@@ -93,7 +94,7 @@ class StretchEstimator:
             self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _judge(self) -> None:
-        """A state holds until reliable data contradict it."""
+        """Update state and target; a state holds until reliable data contradict it."""
         observer = self._observer
         if self.residual > self._worst or observer.at_bound or self._contradicted():
             self.state, self._target = EstimateState.INVALID, self._fallback()
@@ -112,6 +113,6 @@ class StretchEstimator:
         self._target = (angle, pretension) if inside else self._fallback()
 
     def _fallback(self) -> tuple[float, float]:
-        """The model file's values, but no more than was used last: it cannot be said which of them is wrong."""
+        """Return the model file's values, or the last ones if they have less friction: either may be wrong."""
         used = self._sliding(1.0, self.friction_angle, self.pretension).half_loop
         return self._nominal if used > self._split.nominal else (self.friction_angle, self.pretension)

@@ -1,17 +1,17 @@
-"""Pretension from the tendons' tensions at the motor: the estimator kind "tension", by load cells t1 and t3.
+"""Estimate the pretension from the tendon tensions at the motor, load cells t1 and t3 (kind "tension").
 
-While both tendons slide one way their lengths add up, (3.31)-(3.41), whatever the torques are:
+While both tendons slide in one direction their lengths add up, (3.31)-(3.41), at any torque:
 
     T_p0 = (T1 alpha + T3 beta) / 2,     alpha, beta at sigma x, over the length of tendon and spring
 
-x enters with the bends between motor and joint alone, and with another sign one way and the other, so the mean of both
-counts (and of the lesser one no more than `ROOM` beyond it: too much compensation moves the joint). Tensions do not
-identify the friction coefficient. It stays, and what changed is the tensioner ("pretension": x stays) or the sheath's
-bending ("bending": Theta by (3.56), x = mu Theta).
+x enters only with the bends between motor and joint, and with opposite signs in the two directions. The mean of both
+is therefore used, limited to the lower one plus `ROOM`, because too much compensation moves the joint. Tensions do not
+identify the friction coefficient, which stays constant. A change is attributed to the tensioner ("pretension": x stays
+constant) or to the wrap angle ("bending": Theta by (3.56), x = mu Theta).
 
 The two cells check each other against the motor's torque, T3 - T1 = tau_M/r_M: one that is stuck, drifts or has a
-wrong gain makes the estimate invalid, and the outputs fall to the model file's and never rise. Both that drift alike
-are seen at the bounds alone.
+wrong gain makes the estimate invalid. The outputs then fall to the model file's values, and never rise. An equal drift
+of both cells is detected only at the bounds.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import elongations
 
-SLIDING = 0.999  # 1, |sigma| above which the tendons surely slide
-BOTH_WAYS = 0.1  # s of admitted motion, within memory, that each way needs
-ROOM = 0.05  # 1, beyond the lesser of both ways: what the friction angle of the file may be off makes no more
-MEAN = 0.125  # of `memory`, over which a way's tensions are averaged: cells have noise, not 4 s of it
-BALANCE = 0.1  # 1, of the pretension, RMS of T3 - T1 - tau_M/r_M: a cell that is off by it moves T_p by half of it
+SLIDING = 0.999  # 1, |sigma| above which the tendons are certain to slide
+BOTH_WAYS = 0.1  # s of admitted motion, within memory, that each direction needs
+ROOM = 0.05  # 1, above the lower of both directions: an error of the file's friction angle causes no more
+MEAN = 0.125  # of `memory`, over which the tensions of a direction are averaged to reduce the noise of the cells
+BALANCE = 0.1  # 1, of the pretension, RMS of T3 - T1 - tau_M/r_M: a cell error of this size changes T_p by half of it
 BALANCED_FOR = 0.5  # s over which that is averaged
-AGREES = 0.5  # of that limit, below which cells that contradicted count again
+AGREES = 0.5  # of that limit, below which contradictory cells are used again
 ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 
 
@@ -60,7 +60,7 @@ class TensionEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the model file's values; nothing is known."""
+        """Return to the model file's values, and discard all data."""
         self.friction_angle, self.pretension = self._target = self._nominal
         self.state = EstimateState.UNESTIMATED
         self.why = ""
@@ -80,7 +80,7 @@ class TensionEstimator:
         return sliding(self._model, 1.0, *self._target).half_loop / self._half_loop
 
     def update(self, seen: Sample) -> None:
-        """One cycle's data."""
+        """Process the data of one cycle."""
         bare, tau_m = self._bare, seen.tau_m
         if bare is not None:
             bare.measure(seen.sigma, seen.omega_j, seen.q_j, seen.q_m)
@@ -146,7 +146,7 @@ class TensionEstimator:
         self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, tension)
 
     def _refuse(self, why: str) -> None:
-        """Not used any longer, and no more than was used last: it cannot be said which of them is wrong."""
+        """Stop using the tensions; the friction torque does not rise, because it is unknown which signal is wrong."""
         if self.state is not EstimateState.INVALID:
             self.state, self.why = EstimateState.INVALID, why
             used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop

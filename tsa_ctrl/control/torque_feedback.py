@@ -30,7 +30,7 @@ JUMP = 0.7  # of a reversal's excess, taken from the next one: below 1, so that 
 KEPT = 0.3  # of the integral of a stroke at rest. On random rigs 0 costs large signals, and 0.6 small ones
 LARGEST = 0.3  # of the friction torque: a larger error is a fault or a wrong direction, and does not count
 FARTHEST = 0.002  # of the friction torque: so near to the farthest command the tendons still slide
-MORE = 0.1  # of the friction torque: most that the sensor may add, about the error of a calibration
+MORE = 0.1  # of the friction torque: limit of what the sensor may add, about the error of a calibration
 LESS = 0.25  # of it, by which the sensor may reduce the term: the usual error of a file
 FORGET = 0.3  # s in which the correction fades without a sensor
 

@@ -194,7 +194,7 @@ class Loop:
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value, self._releases, recovery)
 
     def _take_command(self, planned: int) -> None:
-        """At most one command per cycle, and one step of every parameter that moves."""
+        """Process at most one command, and move every changing parameter by one step."""
         command = self._mailbox.take()
         if command is not None:
             if command.parameter == RECOVER:
@@ -281,7 +281,7 @@ class Loop:
         return permitted
 
     def _begin_recovery(self, planned: int) -> None:
-        """After a request, and once no axis has torque: reset the faults that can be reset, or start a bring-up.
+        """Reset the faults that can be reset, or start a bring-up, after a request and once no axis has torque.
 
         The loop waits for an axis that still ramps to 0 because of another axis' fault, and until its drive reports
         that it is off. A drive that does not report it needs a bring-up, which switches it off before the reset.

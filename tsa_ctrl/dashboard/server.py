@@ -123,7 +123,7 @@ class Feed:
 
 
 STATIC = Path(__file__).parent / "static"
-RATE = 100.0  # Hz of the measurements, twice the least that a curve of a person's motion needs
+RATE = 100.0  # Hz of the measurements, twice the minimum for a plot of human motion
 STATUS_RATE = 50.0  # Hz of the status, the rate at which the daemon publishes it
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request

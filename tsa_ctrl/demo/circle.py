@@ -1,6 +1,6 @@
 """The full circle: run with the nominal model, calibrate, diagnose the log of this run, run again with the result.
 
-The estimates come from the daemon's log of the nominal run alone, that is from what bus and sensors gave; the plant's
+The estimates use only the daemon's log of the nominal run, that is, data from the bus and the sensors. The plant's
 truth serves only for the run that shows the limit.
 """
 
@@ -43,7 +43,7 @@ class Circle:
     notes: tuple[str, ...]
 
     def rms(self, stage: str) -> float:
-        """RMS error of the joint torque, N*m."""
+        """Return the RMS error of the joint torque, N*m."""
         return self.runs[stage].rms
 
     @property
@@ -67,7 +67,7 @@ class Circle:
         }
 
     def share(self, reference: str) -> float:
-        """Share of the reduction from `reference` to the limit that the extended model reaches."""
+        """Return the share of the possible error reduction from `reference` that the extended model reaches."""
         reachable = self.rms(reference) - self.rms("true")
         return (self.rms(reference) - self.rms("extended")) / reachable if reachable > 0.0 else 1.0
 

@@ -42,7 +42,7 @@ class Hidden:
         return " + ".join(self.effects) or "nothing"
 
     def axis(self) -> dict[str, dict[str, Any]]:
-        """Tables of the plant's axis: stiff tendons bent at the joint, so that (3.55) lacks nothing but the effects."""
+        """Return the tables of the plant's axis: stiff tendons bent at the joint; only the effects violate (3.55)."""
         return {
             "effects": {name: dict(values) for name, values in self.effects.items()},
             "perturbation": {**self.factors, "axial_stiffness": 10.0},
@@ -51,14 +51,14 @@ class Hidden:
         }
 
     def truth(self, nominal: TendonSheath) -> TendonSheath:
-        """The model that knows everything: the limit of what any estimate can reach."""
+        """Return the true model, which is the limit for any estimate."""
         x = nominal.friction_angle * self.factors["friction_coefficient"]
         tension = nominal.pretension * self.factors["pretension"]
         return nominal.recalibrated(x, tension).with_effects(dict(self.effects))
 
 
 def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
-    """Factors and sizes by seed; the effect too, where no names are given.
+    """Draw factors and sizes from the seed, and the effect too if no names are given.
 
     Raises UsageError for a name that the demo cannot hide.
     """
@@ -72,13 +72,13 @@ def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
 
 
 def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Parameters of one effect, the drawn ones by `rng`."""
+    """Return the parameters of one effect; `rng` draws the random ones."""
     sizes = CATALOGUE[name].demo or {}
     return {key: size.value(rng) if isinstance(size, Draw) else size for key, size in sizes.items()}
 
 
 def motion() -> Play:
-    """Strokes of many speeds against a load that varies independently: sufficient for a diagnosis."""
+    """Return strokes of many speeds with an independently varying load, which are sufficient for a diagnosis."""
     t = np.arange(0.0, SECONDS + 0.5 / rig.RATE, 1.0 / rig.RATE)
     angle = np.sum([a * np.sin(2.0 * math.pi * f * t) for f, a in MOTION], axis=0)
     phases = [-math.pi * k * (k + 1) / len(TORQUE) for k in range(len(TORQUE))]  # Schroeder's: a low crest factor

@@ -36,7 +36,7 @@ SHOWN = 2.0 * PERIOD  # s in the picture
 
 
 def strides() -> dict[str, Play]:
-    """One stride of each joint."""
+    """Return one stride of each joint."""
     t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
     return {
         name: Play(t, cycle(TORQUES[name])(t / PERIOD % 1.0), np.radians(cycle(ANGLES[name])(t / PERIOD % 1.0)))
@@ -52,7 +52,7 @@ class Leg:
     picture: Path
 
     def rms(self, run: str) -> float:
-        """RMS error over all joints, N*m."""
+        """Return the RMS error over all joints, N*m."""
         return float(np.sqrt(np.mean([joint.rms**2 for joint in self.runs[run].values()])))
 
     @property
@@ -61,7 +61,7 @@ class Leg:
         return 100.0 * (1.0 - self.rms(FOLLOWED) / self.rms(WITHOUT))
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object of `tsa demo --leg --json`."""
+        """Return the public JSON object of `tsa demo --leg --json`."""
         names = list(self.runs[FOLLOWED])
         courses = [next(iter(joints.values())) for joints in self.runs.values()]
         cycles = [course.summary["cycles"] for course in courses]
@@ -136,7 +136,7 @@ def demo(folder: Path, seconds: float, say: Progress) -> Leg:
 
 
 def _controller(folder: Path, text: str, run: str) -> str:
-    """The controller of a run: without compensation, or with models that know no other joint."""
+    """Return the controller file of a run; some have no compensation, or models without the other joints."""
     document = tomlkit.parse(text)
     document["log"]["folder"] = run
     for axis in document["axis"]:

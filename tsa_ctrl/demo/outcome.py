@@ -15,7 +15,7 @@ from tsa_ctrl.log.table import load_run
 
 FloatArray = NDArray[np.float64]
 
-LEGEND = 0.22  # of an axis, above the curves: what its legend of one line takes
+LEGEND = 0.22  # of an axis, above the curves: height of a legend of one line
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Course:
 
 
 def course_of(folder: Path, summary: dict[str, Any], seconds: float, axis: str = "") -> Course:
-    """A run's log from the end of the fade-in to the begin of the stop, `seconds` s after the enable.
+    """Return a run's log from the end of the fade-in to the start of the stop, `seconds` s after the enable.
 
     `axis`: its name, if the log has several.
 
-    Raises BusError when it holds too little torque.
+    Raises BusError if the log has torque for too short a time.
     """
     log = folder / str(summary["log"])
     columns = load_run(f"{log}:{axis}" if axis else log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
@@ -73,7 +73,7 @@ class Outcome:
         return 100.0 * (1.0 - self.compensated.rms / self.without.rms)
 
     def to_dict(self) -> dict[str, Any]:
-        """The public JSON object of `tsa demo --json`."""
+        """Return the public JSON object of `tsa demo --json`."""
         cycles = [run.summary["cycles"] for run in (self.without, self.compensated)]
         return {
             "schema": 1,

@@ -48,11 +48,11 @@ class Play:
     shown: float = 3.2  # s of it in the picture
 
     def write_setpoint(self, path: Path) -> None:
-        """CSV as the controller's set-point file."""
+        """Write the CSV set-point file of the controller."""
         _write(path, "t,tau_j_des", self.t, self.tau_j_des)
 
     def write_motion(self, path: Path) -> None:
-        """CSV as the plant's motion file."""
+        """Write the CSV motion file of the plant."""
         _write(path, "t,q_j", self.t, self.q_j)
 
 
@@ -61,7 +61,7 @@ def _write(path: Path, header: str, *columns: FloatArray) -> None:
 
 
 def gait() -> Play:
-    """One cycle of the built-in gait."""
+    """Return one cycle of the built-in gait."""
     t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
     return Play(t, cycle(KNEE_TORQUE)(t / PERIOD % 1.0), np.radians(cycle(KNEE_ANGLE)(t / PERIOD % 1.0)))
 
@@ -84,9 +84,9 @@ def cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
 
 
 def from_file(path: Path, most_torque: float) -> Play:
-    """A motion from a CSV with the columns t, tau_j_des and (else the built-in gait's motion) q_j.
+    """Return a motion from a CSV with the columns t, tau_j_des and optionally q_j (default: the built-in gait).
 
-    Raises UsageError naming file, column and row, also for a torque beyond `most_torque` N*m.
+    Raises UsageError with file, column and row, also for a torque above `most_torque` N*m.
     """
     table = read_waypoints(path, ("tau_j_des",), ("q_j",))
     t, wanted = from_zero(table.columns["t"]), table.columns["tau_j_des"]
@@ -163,9 +163,9 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
     return BusChoice("datagram", f"demo-{os.getpid()}")  # no two demos receive each other's frames
 
 
-MOST_TORQUE = 1.1  # N*m at the joint: within the tendons' domain at the pretension below
+MOST_TORQUE = 1.1  # N*m at the joint: within the model's domain at the pretension below
 FADE_IN = 1.0  # s
-MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value, which a real motor's data sheet contains
+MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value; that of a real motor is in its data sheet
 
 NOMINAL = TendonSheath(
     motor_pulley_radius=0.020,

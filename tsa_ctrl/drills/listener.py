@@ -57,7 +57,7 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
     stretch: float | None  # of the motor's torque with how far motor and joint are apart
     sensor: float | None  # with the joint torque sensor
     gain: float | None  # N*m at the joint per N*m of the motor, where the sensor follows clearly
-    geared: float  # r_J/r_M: the most that the pulleys give
+    geared: float  # r_J/r_M: the gain of the pulleys
 
     @property
     def wrong(self) -> str:
@@ -76,7 +76,7 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
         return ""
 
     def __str__(self) -> str:
-        """For a table."""
+        """Return the cell of the table of results."""
         shown = self.stretch if self.stretch is not None else self.sensor
         if self.wrong:
             return "WRONG"
@@ -161,7 +161,7 @@ class Watch:
         return (cia301.SYNC, *self._inboxes)
 
     def begin(self) -> None:
-        """Another loop is started."""
+        """Discard the rows of the previous loop before another one starts."""
         self._rows.clear()
 
     def take(self, can_id: int, data: bytes, now: float) -> None:
@@ -452,7 +452,7 @@ def main(argv: list[str]) -> int:
         print(error, flush=True)
         return error.exit_code
     listener = Listener(configuration, bus)
-    with contextlib.suppress(BrokenPipeError):  # who asked is gone: no process receives the answer
+    with contextlib.suppress(BrokenPipeError):  # the parent has ended: no process receives the answer
         return _serve(listener, 0.5 * configuration.period)
     return 1
 

@@ -1,7 +1,7 @@
 """The loop under trial, a separate process: `python -m tsa_ctrl.drills.loop CONTROLLER.toml TORQUE`.
 
-The configuration as it is, but for the set-point: a constant torque (N*m at the motor) and nothing of the friction
-compensation, no log, no socket that others know. SIGUSR1 makes it withhold its heartbeat; all else goes on.
+It uses the configuration with a constant set-point (TORQUE, N*m at the motor), no friction compensation, no log, no
+monitor, and a private socket. SIGUSR1 makes it withhold its heartbeat; everything else continues.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
             configuration = under_trial(load_configuration(argv[0]), float(argv[1]), f"{folder}/tsa.sock")
             summary = run(configuration, reset_faults=True, watch=watch)
         fault = next((event for event in summary.events if event.fault), None)
-        if fault is not None:  # the last line: with it whoever tries explains torque that was lost
+        if fault is not None:  # the last line: the caller reports it as the reason for lost torque
             print(fault, file=sys.stderr)
     except TsaError as error:
         print(error, file=sys.stderr)

@@ -80,7 +80,7 @@ class ListenerProcess:
     """The listener at the other end of a pipe."""
 
     def __init__(self, configuration: Configuration) -> None:
-        """Raises BusError when it cannot listen."""
+        """Start the listener; raise BusError if it cannot open the bus."""
         self._process = Child("tsa_ctrl.drills.listener", configuration.path)
         if reason := self._process.failure():
             self.end()
@@ -202,13 +202,13 @@ def _all_pull(listener: ListenerProcess, torque: float) -> bool:
 
 
 def _reason(loop: subprocess.Popen[bytes]) -> str:
-    """It ends; the last line of its output."""
+    """End the loop, and return the last line of its output."""
     said = _end(loop).decode(errors="replace").strip().splitlines()
     return said[-1].strip() if said else "it said nothing"
 
 
 def _end(loop: subprocess.Popen[bytes]) -> bytes:
-    """Whatever was done to it, it ends, in order if it can; its output."""
+    """End the loop, by SIGTERM if possible, and return its output."""
     if loop.poll() is None:
         loop.send_signal(signal.SIGCONT)
         loop.terminate()
@@ -220,7 +220,7 @@ def _end(loop: subprocess.Popen[bytes]) -> bytes:
 
 
 def check_alone(configuration: Configuration) -> None:
-    """Nobody else leads the bus, or its drives would be tried in his place; nothing is sent. Raises BusError."""
+    """Raise BusError if another master is on the bus, because its drives would be tested instead; send nothing."""
     file = configuration.file
     bus = open_buses(file.buses, file.axes)
     try:

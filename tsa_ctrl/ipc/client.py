@@ -190,7 +190,7 @@ class Client:
         return found
 
     def lease(self, seconds: float = 0.2) -> Lease:
-        """Own the set-points of all axes; it is lost after `seconds` without one.
+        """Acquire the lease of the set-points of all axes; it is lost after `seconds` without a set-point.
 
         Raises:
             UsageError: another client holds the lease, or no axis takes its set-point from the socket.

@@ -156,7 +156,7 @@ class Server:
         self._told = 0  # number of the next event for the lease's holder
         self._read = 0  # number of the events that were looked at
         self._looked = -math.inf  # s
-        self._rests = -math.inf  # s, until when only who gives set-points is served
+        self._rests = -math.inf  # s, until when only the client with the lease is served
         self._withdraw()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)

@@ -155,7 +155,9 @@ class LogWriter:
                 continue
             path.unlink(missing_ok=True)
             excess -= size
-            self._notes.append(Note(self._newest, "", f"deleted the oldest log {path.name}: [log] folder_size", False))
+            self._notes.append(
+                Note(self._newest, "", f"deleted the oldest log {path.name}: the logs exceed [log] folder_size", False)
+            )
 
     def _sync(self, file: McapFile, now: float) -> None:
         """Have the disk store the file once a second, and raise the OSError of the last time."""
@@ -207,7 +209,7 @@ def main(argv: list[str]) -> int:
 
 
 def write(ring: RingReader, path: Path, header: LogHeader, limits: LogLimits) -> int:
-    """Until the owner has finished the ring, or is gone."""
+    """Write the log until the owner finishes the ring or ends."""
     writer = LogWriter(ring, path, header, limits)
     orphaned = False
     while not (ring.finished or orphaned):

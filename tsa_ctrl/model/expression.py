@@ -25,7 +25,7 @@ from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
 from tsa_ctrl.model.functions import BLOCK, LARGEST, Array
 
 LONGEST = 500  # characters: a formula that a person can still read
-MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
+MOST_STEPS = 120  # operations: about 20 us on the controller's machine, a fiftieth of a cycle at 1 kHz
 DEEPEST = 24  # values on the stack; the plant's machine has this capacity
 MOST_MEMORIES = 4  # each is a dimension of the grid on which the inverse is checked
 

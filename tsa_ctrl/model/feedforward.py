@@ -38,7 +38,7 @@ class Feedforward:
         self._model = model
         self._period = period
         custom = Stack.of(model.effects, model.source).custom
-        if custom is not None:  # up to twice what both tendons carry without slack
+        if custom is not None:  # up to twice the torque that both tendons carry without slack
             largest = 4.0 * max(model.pretension, 1.0) * max(model.motor_pulley_radius, model.joint_pulley_radius)
             check_invertible(custom, largest, period, model.source or "model")
         self._memories = Memories(()) if custom is None else custom.memories()

@@ -71,7 +71,7 @@ def check_consistent(model: Tendons) -> None:
     """Compare the numbers of one model file with each other.
 
     Raises:
-        UsageError: two of them contradict each other, with both values, the range and the likely unit mistake.
+        UsageError: Two of them contradict each other. The message has both values, the range and the likely unit error.
     """
     where, tension = model.source or "model", model.pretension
     ratio = model.joint_pulley_radius / model.motor_pulley_radius
@@ -128,12 +128,12 @@ def check_against_motor(model: Tendons, half_loop: float, torque: float, inertia
     Args:
         model: the tendons and their sheaths.
         half_loop: N*m at the motor, friction torque of the model.
-        torque: N*m at the motor, most that the drive can give.
-        inertia: kg*m^2 at the motor pulley; None where it is not known.
+        torque: N*m at the motor, maximum of the drive.
+        inertia: kg*m^2 at the motor pulley; None if it is not known.
         where: place of the configuration, for the message.
 
     Raises:
-        UsageError: the motor could not move these tendons, or would swing on them as no motor does.
+        UsageError: The motor could not move these tendons, or would oscillate on them at an implausible frequency.
     """
     stiffness = 2.0 * model.tendon_stiffness * model.motor_pulley_radius**2
     if half_loop > torque:

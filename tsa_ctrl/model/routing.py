@@ -113,13 +113,13 @@ class Route:
         return self.gains.get(joint, 0.0) if points is None else _slope(points, angle)
 
     def extremes_by(self, joint: str, span: Span) -> Span:
-        """Return the least and the most that one joint within `span` (rad) adds, rad."""
+        """Return the smallest and the largest angle that one joint within `span` (rad) adds, rad."""
         ends = self.added_by(joint, span[0]), self.added_by(joint, span[1])
         reached = [theta for q, theta in self.tables.get(joint, ()) if span[0] < q < span[1]]
         return min(*ends, *reached), max(*ends, *reached)
 
     def extremes(self, travel: Mapping[str, Span]) -> Span:
-        """Return the least and the most that joints within `travel` add, rad.
+        """Return the smallest and the largest angle that joints within `travel` add, rad.
 
         The terms of the joints are independent, so their extremes are added. A joint without travel counts over the
         range of its table, or at 0 if it has a gain.

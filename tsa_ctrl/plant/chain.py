@@ -196,7 +196,7 @@ def chain_tensions(p: Any, totals: Pair, chains: Any, u: float, v: float, f: Any
 
 @compiled
 def _slacken(chain: Any, motor_end: float, joint_end: float) -> None:
-    """No tension anywhere; the lack of elongation is spread along the tendon."""
+    """Set all tensions to 0, and distribute the missing elongation along the tendon."""
     n = chain.shape[1] - 1
     chain[_PLACE, n], chain[_FORCE, n], chain[_MODE, n] = joint_end, motor_end, 0.0
     lack = motor_end - joint_end
@@ -271,7 +271,7 @@ def _follow(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, Slope
 
 @compiled
 def _solve(chain: Any, motor_end: float, joint_end: float) -> Slopes:
-    """Places of all contacts for the present modes, by Thomas's elimination."""
+    """Compute the places of all contacts for the present modes by the Thomas algorithm."""
     n = chain.shape[1] - 1
     upper = right = by_motor = by_joint = 0.0
     for i in range(n):
@@ -313,7 +313,7 @@ def _solve(chain: Any, motor_end: float, joint_end: float) -> Slopes:
 
 @compiled
 def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
-    """Tensions and friction forces at the places found; correct the modes. True when none had to change."""
+    """Compute tensions and friction forces at these places, and correct the modes. Return True if none changed."""
     n = chain.shape[1] - 1
     left = motor_end
     for i in range(n + 1):

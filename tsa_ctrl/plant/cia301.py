@@ -324,7 +324,7 @@ class ErrorLog:
         self._clear_history()
 
     def _write_identifier(self, value: int) -> None:
-        """Valid identifiers of 11 bits; a valid one cannot be exchanged for another one (CiA 301, 7.5.2.17)."""
+        """Accept 11-bit identifiers. A valid one cannot be replaced directly by another one (CiA 301, 7.5.2.17)."""
         before = self._values[0x1014, 0]
         if value & 0x7FFFF800 or (not value & _INVALID and is_restricted(value)):
             raise SdoAbort(AbortCode.INVALID_VALUE)

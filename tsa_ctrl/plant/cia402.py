@@ -74,7 +74,7 @@ class PowerStateMachine:
         self._last_controlword = 0
 
     def power_on(self) -> None:
-        """Transitions 0 and 1: self test passed."""
+        """Make transitions 0 and 1, as after a passed self-test."""
         self.state = PowerState.SWITCH_ON_DISABLED
         self.transition = 1
         self._last_controlword = 0

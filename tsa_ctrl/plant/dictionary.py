@@ -164,7 +164,7 @@ class ObjectDictionary:
             self.values.pop(key, None)
 
     def restore(self, first: int = 0, last: int = 0xFFFF) -> None:
-        """Power-on values of the objects with an index in [first, last]."""
+        """Restore the power-on values of the objects with an index in [first, last]."""
         for key, entry in self.entries.items():
             if first <= key[0] <= last and isinstance(entry.default, int):
                 self.values[key] = self.power_on_value(entry)

@@ -35,7 +35,7 @@ from tsa_ctrl.plant.pdo import INVALID, PdoDefault
 from tsa_ctrl.plant.settings import DriveSettings
 
 RPM = 0x00B44700  # 0x60A9: revolutions per minute, prefix 10^0
-CURRENT, LIMIT = (0x3001, 1), (0x3001, 2)  # mA: nominal, and most that is put out
+CURRENT, LIMIT = (0x3001, 1), (0x3001, 2)  # mA: nominal, and maximum output
 _NOMINAL = 5000  # mA
 _PEAK = 2  # times nominal, at power-on
 _RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0xFD))
@@ -54,9 +54,9 @@ class Clamp:
 class DriveEmulation:
     """`vendor` and `product` None: those of the settings. `mode_shows` as the quirk of that name.
 
-    `fixed`: objects with one value that they take, or a few. `added`: objects of the maker. `read_only`: objects that
-    cannot be written. `off_only`: objects that can be written while the power stage is off. `clamp`: what limits its
-    torque in place of 0x6072.
+    `fixed`: objects that accept only one value or a few. `added`: manufacturer-specific objects. `read_only`: objects
+    that cannot be written. `off_only`: objects that can be written only while the power stage is off. `clamp`: object
+    that limits the torque instead of 0x6072.
     """
 
     name: str
@@ -270,7 +270,7 @@ def objects(settings: DriveSettings) -> list[Entry]:
 
 
 def pdos(settings: DriveSettings) -> tuple[list[tuple[int, PdoDefault]], list[tuple[int, PdoDefault]]]:
-    """Sent and received, each with its number. Only the first axis has identifiers of the predefined set."""
+    """Return TPDOs and RPDOs, each with its number. Only the first axis has identifiers of the predefined set."""
     place = settings.slot - 1
     offset = place * AXIS_OFFSET
 

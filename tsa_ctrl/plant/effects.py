@@ -35,7 +35,7 @@ _I = np.int64
 class Presliding(IntEnum):
     """The displacement over which friction builds up after a reversal."""
 
-    ELASTIC = 0  # displacement of the tendon where it is bent, over what its elasticity gives
+    ELASTIC = 0  # displacement of the tendon in the bends, over its elastic elongation
     MOTOR = 1  # effect presliding_hysteresis over the motor's angle
     JOINT = 2  # effect presliding_hysteresis over the joint's angle
 
@@ -81,7 +81,7 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("hysteresis", _I),  # Presliding
     ("hysteresis_distance", _F),  # rad
     ("hysteresis_elements", _I),
-    # what only the angles of motor and joint show
+    # effects that only the angles of motor and joint show
     ("softness_at_motor", _F),  # m per N of T3 - T1
     ("softness_at_joint", _F),  # m per N of T4 - T2
     ("creep", _F),  # m

@@ -194,7 +194,10 @@ class Counts:
 
 
 def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], float]) -> list[AxisNodes]:
-    """Axes and nodes, not yet booted; each with noise of its own from the plant's seed. `sends`: one per bus."""
+    """Return the axes with their nodes before boot, each with its own noise from the plant's seed.
+
+    `sends`: one function per bus.
+    """
     units: list[AxisNodes] = []
     devices: dict[int | None, list[AxisNodes]] = {}
     for place, settings in enumerate(plant.axis):
@@ -332,7 +335,7 @@ class Machine:
             self._next_tick = now + _AFTER_SYNC
 
     def tick(self, now: float) -> None:
-        """Mechanics up to now, faults, timers of the nodes, record."""
+        """Advance mechanics, faults and node timers to `now`, and write the record."""
         self._next_tick = now + TICK
         self.advance(now)
         self.faults.tick(now)
@@ -405,7 +408,7 @@ class Machine:
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
-        """Hear again what the master sent since then."""
+        """Process again the frames that the master has sent since `since`."""
         stale = [(can_id, data, place) for at, can_id, data, place in self._heard if at >= since]
         for can_id, data, place in stale:
             self.handle(can_id, data, now, place)

@@ -114,7 +114,7 @@ class Mechanism(Protocol):
         """Bring every axis to time `until`, s since the plant's start."""
 
     def bring_up(self, axis: Axis, until: float) -> None:
-        """Bring `axis` to time `until` (s), and with it whatever moves it, because its command is about to change."""
+        """Advance `axis`, and all that moves it, to time `until` (s), because its command is about to change."""
 
 
 class Apart:

@@ -281,7 +281,7 @@ class Node:
         self.emergency(code, REGISTER_COMMUNICATION)
 
     def power_on(self) -> None:
-        """Power-on values of the application's objects."""
+        """Restore the power-on values of the application's objects."""
 
     # NMT
 
@@ -295,7 +295,7 @@ class Node:
         self.resetcommunication_objects(now)
 
     def resetcommunication_objects(self, now: float) -> None:
-        """Power-on values of the communication objects; the boot-up message, after its time."""
+        """Restore the power-on values of the communication objects; the boot-up message follows after its delay."""
         self.now = now
         self.sdo.reset()
         self._answers.clear()
@@ -328,7 +328,7 @@ class Node:
         return self.lss is not None and self.lss.node_id is None
 
     def _named(self, node_id: int) -> None:
-        """LSS gave it an id."""
+        """Boot with the node id that LSS has assigned."""
         self.node_id = self.dictionary.node_id = node_id
         self.boot(self.now)
 

@@ -180,7 +180,10 @@ class Tpdo(Pdo):
         return True
 
     def due_on_event(self, now: float) -> bool:
-        """Types 254 and 255: by the event timer, or on a change of the data, not before the inhibit time."""
+        """Return True if an event-driven PDO (types 254, 255) is due by its timer or by changed data.
+
+        It is never due before the inhibit time.
+        """
         if not self.valid or self.synchronous or now - self.sent_at < self.inhibit:
             return False
         if self.event_timer > 0.0 and now - self.sent_at >= self.event_timer:
@@ -206,7 +209,7 @@ class Rpdo(Pdo):
         super().__init__(dictionary, number, Direction.RPDO, default, changed)
 
     def forget(self) -> None:
-        """Received values no longer act."""
+        """Discard received values."""
         self._pending = self.received_at = None
         self._line.clear()
 

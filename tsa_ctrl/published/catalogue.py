@@ -92,7 +92,7 @@ ELSEWHERE: Mapping[str, str] = MappingProxyType(
 
 
 def find(name: str) -> Published:
-    """A set by its name; raises UsageError naming those that there are."""
+    """Return a data set by its name; raise UsageError with the known names."""
     if name in ELSEWHERE:
         raise UsageError(f"data: '{name}' cannot be fetched: {ELSEWHERE[name]}")
     if name not in SETS:
@@ -104,7 +104,7 @@ def find(name: str) -> Published:
 
 
 def folder() -> Path:
-    """The default folder of the sets: $TSA_DATA, else the user's cache."""
+    """Return the default folder of the data sets: $TSA_DATA, or the user's cache."""
     named = os.environ.get(VARIABLE)
     if named:
         return Path(named)

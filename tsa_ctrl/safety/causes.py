@@ -59,7 +59,7 @@ class Cause(Enum):
     )
     EMERGENCY = (
         "emergency",
-        f"look up the code in the manual of the drive and remove its reason; {_RECOVER}",
+        f"look up the code in the manual of the drive and remove its cause; {_RECOVER}",
     )
     HELD_UP = (
         "emergency, commands too late",
@@ -68,7 +68,7 @@ class Cause(Enum):
     )
     DRIVE_FAULT = (
         "drive fault",
-        f"look up the error code of the drive (0x603F) in its manual and remove its reason; {_RECOVER}",
+        f"look up the error code of the drive (0x603F) in its manual and remove its cause; {_RECOVER}",
     )
     STALE_PDO = (
         "stale PDO",
@@ -118,7 +118,7 @@ class Cause(Enum):
     )
     RESET_TIMEOUT = (
         "drive does not leave its fault",
-        "look up the fault in the manual of the drive and remove its reason, which is still present, then "
+        "look up the fault in the manual of the drive and remove its cause, which is still present, then "
         "switch the drive off and on",
     )
     OVER_SPEED = (

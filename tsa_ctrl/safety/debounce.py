@@ -22,7 +22,7 @@ class Debounce:
         self.reset()
 
     def reset(self) -> None:
-        """No error is present, and none was recently."""
+        """Clear present and recent errors."""
         self.idle = True
         self._since = 0.0  # s, when it had begun, were it wrong without a break
         self._last = 0.0
@@ -50,7 +50,7 @@ class Often:
         self._times: deque[float] = deque(maxlen=most)
 
     def reset(self) -> None:
-        """Nothing has happened."""
+        """Clear the recorded times."""
         self._times.clear()
 
     def happened(self, now: float, count: int = 1) -> bool:

@@ -173,8 +173,8 @@ class Guard:
         self.reason = Reason.NONE
         self.latched = False
         self._left = self._held = 0.0  # s, of the tolerance and of the hold
-        self._drove, self._unwinding = 0.0, 0  # 1, what drove the joint, and cycles against that
-        self._falling = 0.0  # 1, of the share that a buzzing motor still has
+        self._drove, self._unwinding = 0.0, 0  # 1, excess that drove the joint; cycles in which it is reversed
+        self._falling = 0.0  # 1, of the share that remains while the motor chatters
 
     def pass_over(self, periods: int) -> None:
         """Count periods without a cycle."""

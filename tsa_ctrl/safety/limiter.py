@@ -122,7 +122,7 @@ class Limiter:
         q_j: float,
         omega_j: float,
     ) -> tuple[float, Reason]:
-        """Torque that may be sent (N*m) and why it differs from `wanted`; the rest is measured."""
+        """Return the permitted torque (N*m) and why it differs from `wanted`; torque, speeds and angle are measured."""
         if not enabled:
             return self._zero(Reason.DISABLED)
         if not fresh:

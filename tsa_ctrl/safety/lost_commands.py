@@ -17,7 +17,7 @@ class LostCommands:
         self.reset()
 
     def reset(self) -> None:
-        """Torque is not permitted: the next enable starts afresh."""
+        """Start a new count for the next enable, because torque is no longer permitted."""
         self._seen = self._hearing.unheard
         self._begin()
 

@@ -41,38 +41,38 @@ import math
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.debounce import Debounce
 
-SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
-GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.residuals`
-COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
-RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
+SMALL = 0.11  # of the limiter's absolute limit; plus 4 % until a reversed motor is detected: 15 % are safe for a person
+GEARING = 0.02  # 1, possible error of the file's ratio of the radii, as in `safety.residuals`
+COUNTED = 1.5  # counts of both encoders, from which the elongation is used: one count of each may change by chance
+RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque is used: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
 MEMORY = 0.2  # s of the correlation
 UNKNOWN = 0.012  # of that limit, RMS in the band: ripple and gear friction that the drive's reading does not contain
-STRONG = 3.0  # times that ripple, from which the elongation is reported: a heavy motor's swing adds to less
+STRONG = 3.0  # times that ripple, from which the elongation is reported: a heavy motor's oscillation adds to less
 ALIKE = 0.9  # correlation of elongation and torque, from which it is reported
 SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness that is a fifth less than its file's, and for a heavy motor's swing
-SLOW = 50.0  # rad/s of the elongation, RMS, up to which it is reported: nearer to its ringing a motor swings
-GIVING = 0.04  # s: a heavy motor that a wearer shakes looks so for 0.025, on tendons that are a fifth softer
-SHOWN = 0.5  # correlation from which the sense is right, or wrong
+SLOW = 50.0  # rad/s of the elongation, RMS, up to which it is reported: nearer to its resonance a motor oscillates
+GIVING = 0.04  # s: a heavy motor that a wearer shakes looks the same for 0.025 s, on tendons that are a fifth softer
+SHOWN = 0.5  # correlation from which the sign counts as right or wrong
 CLEAR = 0.8  # correlation from which the share of the joint is reported
 EXCESS = 1.3  # of the largest gain that the joint may get
-FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
-STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
-AT_REST = 4.0 * DRIFT  # s that the joint is held before its sensor is compared: the band forgets how it stopped
-TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
-WOUND = 1.5  # of the way in which the model's friction is wound up: friction and stiffness may be off by a fifth each
-RESTING = 0.1  # of that way: less is a joint that is held, whose tendons the torque alone stretches
-OWN = 0.5  # of the stretch against the torque that the motor goes itself: all or more of it, none where it is held fast
-LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
-SURE = 0.25  # s, on a joint that something else moves: friction looks so for 0.18
-SHAKEN = 0.4  # s, of a sense that was shown: a heavy motor that is shaken on its tendons looks so for 0.3
-GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
-RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
-SLOWLY = 2.0  # s in which it would come to the limit: a reversed one is found within 20 ms of it
-FREES = 0.5  # s in which the motion of a joint frees the motor: until then a reversed one, held so, gets no more
-HELD = 0.5  # s in which it would come there while friction holds the motor fast: until it slides the joint gets nothing
-PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
+FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb has the same effect
+STILL = 0.05  # rad/s of a locked joint: three times the noise of a 16 bit encoder's velocity
+AT_REST = 4.0 * DRIFT  # s at rest before the joint's sensor is compared: its stop is then no longer in the band
+TURN = 0.1  # s after a reversal of the tendon: by then its friction, which also changes the elongation, has reversed
+WOUND = 1.5  # of the travel that winds up the model's friction: friction and stiffness may be wrong by a fifth each
+RESTING = 0.1  # of that travel: with less, the joint is locked, and only the torque elongates its tendons
+OWN = 0.5  # share of the elongation by the motor's own motion: normally 1 or more, but 0 if friction locks the motor
+LAST = 0.02  # s that either must be wrong, on a joint that did not move before the motor pulled
+SURE = 0.25  # s, on a joint that something else moves: friction looks the same for 0.18 s
+SHAKEN = 0.4  # s, after the right sign was shown: a heavy motor that is shaken on its tendons looks reversed for 0.3 s
+GROWTH = 0.2  # s in which the torque may then grow to the limit, without a step that a person feels
+RESTS = 0.1  # s after which a constant torque may grow slowly, so that this growth shows its sign
+SLOWLY = 2.0  # s in which it would reach the limit: a reversed torque is detected within 20 ms of this ramp
+FREES = 0.5  # s in which the motion of a joint releases the motor: until then the limit of a locked motor does not grow
+HELD = 0.5  # s to the limit while friction locks the motor: until the motor slides, no torque reaches the joint
+PATIENCE = 0.15  # s with such ripple after which the torque grows although no sign was shown
 
 
 class PolarityCheck:
@@ -116,11 +116,11 @@ class PolarityCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Torque is not permitted: the next enable shows it again."""
+        """Reset the check, because torque is no longer permitted; the next enable repeats it."""
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
         self._resting = False  # no comparison at present
-        self._held_for = 0.0  # s, since friction held the motor fast; inf once the joint's motion has freed it
+        self._held_for = 0.0  # s, since friction locked the motor; inf once the joint's motion has released it
         self._shown = False
         self._judged = 0.0  # s, in which signals were compared
         self._begun = math.inf
@@ -137,12 +137,12 @@ class PolarityCheck:
         """Look at nothing `until` then, s, and then afresh."""
         self._direction = direction
         self._until = until
-        self._travel = 0.0  # rad at the motor, since the tendon turned
+        self._travel = 0.0  # rad at the motor, since the tendon reversed
         self._winding = False
         self._forget()
 
     def _forget(self) -> None:
-        """Earlier observations do not count."""
+        """Discard all earlier observations."""
         self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
         self._least_apart, self._most_apart = math.inf, -math.inf
         self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = self._ay = self._yy = 0.0
@@ -150,7 +150,7 @@ class PolarityCheck:
         self._forget_sensor()
 
     def _forget_sensor(self) -> None:
-        """What the joint torque sensor said of a joint that moved does not count where it is held."""
+        """Discard the sensor data of a moving joint, which are not valid for a locked one."""
         self._held_tt = self._held_tj = self._held_jj = 0.0
 
     def update(
@@ -173,7 +173,7 @@ class PolarityCheck:
             self._begun = min(self._begun, now)
             if 0.0 < self._held_for < FREES:
                 self._held_for += self._period
-                if abs(self._travel) > self._way:  # freed, and the change of torque shows its sense
+                if abs(self._travel) > self._way:  # released, and the change of the torque shows its sign
                     self._held_for = math.inf
                     self.ceiling = min(self.ceiling, SMALL * self._limit)
             elif self._held_for == 0.0 and self._fast:
@@ -182,7 +182,7 @@ class PolarityCheck:
                 self.ceiling += self._limit * self._period / (HELD if self._fast else SLOWLY)
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
-            self._driven = self._driven or self._pulled  # joint and tendons swing on from what came before the turn
+            self._driven = self._driven or self._pulled  # joint and tendons still oscillate from before the reversal
             self._begin(direction, now + TURN)
         if omega_j == omega_j:
             self._travel += self._travel_step * omega_j
@@ -196,7 +196,7 @@ class PolarityCheck:
             self._resting = False
             self._forget()
         winds_up = self._winds_up()
-        if winds_up is not self._winding:  # observations of the one do not hold for the other
+        if winds_up is not self._winding:  # observations in one state are not valid in the other
             self._winding = winds_up
             self._forget()
         if apart == apart:
@@ -222,7 +222,7 @@ class PolarityCheck:
         else:
             self._forget_sensor()
         if self._tt < self._least:
-            self._suspect = self._fast = False  # a constant torque shows no sense, and what came before is forgotten
+            self._suspect = self._fast = False  # a constant torque shows no sign, and earlier suspicions are dropped
             return None
         self._pulled = True
         by_stretch = self._by_stretch()
@@ -274,11 +274,11 @@ class PolarityCheck:
         return _correlation(product, self._tt * (self._aa - 2.0 * share * self._ay + share * share * self._yy))
 
     def _held_fast(self) -> bool:
-        """Whether the stretch is the way of the joint alone, of tendons that may not have slid since they turned."""
+        """Return True if only the joint causes the elongation, and the tendons may not have slid since the reversal."""
         return abs(self._travel) < self._way and self._ta + self._ty > OWN * self._ta
 
     def _winds_up(self) -> bool:
-        """Whether a joint that something moves has not gone so far that its tendons slide all along again."""
+        """Return True if an externally moved joint has not yet moved so far that its whole tendons slide again."""
         driven = self._shown or self._driven
         return driven and RESTING * self._way < abs(self._travel) < self._way
 

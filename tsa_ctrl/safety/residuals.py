@@ -279,7 +279,7 @@ class SensorNoise:
     """
 
     LEARNED = 20  # values without torque: the cycles that a startup has at least
-    REPEATED: ClassVar[int] = 100  # in a row: 1e-7 if 85 % repeat, the most that a third of 20 values leaves open
+    REPEATED: ClassVar[int] = 100  # in a row: 1e-7 if 85 % repeat, the upper bound that a third of 20 values permits
     DISTINCT = 3  # values that a noise beyond one digit shows
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
 """The end of every run: torque 0, drives disabled and confirmed, nodes pre-operational, then silence.
 
-The ramp of a torque to zero belongs to the loop; this is what follows it, whatever the reason was.
+The loop ramps the torque to zero. This module does what follows, independently of the reason for the shutdown.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def shut_down(
 
 
 def _disarm(bus: Bus, settings: BusSettings, node_ids: Sequence[int], say: Callable[[str], None]) -> None:
-    """Nobody watches for us when our heartbeat ends: a drive that did would be in fault at the next start."""
+    """Stop the drives' supervision of our heartbeat; otherwise its end would put them in fault at the next start."""
     with Session(bus, settings) as session:
         session.begin_heartbeat()
         for node_id in node_ids:

@@ -98,7 +98,7 @@ class Supervisor:
         return self.faults[0] if self.faults else None
 
     def update(self, image: Image, now: float, request: Request) -> tuple[Controlword, bool, Fault | None]:
-        """One cycle: (controlword, whether torque is permitted, the latched fault)."""
+        """Run one cycle; return the controlword, True if torque is permitted, and the latched fault."""
         if (
             self.phase is Phase.ENABLED
             and request is Request.ENABLE
@@ -149,7 +149,7 @@ class Supervisor:
         self._latch(finding.cause, finding.detail, now)
 
     def configured(self, image: Image) -> None:
-        """The nodes were brought up again and the rig rearmed: a reset is possible now."""
+        """Permit a reset, after the nodes have been configured again and the rig has been rearmed."""
         self.needs_bring_up = False
         self._events = image.events
         self._emcys = {health.node_id: health.emcys for health in image.nodes}
@@ -198,7 +198,7 @@ class Supervisor:
             self._latch(cause, f"{health}: {health.emcy}{self._if_a_warning(image, health)}", now)
 
     def _if_a_warning(self, image: Image, health: NodeHealth) -> str:
-        """How to go on past an emergency of a drive that itself goes on."""
+        """Return the remedy for an emergency of a drive that continues to operate; otherwise an empty string."""
         faulty = cia402.decode(image.statusword) in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
         if health.role is not Role.DRIVE or health.emcy is None or faulty or not image.fresh:
             return ""
@@ -228,7 +228,7 @@ class Supervisor:
         return cia402.next_controlword(state, PowerState.READY_TO_SWITCH_ON)
 
     def _enable(self, image: Image, state: PowerState, now: float) -> Controlword:
-        """Walk to operation enabled with torque 0; enabled only once mode and bit 12 are confirmed by a fresh PDO."""
+        """Step the drive to operation enabled with torque 0, until a fresh PDO confirms state, mode and bit 12."""
         in_mode = image.mode == Mode.CYCLIC_SYNC_TORQUE
         following = image.statusword & self._following_mask == self._following_mask
         if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
@@ -250,7 +250,7 @@ class Supervisor:
         return cia402.next_controlword(state, PowerState.READY_TO_SWITCH_ON)
 
     def _in_fault(self, image: Image, state: PowerState, now: float) -> Controlword:
-        """Torque stays off; on request, and only when nothing is left that needs a new bring-up, reset the drive."""
+        """Keep the torque off. On request, reset the drive unless a new bring-up is needed first."""
         if self.phase is Phase.FAULT:
             if state is not PowerState.OPERATION_ENABLED:
                 self._cut_off_due = now + _OBEY_TIME

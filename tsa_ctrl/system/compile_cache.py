@@ -1,4 +1,4 @@
-"""Where compiled functions are kept between runs: a folder that this user can write, wherever the package lies.
+"""Keep compiled functions between runs, in a folder that this user can write, wherever the package is installed.
 
 numba asks for `NUMBA_CACHE_DIR` when it is imported, and ends in a traceback where it finds no place to write; so the
 package sets it before anything of it is imported. A value of the user stays.
@@ -34,8 +34,8 @@ def _usable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """This user's own folder among the temporary ones; never one that another user may have made."""
-    import tempfile  # 8 ms in which Ctrl-C is still a traceback: only here is it needed
+    """Return this user's own temporary folder, never one that another user may have created."""
+    import tempfile  # takes 8 ms, in which Ctrl-C still prints a traceback; needed only here
 
     folder = Path(tempfile.gettempdir(), f"tsa-ctrl-numba-{os.getuid()}")
     try:

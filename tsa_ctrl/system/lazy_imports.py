@@ -1,7 +1,7 @@
-"""To be imported before scipy by a program that is waited for: unused parts of numpy are not loaded.
+"""Import this before scipy in an interactive program: it prevents the loading of unused parts of numpy.
 
-scipy copies all names of numpy, and so loads what generates Fortran interfaces and what tests arrays: a quarter of the
-time that a diagnosis takes to load. They are loaded when something of them is used (importlib.util.LazyLoader).
+scipy copies all names of numpy, and so loads numpy's generator of Fortran interfaces and its test tools. This takes a
+quarter of the loading time of a diagnosis. Here they are loaded on first use (importlib.util.LazyLoader).
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ def follow() -> None:
 
 
 def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
-    """Request the signal `number` for this process as soon as its parent ends, for whatever reason."""
+    """Request the signal `number` for this process as soon as its parent ends, for any reason."""
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
 
@@ -403,7 +403,10 @@ class Notifier:
         self._ready = self._stopping = False
 
     def update(self, now: float, status: str, up: bool, ending: bool) -> None:
-        """Called some times per second by the loop; `now` in s, monotonic; `status`: a word for whoever looks."""
+        """Notify the supervisor; the loop calls this several times per second.
+
+        `now`: monotonic time in s; `status`: short text for the operator.
+        """
         if self._socket is None:
             return
         if up and not self._ready:
@@ -419,9 +422,9 @@ class Notifier:
 
     @contextlib.contextmanager
     def no_loop(self) -> Iterator[None]:
-        """Inside the block a bring-up runs instead of the loop.
+        """Allow a longer silence inside the block, in which a bring-up runs instead of the loop.
 
-        It takes longer than the allowed time of a sign of life.
+        A bring-up takes longer than the permitted time between two notifications.
         """
         self._allow(LONGEST)
         try:

@@ -73,7 +73,7 @@ class Places:
     """Hold contents that are numbered from 1; number n lies in place n modulo `count`."""
 
     def __init__(self, memory: SharedMemory, at: int, count: int, size: int) -> None:
-        """From byte `at`, a multiple of 64, on; `size`: the longest content in bytes."""
+        """Use the memory from byte `at` (a multiple of 64) on; `size`: length of the longest content in bytes."""
         self._bytes = memory.bytes
         self._words = memory.words
         self._step = space(1, size)

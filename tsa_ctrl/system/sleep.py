@@ -50,7 +50,7 @@ class Alarm:
         self._request = _Timerspec()
 
     def set(self, deadline: int) -> None:
-        """Readable from `deadline` (ns of CLOCK_MONOTONIC, above 0) on, and not before."""
+        """Make the descriptor readable from `deadline` (ns of CLOCK_MONOTONIC, above 0) on, and not before."""
         value = self._request.value
         value.seconds, value.nanoseconds = divmod(deadline, 1_000_000_000)
         _set(self.fd, TFD_TIMER_ABSTIME, self._request, None)

@@ -1,8 +1,8 @@
-"""A CAN bus in the process, and its time: it passes only while a caller waits for it.
+"""Simulate a CAN bus inside the process, with a virtual time that passes only while a caller waits.
 
-The wire carries one frame at a time, (47 + 8 n) bits long; of those that wait, the lowest identifier goes next (CAN
-arbitration), and who sent it never hears it. Whoever waits on the host's end lets happen, in the order of time, what is
-due until then: arriving frames, timers of the machine, and scheduled events. So the same calls give the same bytes.
+The wire carries one frame at a time, (47 + 8 n) bits long. The waiting frame with the lowest identifier is sent next
+(CAN arbitration), and its sender does not receive it. While a caller waits at the host's end, all due events happen in
+the order of time: arriving frames, timers of the machine, and scheduled events. So the same calls give the same bytes.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Wire:
         return True
 
     def switch(self, name: str, up: bool) -> None:
-        """Take the interface down, and with it whatever is on its way, or up again; the plant's end forgives it."""
+        """Take the interface down, which discards frames in transit, or up again, which clears the plant's fault."""
         for wire in self._beside:
             if wire.plant.name == name:
                 wire.switch(name, up)

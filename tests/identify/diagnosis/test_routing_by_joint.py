@@ -1,4 +1,4 @@
-"""A joint that changes the wrap angle otherwise than the file states is found, with its gain within the interval."""
+"""A joint whose gain of the wrap angle differs from the file's is identified; the interval contains its gain."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Variants of a control cycle on a real bus, measured in turns."""
+"""Variants of a control cycle on a real bus, measured alternately."""

@@ -249,7 +249,7 @@ def nodes(configuration: Configuration) -> contextlib.AbstractContextManager[Non
 
 
 def measure(table: Mapping[str, Factory], rate: float, rounds: int, cycles: int) -> dict[str, dict[str, float]]:
-    """Measure all variants in turns at `rate` (Hz), and return their figures (us)."""
+    """Measure all variants alternately at `rate` (Hz), and return their figures (us)."""
     period = round(1e9 / rate)
     found = {name: Samples() for name in table}
     names = list(table)

@@ -17,9 +17,9 @@ class Hazard:
         goes_on: Reason why the loop may continue.
         residual: Description of the residual risk.
         axes: Number of axes that the fault needs.
-        released: Friction or pretension that holds the joint is lost permanently, independent of the motor.
+        released: The friction or pretension that holds the joint is lost permanently, independently of the motor.
         stays: The fault is permanent.
-        sticks: Small differences decide if the joint moves or sticks afterwards.
+        sticks: Small differences decide whether the joint moves or sticks afterwards.
         open: Description of the known unsafe trials; empty if none are known.
     """
 
@@ -60,7 +60,7 @@ _LATE = (
 )
 _SLACK = (
     "a slack tendon transmits no torque until it is wound up, and on a moving joint the elongation of a healthy tendon "
-    "may be as small, so it is not evaluated; add a spring or a switch at the tensioner, which detects it at once"
+    "may be equally small, so it is not evaluated; add a spring or a switch at the tensioner, which detects it at once"
 )
 _BLIND = (
     "the friction compensation is too large within the uncertainty of the elongation, during the observed half second; "

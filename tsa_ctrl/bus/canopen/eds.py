@@ -256,7 +256,7 @@ def _try(parser: configparser.RawConfigParser, sections: list[str]) -> tuple[Obj
     text.seek(0)
     try:
         return import_eds(text, None), ""
-    except Exception as error:  # canopen lets whatever it meets through
+    except Exception as error:  # canopen passes on exceptions of any type
         return None, _one_line(error)
 
 

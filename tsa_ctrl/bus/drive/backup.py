@@ -170,16 +170,16 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
 
 
 def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
-    """Write a backup to a drive that is not enabled, and read everything back; leaves it pre-operational.
+    """Write a backup to a drive that is not enabled, and read everything back. The drive stays pre-operational.
 
-    Raises UsageError for the backup of another node, whose identifiers this one would take: two drives would follow one
-    command. Raises BusError when the drive is enabled, is another model, or does not take a value.
+    Raises UsageError for the backup of another node: this drive would get its identifiers, and two drives would follow
+    one command. Raises BusError if the drive is enabled, is another model, or rejects a value.
     """
     name = f"node {node_id}"
     if backup.node_id != node_id:
         raise UsageError(
             f"{name}: the backup is of node {backup.node_id} and holds the identifiers of its PDOs; "
-            "give a backup of this node, or the drive the id of that one"
+            "restore a backup of this node, or give the drive the node id of the backup"
         )
     for entry, wanted in ((objects.VENDOR_ID, backup.vendor_id), (objects.PRODUCT_CODE, backup.product_code)):
         found = session.read_if_there(node_id, entry) or 0

@@ -266,7 +266,7 @@ class Node:
 
 
 def check_identity(session: Session, node: Node, report: NodeReport) -> None:
-    """Device type (0x1000) and identity (0x1018) equal the configuration; raises BusError."""
+    """Raise BusError if device type (0x1000) or identity (0x1018) differ from the configuration."""
     device_type = session.read(node.node_id, objects.DEVICE_TYPE)
     report.identity[objects.DEVICE_TYPE.name] = device_type
     _check_device_type(session, node, device_type)
@@ -339,7 +339,7 @@ def switch_off(session: Session, node: Node) -> None:
 
 
 def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
-    """On request: lead a drive found in fault out of it; the rising edge of bit 7, by SDO. Raises BusError."""
+    """Reset a drive that is in fault by a rising edge of bit 7, by SDO; raise BusError if the fault stays."""
     if node.state(session) not in _FAULTY:
         return
     found = _error(session, node)
@@ -431,7 +431,7 @@ def rated_torque_hint(found: float, wanted: float) -> str:
 
 
 def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None:
-    """Resolution and range of an encoder (0x6001, 0x6002) equal the configuration; raises UsageError."""
+    """Raise UsageError if resolution or range of an encoder (0x6001, 0x6002) differ from the configuration."""
     for entry, wanted, key in (
         (objects.MEASURING_UNITS, encoder.counts_per_revolution, "counts_per_revolution"),
         (objects.TOTAL_RANGE, encoder.counts_range, "counts_range"),

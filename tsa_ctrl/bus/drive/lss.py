@@ -1,4 +1,4 @@
-"""LSS (CiA 305): the id of a drive that has none, given once, on a bus with that one drive alone."""
+"""Assign a node id by LSS (CiA 305) to a drive that has none. The drive must be the only node on the bus."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _INQUIRE = {"vendor": 0x5A, "product code": 0x5B, "revision": 0x5C, "serial numb
 _INQUIRE_NODE_ID = 0x5E
 _ANSWER_TIMEOUT = 0.5  # s
 _SECOND = 0.1  # s, in which a second node would also answer
-_LISTENING = 0.5  # s, for whoever else is on the bus
+_LISTENING = 0.5  # s, in which other nodes on the bus are detected
 _BOOT_TIMEOUT = 5.0  # s
 
 
 @dataclass(frozen=True)
 class Found:
-    """The one node that answers to LSS: 0x1018, and its id, None when it has none."""
+    """The only node that answers to LSS: its identity (0x1018), and its id, or None if it has none."""
 
     identity: dict[str, int]
     node_id: int | None
@@ -62,7 +62,7 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
 
 
 def _quiet(bus: Bus) -> None:
-    """Other traffic than LSS means that the drive is not alone, or that a master is active."""
+    """Raise BusError if other traffic shows that the drive is not alone or that a master is active."""
     bus.accept(None)
     bus.flush()
     end = bus.clock() + _LISTENING

@@ -39,7 +39,7 @@ def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
 
 
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
-    """Every node has a different id, except axes of one device and an encoder of two axes; else UsageError."""
+    """Raise UsageError if two nodes have one id, except for axes of one device and an encoder of two axes."""
     owners: dict[int, tuple[str, NodeSettings | None]] = {
         settings.host_node_id: ("[bus] host_node_id", None),
     }

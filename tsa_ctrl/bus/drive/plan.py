@@ -109,7 +109,7 @@ def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings
 
 
 def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
-    """SYNC as we send it, whatever another tool has left: no counter, no window, no heartbeat consumer.
+    """Return the writes that undo SYNC settings of other tools: no counter, no window, no SYNC producer.
 
     `needs_period`: the node needs the period. The counter can be written only while it is not (CiA 301).
     """
@@ -220,7 +220,7 @@ def is_rate(rate: float) -> bool:
 def interpolation_period(period: float) -> tuple[int, int]:
     """Return `period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number.
 
-    In milliseconds wherever they are whole: some drives take no other exponent.
+    In milliseconds if they are whole numbers, because some drives accept no other exponent.
     """
     for exponent in (_MILLISECONDS, *range(_MAX_EXPONENT, _MIN_EXPONENT - 1, -1)):
         mantissa = round(period / 10.0**exponent)

@@ -34,7 +34,7 @@ READ: tuple[Object, ...] = (
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, CURRENT_NOMINAL,
     CURRENT_LIMIT, *(influence.entry for influence in cia402.TORQUE_PATH if influence.entry != objects.RATED_TORQUE),
 )  # fmt: skip
-PATIENCE = 2.0  # s, for an answer: four times what bringing a drive up allows, as nothing moves meanwhile
+PATIENCE = 2.0  # s, for an answer: four times the limit of a bring-up, because nothing moves during a probe
 _SLOTS = 8
 _PDOS = 4
 _NEEDED = (objects.STATUSWORD, objects.CONTROLWORD, objects.TARGET_TORQUE, objects.TORQUE_ACTUAL)
@@ -154,7 +154,7 @@ _REACTIONS = (
     (objects.FAULT_REACTION_OPTION, "fault"),
     (objects.ERROR_BEHAVIOUR, "communication_error"),
 )
-_USUAL = range(5)  # what else a drive is set to it may not let be changed
+_USUAL = range(5)  # a drive may reject a change of any other value
 _OPTIONAL = (
     objects.SYNC_PERIOD, objects.SYNC_WINDOW, objects.SYNC_COUNTER, objects.EMCY_COB_ID, objects.CONNECTION_LOSS,
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, objects.ERROR_BEHAVIOUR,

@@ -148,7 +148,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     absent: list[str] = []  # names (of the object table) of missing objects
     torque_clamp: TorqueClamp | None = None  # if the drive lacks 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
-    mode_shows: Literal["written", "operational", "enabled"] = "written"  # from when on 0x6061 is what 0x6060 is
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 begins to report 0x6060
     warnings: list[EmcyCode] = []  # error codes of emergencies that are reported and stop nothing
     supervision: Literal["heartbeat", "guarding"] = "heartbeat"  # how the drive knows that we are there, and we of it
     needs_sync_period: bool = False  # 0x1006 must be our period; else it is 0

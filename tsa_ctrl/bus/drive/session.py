@@ -35,7 +35,7 @@ _PAUSE = 0.005  # s, after a frame that could not be sent
 _MOST_WAITING = 512  # frames taken before a request
 _HIGHEST = 0x7FF  # identifier of 11 bits; more has flags: error frames, remote requests
 
-# Both libraries report to the root logger what is told here in one line by an exception.
+# Both libraries log errors to the root logger that an exception reports here in one line.
 for _name in ("canopen", "can"):
     logging.getLogger(_name).addHandler(logging.NullHandler())
 
@@ -73,7 +73,7 @@ class _Client(SdoClient):  # type: ignore[misc]
         network.subscribe(cia301.SDO_ANSWER + node_id, self._take)
 
     def _take(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Answers of a wrong length are ignored: canopen would unpack them all the same."""
+        """Pass on an answer of the right length. Others are ignored, because canopen would unpack them anyway."""
         if len(data) == _ANSWER_LENGTH:
             self.on_response(can_id, data, timestamp)
 
@@ -132,7 +132,7 @@ class Session:
         return frozenset(self._masters)
 
     def alone(self, rpdos: Iterable[int] = ()) -> None:
-        """Raises BusError when another master is heard; nothing has been sent then."""
+        """Raise BusError if another master sends frames; nothing has been sent then."""
         heard = self.listen(rpdos)
         if heard:
             raise BusError(another_master(self._bus.name, heard))
@@ -142,7 +142,7 @@ class Session:
         self._heartbeat = True
 
     def guard(self, node_ids: Collection[int]) -> None:
-        """Nodes that have no heartbeat and are asked for their state by remote frames."""
+        """Guard these nodes, which have no heartbeat: request their state by remote frames."""
         self._guarded = frozenset(node_ids)
 
     def be_patient(self, node_id: int, seconds: float) -> None:
@@ -323,7 +323,7 @@ class Session:
         self._masters.add(can_id)
 
     def _beat(self, now: float) -> None:
-        """Our heartbeat, when it is due: it ends with the session, for it must not outlive its master."""
+        """Send our heartbeat when it is due. It ends with the session, because it must not outlive the master."""
         if self._heartbeat and now >= self._next_heartbeat:
             self._next_heartbeat = now + self._settings.host_heartbeat_period
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))

@@ -128,7 +128,7 @@ class Inbox:
         return self.armed if self.every == 1 else self.is_overdue
 
     def share(self, store: Callable[[tuple[Any, ...]], None]) -> None:
-        """Also pass received frames to another axis: one encoder of two."""
+        """Also pass received frames to another axis that uses the same encoder."""
         first = self.store
 
         def both(values: tuple[Any, ...]) -> None:
@@ -212,9 +212,9 @@ class Guard:
 class Axis:
     """One axis: its process image and its command. SI at the motor pulley and the joint.
 
-    `shared`: inboxes of other axes by identifier; an encoder that one of them has already is taken from there.
-    `stands_off`: nothing is commanded, as it is not known that the drive is ours and mapped as we think. `target`: the
-    object that holds the torque which its drive heard last.
+    `shared`: inboxes of other axes by identifier; an encoder that another axis reads is used from there.
+    `stands_off`: True if nothing is commanded, because ownership and mapping of the drive are not confirmed. `target`:
+    the object with the last torque command that the drive received.
     """
 
     def __init__(

@@ -187,12 +187,12 @@ class Rig:
         self._expect()
 
     def wait(self, until: float) -> float:
-        """Sleep until `until` (monotonic s), then take what arrived meanwhile: emergencies, heartbeats, late answers.
+        """Sleep until `until` (monotonic s), then process the received frames: emergencies, heartbeats, late answers.
 
-        In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
-        old answer would have to arrive within the microseconds between the two to be believed, once. It is up before
-        the time by what waking has cost lately, and keeps taking what comes until then. Before it sleeps it sets the
-        timer that ends the wait for the next answers. Returns the time.
+        A loop calls this instead of sleeping, so `sync` need not look for waiting frames before each SYNC. Only an old
+        answer that arrives within the microseconds between both would be accepted, once. It wakes up early by the
+        recent wake-up latency, and processes frames until `until`. Before it sleeps it sets the timer that ends the
+        wait for the next answers. Returns the time.
         """
         lead = self._lead.value
         if self._patience > 0.0:
@@ -364,13 +364,13 @@ _GONE = 3  # SYNCs at the end that a node did not answer
 
 
 def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
-    """SYNC at the period without any command: first cycles are slow ones, so none of them shall count in the loop.
+    """Send SYNC at the period without any command, so that the slow first cycles do not count in the loop.
 
     Raises BusError for a node that does not answer 80 % of `cycles` SYNCs or none of the last three, or that answers
     more than once, as two nodes of one id do.
     """
     nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
-    cycles += rig.longest_turn  # so that what comes seldom has had its turn
+    cycles += rig.longest_turn  # so that rare PDOs are also received
     before = [(health.missed, health.repeated) for _, health in nodes]
     begin = rig.wait(0.0)
     for _ in range(cycles):

@@ -75,9 +75,9 @@ class Bus(Protocol):
         ...
 
     def expect(self, until: float) -> None:
-        """Said before the sleep: the next `answers` need not wait longer than `until` (monotonic s).
+        """Announce before the sleep that the next `answers` need not wait longer than `until` (monotonic s).
 
-        A timer that is set then costs the cycle nothing; `timeout` holds all the same, give or take the kernel's tick.
+        A timer that is set before the sleep takes no time of the cycle. `timeout` still applies, to a kernel tick.
         """
         ...
 

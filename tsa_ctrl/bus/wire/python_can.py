@@ -71,7 +71,7 @@ class PythonCan(BusInProcess):
         return frames
 
     def listen_for(self, can_id: int) -> None:
-        """No bus of python-can can wait for one identifier: `answers` waits for any."""
+        """Do nothing: python-can cannot wait for one identifier, so `answers` waits for any."""
 
     def answers(self, timeout: float, most: int) -> list[Frame]:
         frame = self.recv(timeout)
@@ -130,7 +130,7 @@ def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Opt
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """By default, Linux gives a socket the groups that any process of the machine has joined.
+    """Receive the socket's own group only. By default, Linux delivers all groups that any process has joined.
 
     Frames that came between opening and this option may be of any group. They are discarded.
     """

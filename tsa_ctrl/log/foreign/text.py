@@ -424,7 +424,10 @@ def _encoding(data: bytes) -> str:
 
 
 def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
-    """Separator, header and decimal sign from the first lines: that with which most lines have equally many fields."""
+    """Determine separator, header and decimal sign from the first lines.
+
+    The separator is the one with which most lines have the same number of fields.
+    """
     some = lines[:LOOKED_AT]
     best: tuple[int, int, str] | None = None  # rows of equal width, width, separator
     for separator in (*SEPARATORS, " "):

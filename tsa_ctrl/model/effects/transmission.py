@@ -159,12 +159,12 @@ class FourTensions:
         return self.slack is None and self.tension_dependence is None
 
     def angles(self, x: F, imbalance: F | float = 0.0) -> tuple[F, F]:
-        """Return x_a and x_b, 1, with the effect of asymmetric sheaths."""
+        """Return the dimensionless x_a and x_b, including the asymmetry of the sheaths."""
         x_a, x_b = x * (1.0 + imbalance), x * (1.0 - imbalance)
         return (x_a, x_b) if self.asymmetry is None else self.asymmetry.angles(x_a, x_b)
 
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F, imbalance: F | float = 0.0) -> F:
-        """B, N*m."""
+        """Return B, N*m."""
         if self.symmetric and isinstance(imbalance, float) and imbalance == 0.0:
             return self.grown(functions, tau_m, functions.exp(sigma * x), pretension)  # fast: a single exponential
         t1, t3 = self._tensions(functions, tau_m, pretension)
@@ -296,7 +296,7 @@ class Elongating:
         return last[0][1]
 
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F, imbalance: F | float = 0.0) -> F:
-        """B, N*m."""
+        """Return B, N*m."""
         line = self.line(functions, sigma * x, pretension, imbalance)
         return line.gain * tau_m - line.loss
 

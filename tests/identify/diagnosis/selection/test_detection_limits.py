@@ -1,4 +1,4 @@
-"""Smallest effect that the logs would have shown. The log is a blind one, and the noise of the drive is known."""
+"""Test the smallest effect that the logs would have shown, on a blind case with known noise of the drive."""
 
 from __future__ import annotations
 

@@ -44,13 +44,13 @@ class Audit:
 
 
 def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) -> Audit:
-    """Occupancy and excitation of the samples that may be learned from. `notes`: previous changes of the logs.
+    """Return the occupancy and excitation of the samples that may be fitted. `notes`: previous changes of the logs.
 
     `needs_motion`: False for a gear; a held joint shows its gain, offset and saturation.
     """
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
-    # Of each log its own: one noisy log more must not hide the motion of the others.
+    # Each log has its own noise: an additional noisy log must not hide the motion of the others.
     noise = np.concatenate([np.full(len(run.signals), run.velocity_noise) for run in frame.runs])
     fast = float(np.quantile(np.abs(omega), 0.95)) if len(omega) else 0.0
     moving = np.abs(omega) > np.maximum(np.maximum(0.05 * fast, 4.0 * noise), 1e-9)
@@ -79,7 +79,7 @@ def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) ->
 
 
 def _narrowed(frame: Frame) -> tuple[str, ...]:
-    """To what band friction's path was narrowed."""
+    """Return a note with the band to which the path of the friction was narrowed."""
     band = min(run.band for run in frame.runs)
     if not np.isfinite(band):
         return ()
@@ -107,7 +107,7 @@ def _hidden(frame: Frame) -> tuple[str, ...]:
 
 
 def _steady(omega: Array, noise: float) -> Array:
-    """Direction with the velocity noise as hysteresis."""
+    """Return the direction of motion, with the velocity noise as hysteresis."""
     return hold_direction(np.where(np.abs(omega) > 3.0 * noise, omega, 0.0))
 
 

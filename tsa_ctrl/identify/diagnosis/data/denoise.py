@@ -1,8 +1,8 @@
-"""A log's signals without most of their noise: zero-phase low-passes, where the spectrum sinks into its noise.
+"""Remove most of the noise of a log's signals by zero-phase low-passes, which cut off where the noise floor begins.
 
 Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
-every standstill. The motor torque is hardly: it jumps at a reversal, and shows little else if a drive compensates
-friction.
+every standstill. The motor torque is hardly filtered: if a drive compensates friction, its jumps at the reversals are
+nearly its only content.
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ from tsa_ctrl.model.signals import Signals, low_pass
 LOWEST = 8.0  # Hz, cut-off; joints move below 5 Hz and reverse within tens of milliseconds
 MARGIN = 8.0  # spectral density above the noise floor that still counts as motion
 SEGMENT = 4.0  # s, of one periodogram
-SHARP = 100.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; and of angles at most
+SHARP = 100.0  # Hz, of the motor torque, which jumps at a reversal; also the highest cut-off of angles
 VELOCITY_HIGHEST = (
-    40.0  # Hz, of a recorded velocity's low-pass: five times what joints move by, so that no reversal is late
+    40.0  # Hz, low-pass of a recorded velocity: five times the joint's bandwidth, so reversals keep their time
 )
-STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
-RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
-JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
-STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
+STANDSTILL = 0.05  # s at velocity 0, after which the joint counts as standing still
+RINGING = 0.1  # s next to a standstill or around a jump, in which the velocity is not filtered
+JUMP = 7.0  # standard deviations of a velocity's noise, which noise alone does not reach
+STEP_NOISE = 0.4  # standard deviation of a velocity near 0, in steps of its resolution
 DERIVED = (("q_j", "omega_j"), ("q_m", "omega_m"))  # angles, and the velocities that come from them unless recorded
 
 
 def denoised(log: Dataset) -> tuple[Signals, float, Array]:
-    """The log's signals denoised, the noise left in the joint's velocity (of a plain drive its one), and its error (n).
+    """Return the denoised signals, the remaining noise of the joint velocity (rad/s), and its error (n,).
+
+    A plain drive has one velocity, which is used instead of the joint velocity.
 
     An acceleration keeps its own low-pass.
     """
@@ -47,7 +49,7 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     if log.period * SHARP < 0.21:
         clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
     for angle, velocity in DERIVED:
-        if velocity in log.derived:  # with the angle under the same low-pass: the two turn at the same moment
+        if velocity in log.derived:  # the same low-pass as for the angle: both reverse at the same time
             found = log.motion.smoothed(angle)
             clean[angle] = found.value
             if _is_the_joint(log, velocity):
@@ -94,16 +96,16 @@ def _is_the_joint(log: Dataset, velocity: str) -> bool:
 
 
 def _uncertain(found: Smoothed, period: float) -> tuple[float, Array]:
-    """Noise and error of a derived velocity, rad/s: one number, and (n)."""
+    """Return the noise (a number) and the error (n,) of a derived velocity, rad/s."""
     noise = found.errors[1]
     bent = 0.0 if found.smooth is None else _distortion(found.rate, period, found.smooth.cutoff)
     return noise, np.hypot(noise, bent) + np.zeros(len(found.raw))
 
 
 def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error: Array) -> tuple[Array, Array]:
-    """A recorded velocity whose sign does not flicker while its noise hides it, and its error, which is so large there.
+    """Return a recorded velocity without sign changes by noise, and its error, which is at least the speed there.
 
-    Else friction would turn over and over in slow motion. The angle, the integral of `omega`, shows where it reverses.
+    Otherwise friction would reverse repeatedly in slow motion. The angle (the integral of `omega`) shows the reversals.
     """
     if noise <= 0.0 or not bool(np.any(np.abs(smooth) > SURE * noise)):
         return smooth, error
@@ -112,7 +114,7 @@ def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
-    """Where the velocity is exactly 0 for long, and shortly before and after: a filter would ring across 0 there."""
+    """Return True (n,) in and next to long stretches with velocity 0, where a filter would ring across 0."""
     still = omega == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     margin = round(RINGING / period)
@@ -124,7 +126,7 @@ def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
-    """Where the filter took far more than noise from a velocity (n): it jumped, and would come out bent."""
+    """Return True (n,) around jumps of a velocity: the filter removes far more than noise there, and distorts them."""
     noise = float(np.median(np.abs(taken))) / 0.6745
     jumped = np.abs(taken) > JUMP * noise if noise > 0.0 else np.zeros(len(taken), dtype=np.bool_)
     margin = min(round(0.5 * RINGING / period), (len(taken) - 1) // 2)
@@ -132,7 +134,7 @@ def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _count(omega: Array) -> float:
-    """One step of a recorded velocity, rad/s, if it has a grid."""
+    """Return the resolution of a recorded velocity, rad/s; 0 if its values lie on no grid."""
     values = np.unique(omega)
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
 
@@ -155,7 +157,7 @@ def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, 
 
 
 def _at_ends(y: Array, smooth: Array, period: float, cutoff: float) -> Array:
-    """Noise left at both ends (n): the low-pass carries a log on about its first and last sample as they are."""
+    """Return the noise left at both ends (n,), where the low-pass depends mainly on the first and last sample."""
     first = np.zeros(len(y))
     first[0] = 1.0
     share = low_pass(first, period, cutoff)  # of the first sample's noise
@@ -163,9 +165,9 @@ def _at_ends(y: Array, smooth: Array, period: float, cutoff: float) -> Array:
 
 
 def _averaged(y: Array, period: float, cutoff: float) -> float:
-    """The noise that a low-pass at `cutoff` Hz leaves of one that the drive averaged before; 0 where it did not.
+    """Return the noise after a low-pass at `cutoff` Hz if the drive has averaged the signal before; otherwise 0.
 
-    Below the cut-off there is more of it than higher frequencies show.
+    Such a signal has more noise below the cut-off than its higher frequencies indicate.
     """
     measured, _ = band_densities(y, period)
     level, shape = plateau(measured, len(y), period, TOP)

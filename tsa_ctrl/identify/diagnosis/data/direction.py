@@ -1,12 +1,12 @@
-"""The direction of slow motion, a hidden state: where a velocity's noise hides it, the torque shows how friction acts.
+"""Estimate the direction of slow motion, a hidden state, from the torque where noise hides the velocity's sign.
 
-Two states, forward and backward, that turn seldom. The evidence at a moment is the velocity, and the torque compared
-with a line through the certain samples; a forward and a backward sweep give the direction's probability
+The two states, forward and backward, change seldom. The evidence at a moment is the velocity, and the torque compared
+with a line through the certain samples. A forward and a backward sweep give the direction's probability
 from the whole log. Only stretches in which the velocity alone is undecided for long are changed. If the odds are large
 and the torque fits the direction, it counts as known, except for the reversals themselves: they were placed by the
 torque, and do not show its delay. Held-out errors leave all such stretches out. If the torque fits neither direction,
-friction is somewhere within its band, and the direction stays unknown; of a plain drive that is
-so whenever it rests, and a rest is neither learned from nor counted.
+friction is somewhere within its band, and the direction stays unknown. A plain drive at rest is always in this state,
+so its rest is neither fitted nor counted.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def joined(mask: Mask, window: int) -> Mask:
 
 
 UNKNOWN = 2.5  # times a velocity's error: a slower motion has no direction of its own
-LONG = 0.1  # s: at ordinary speed a joint turns in less, and between two rests it does not move for less
-TURNS = 1.0  # s from one turn to the next, about; it enters as a logarithm, so that a factor of 3 is one in the odds
+LONG = 0.1  # s: at ordinary speed a joint reverses in less time, and a motion between two rests lasts longer
+TURNS = 1.0  # s, approximate time between reversals; it enters as a logarithm: a factor of 3 changes the log odds by 1
 SURE = 50.0  # log odds of a direction that the velocity shows
 BAND = 40.0  # Hz, of a recorded velocity after its low-pass: noise is new in half a period of it
 CREEPING = 4.0  # standard errors of a median, by which it is not 0
@@ -65,7 +65,7 @@ FEWEST = 60  # score samples that must be left to learn from
 
 
 def with_hidden_direction(data: Split, model: Model) -> Split:
-    """The same logs with the direction of hidden stretches smoothed; masks exclude the stretches that stay hidden."""
+    """Estimate the direction in stretches in which noise hides it; masks exclude the stretches that stay hidden."""
     rigid = isinstance(model, RigidDrive)
     hidden = [_hidden(run, rigid) for run in data.frame.runs]
     if not any(bool(each.any()) for each in hidden):
@@ -89,9 +89,10 @@ def with_hidden_direction(data: Split, model: Model) -> Split:
 
 
 def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
-    """Samples (n) at the compute rate in long stretches without a direction; of tendons, of recorded velocities alone.
+    """Return True (n,) at the compute rate in long stretches without a known direction.
 
-    An encoder at rest shows this; of a plain drive that is enough to know nothing of its friction.
+    For tendons only a recorded velocity is considered, because an encoder shows a rest. For a plain drive a rest alone
+    leaves the friction unknown.
     """
     omega = run.signals.omega_j
     slow = np.abs(omega) <= UNKNOWN * run.velocity_error
@@ -100,13 +101,13 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
         if "omega_j" in run.raw.derived:
             return np.zeros(len(omega), dtype=np.bool_)
     least = max(1, round(LONG / run.signals.period))
-    around = np.pad(long(slow, least), least, mode="edge")  # what begins slowly was slow before
+    around = np.pad(long(slow, least), least, mode="edge")  # a log that begins with slow motion was slow before
     hidden = joined(around, least)[least:-least]
     return hidden & ~_creeping(run, hidden) if rigid else hidden
 
 
 def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Stretches in which slow motion shows all the same: half of its samples lie beyond what chance makes of a rest."""
+    """Return True (n,) in stretches with visible slow motion: the median speed exceeds that of noise at rest."""
     omega, error = run.signals.omega_j, max(run.velocity_noise, np.finfo(np.float64).tiny)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
     out = np.zeros(len(hidden), dtype=np.bool_)
@@ -149,7 +150,7 @@ def _features(run: Run, sigma: Array) -> Array:
 
 
 def _correlated(y: Array) -> float:
-    """Samples over which a unit-variance series repeats itself: the sum of its autocorrelation up to its first zero."""
+    """Return the correlation length of a series in samples: the sum of its autocorrelation up to its first zero."""
     spectrum = np.abs(np.fft.rfft(y, 2 * len(y))) ** 2
     correlation = np.fft.irfft(spectrum)[: len(y)] / max(float(np.sum(y**2)), np.finfo(np.float64).tiny)
     crossed = np.flatnonzero(correlation <= 0.0)
@@ -172,7 +173,7 @@ def _swept(evidence: Array, turn: float) -> Array:
 
 
 def _directed(run: Run, hidden: NDArray[np.bool_], odds: Array, off: Array) -> Run:
-    """The run with the likelier direction in its hidden stretches, and no error of the velocity where it is known."""
+    """Return the run with the likelier direction in hidden stretches; where it is certain, the velocity error falls."""
     if not hidden.any():
         return run
     from scipy.ndimage import binary_dilation, uniform_filter1d  # slow to import

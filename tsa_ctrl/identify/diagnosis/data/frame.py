@@ -31,7 +31,7 @@ class Run:
     target: Array  # N*m, measured; what the model predicts
     bin: int
     velocity_noise: float  # rad/s, of the denoised velocity
-    velocity_error: Array  # (n) rad/s: noise, and what denoising and differentiating may have bent
+    velocity_error: Array  # (n) rad/s: noise, and possible distortion by denoising and differentiation
     raw: Dataset
     full: Signals
     full_target: Array
@@ -62,14 +62,14 @@ class Run:
         return s.q_j if s.q_j is not None else np.asarray(np.cumsum(s.omega_j) * s.period)
 
     def since_reversal(self) -> tuple[Array, Array]:
-        """Time (s) and distance (rad) since the last reversal, at the compute rate."""
+        """Return the time (s) and the distance (rad) since the last reversal, at the compute rate."""
         s, angle = self.signals, self.angle
         last = last_reversal(s.omega_j)
         elapsed = np.asarray((np.arange(len(s)) - last) * s.period, dtype=np.float64)
         return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
 
     def average(self, y: Array) -> Array:
-        """Means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""
+        """Return the means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""
         bins = y[: self.count * self.bin].reshape(self.count, self.bin, *y.shape[1:])
         if self.bin >= SHORT_BIN or y.ndim > 1:
             return np.asarray(bins.mean(axis=1))
@@ -99,7 +99,7 @@ class Frame:
         return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
     def logs(self, used: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Number of the log of each used sample, counted from 0 over the logs that have one."""
+        """Return the log number of each used sample, counted from 0 over the logs with used samples."""
         log = np.repeat(np.arange(len(self.runs)), [run.count for run in self.runs])
         return np.asarray(np.unique(log[used], return_inverse=True)[1], dtype=np.int64)
 
@@ -107,11 +107,11 @@ class Frame:
         return sum(run.count for run in self.runs)
 
     def stack(self, parts: Sequence[Array]) -> Array:
-        """Averages of per-run arrays at the compute rate, stacked."""
+        """Return the stacked averages of per-run arrays at the compute rate."""
         return np.concatenate([run.average(part) for run, part in zip(self.runs, parts, strict=True)])
 
     def column(self, name: str) -> Array:
-        """A column of `Signals` at the score rate, stacked."""
+        """Return a column of `Signals` at the score rate, stacked."""
         return self.stack([getattr(run.signals, name) for run in self.runs])
 
     def has(self, name: str) -> bool:
@@ -128,7 +128,7 @@ class Frame:
 
 
 def block_numbers(counts: Sequence[int], used: NDArray[np.bool_], blocks: int = BLOCKS) -> NDArray[np.int64]:
-    """Contiguous blocks over the used samples, none across two runs; unused samples get the block they lie in."""
+    """Return the block of each sample. A block is contiguous within one run, and includes its unused samples."""
     total = int(used.sum())
     labels = np.zeros(sum(counts), dtype=np.int64)
     start, number = 0, 0

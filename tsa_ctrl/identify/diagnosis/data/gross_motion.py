@@ -30,9 +30,10 @@ SHORTEST, LONGEST = 0.0006, 0.5  # of half the range of an angle: the distances 
 
 
 def along_gross_motion(data: Split, model: Model) -> Split:
-    """The same samples with derived angles and velocities in the band that the torque follows.
+    """Return the same samples with derived angles and velocities limited to the band to which the torque responds.
 
-    A plain drive keeps its own: its friction acts where the encoder is. So does motion that was recorded as velocity.
+    The motion of a plain drive is not changed, because its friction acts at the encoder. A recorded velocity is not
+    changed either.
     """
     frame = data.frame
     band = _widest(frame)
@@ -62,7 +63,7 @@ def _widest(frame: Frame) -> float:
 
 
 def _left(frame: Frame) -> Array:
-    """Mean square in each block, (N*m)^2, of the torque that the best presliding leaves."""
+    """Return the mean square of the torque residual with the best presliding in each block, (N*m)^2."""
     used = frame.train
     blocks = np.unique(frame.blocks[used], return_inverse=True)[1]
     target = frame.target[used]
@@ -83,7 +84,7 @@ def _left(frame: Frame) -> Array:
 
 
 def _presliding(frame: Frame) -> list[PreslidingHysteresis]:
-    """Distances to try along each angle that every run has."""
+    """Return presliding effects with trial distances along each angle that every run has."""
     out = []
     for name, follows in (("q_m", "motor"), ("q_j", "joint")):
         if frame.has(name):
@@ -95,7 +96,7 @@ def _presliding(frame: Frame) -> list[PreslidingHysteresis]:
 
 
 def _friction(frame: Frame, effect: PreslidingHysteresis) -> tuple[Array, Array]:
-    """Friction z beside the others of (3.55) in a tendon-sheath's torque, and z times the load it may depend on."""
+    """Return the friction terms of (3.55): the state z, and z times the motor torque, as friction may depend on it."""
     states = []
     for run in frame.runs:
         path = effect.path(run.signals)

@@ -31,9 +31,9 @@ SCORE_SAMPLES = 12_000  # of all logs together at most: whitened columns of a th
 
 
 def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
-    """Admit, choose, denoise and reduce the logs. Raises UsageError, one line that names log and column.
+    """Check, select, denoise and downsample the logs. Raises UsageError with one line that names log and column.
 
-    hold_out: pattern of the logs that are held out, of which some stay where there are too many.
+    hold_out: pattern of the logs that are held out; if logs must be left out, some of these are kept.
     """
     target = model.target
     datasets = _datasets(logs)
@@ -76,9 +76,9 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
 
 
 def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
-    """One log with `factor` of its samples to one at the compute rate, `bin_` of those to a score sample.
+    """Return one log with `factor` of its samples per compute sample and `bin_` compute samples per score sample.
 
-    `measured` (n): the predicted torque, N*m.
+    `measured` (n,): measurement of the torque that the model predicts, N*m.
     """
     full, noise, error = denoised(log)
     signals = full.means(factor)
@@ -87,7 +87,7 @@ def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
 
 
 def narrowed(run: Run, band: float) -> Run:
-    """The run with derived motion up to `band` Hz; what does not change is shared with it, not made again."""
+    """Return the run with derived motion limited to `band` Hz; unchanged arrays are shared, not copied."""
     factor = run.full_bin // run.bin
     clean, uncertain = denoised_within(run.raw, band)
     small: dict[str, Any] = {name: _means(y, factor) for name, y in clean.items()}
@@ -168,12 +168,12 @@ def _chosen(own: Sequence[int], cells: Array, seconds: Sequence[float], longest:
 
 
 def _cells(logs: Sequence[Dataset]) -> Array:
-    """Seconds of each log in each cell of the pairs of signals that it has, (logs, k)."""
+    """Return the time (s) that each log spends in each cell of its pairs of signals, (logs, k)."""
     signals = [_signals(log) for log in logs]
     edges = {}
     for name in {name for each in signals for name in each}:
         values = np.concatenate([each[name] for each in signals if name in each])
-        low, high = np.quantile(values, (0.01, 0.99))  # one wild sample must not make all others alike
+        low, high = np.quantile(values, (0.01, 0.99))  # an outlier must not put all other samples into one cell
         edges[name] = np.linspace(low, high, BINS + 1)[1:-1]
     rows = []
     for each in signals:

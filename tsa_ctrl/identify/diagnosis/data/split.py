@@ -17,11 +17,11 @@ from tsa_ctrl.identify.dataset import held_out_blocks, held_out_logs
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
-GAP = 0.3  # s between what is learned from and what is held out: what a reversal leaves in the torque has faded
+GAP = 0.3  # s between fitted and held-out samples, in which the effect of a reversal on the torque decays
 # s at either end of a log whose motion was derived: a low-pass of the joints' motion sees that far beyond it
 ENDS = 0.15
 FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
-FIRST_TRAVEL = 0.02  # of half the range, after which a joint that stood has its friction whatever was before
+FIRST_TRAVEL = 0.02  # of half the range, after which the friction no longer depends on the motion before a rest
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Split:
 
 
 def split(runs: Sequence[Run], hold_out: str | None) -> Split:
-    """Raises UsageError when the pattern matches no log, or every one."""
+    """Split the runs into fitted and held-out samples; raise UsageError if the pattern matches no log or all logs."""
     names = [run.name for run in runs]
     chosen = held_out_logs(names, hold_out)
     counts = [run.count for run in runs]
@@ -75,7 +75,7 @@ def _unknown(run: Run) -> int:
 
 
 def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Stretches 1, 4, 7 ... of each log are held out; a gap on either side belongs to neither."""
+    """Hold out the stretches 1, 4, 7 ... of each log; the gap on either side belongs to neither part."""
     fit, held = [], []
     for count in counts:
         gap = min(round(GAP / period), count // (8 * STRETCHES))

@@ -12,7 +12,7 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
 from tsa_ctrl.model.functions import Array
 
 ITERATIONS = 12  # of Gauss-Newton: it ends earlier where a step gains less than ENOUGH
-ENOUGH = 0.05  # decrease of the sum of squares (white units): a twentieth of what one coordinate of noise is worth
+ENOUGH = 0.05  # decrease of the sum of squares (white units): a twentieth of the decrease by one coordinate of noise
 TRIES = 5  # of damping within one iteration: ten to the fifth between a Newton step and hardly any
 
 
@@ -33,7 +33,7 @@ class Fit:
 
 
 def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int = ITERATIONS) -> Fit:
-    """Least squares of the whitened residual over the coordinates within their bounds, from `start`."""
+    """Minimise the whitened residual's sum of squares over the coordinates within their bounds, from `start`."""
     point = np.clip(start, hypothesis.low, hypothesis.high)
     residual = problem.measured - problem.whiten(problem.predicted(hypothesis.model(point)))
     rss = float(residual @ residual)
@@ -43,7 +43,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
         if len(point) == 0:
             break
         improved = False
-        small = False  # whether the last step was not worth another
+        small = False  # True if the last step gained too little for another one
         nonsmooth = hypothesis.nonsmooth
         for attempt in range(2 * TRIES if nonsmooth.any() else TRIES):
             if attempt == TRIES:  # along some coordinates a gradient means little: try without them
@@ -100,9 +100,9 @@ def gradients(problem: Problem, fitted: Fit) -> Array:
 
 
 def bounded_step(jacobian: Array, residual: Array, low: Array, high: Array, damping: float) -> Array:
-    """Damped least-squares step (k,) within `low` .. `high`, by jacobian (m, k) and residual (m,).
+    """Return the damped least-squares step (k,) within `low` .. `high` for a jacobian (m, k) and a residual (m,).
 
-    The coordinate that leaves its bounds furthest is held there, the rest solved again.
+    The coordinate that exceeds its bounds most is held at its bound, and the others are solved again.
     """
     count = len(low)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)

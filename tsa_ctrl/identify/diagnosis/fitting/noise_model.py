@@ -23,12 +23,12 @@ from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-# Of the torque: white, and divided out again by what it leaves; only the first fit is weighted by it
+# Of the torque: assumed white noise, which only the first fit uses as a weight; its residual replaces it
 PILOT_NOISE = 0.02
 # Of the sum of squares: the best of a thousand columns of noise takes 12 (twice the logarithm, less its own)
 LEAST_DECREASE = 12.0
-MOST_COLUMNS = 16  # some for each of the causes that may be named (selection.forward.MOST_CAUSES)
-# Of the samples, that saturation may span: more would be taken out of the noise, whose level is what is wanted
+MOST_COLUMNS = 16  # several for each of the possible causes (selection.forward.MOST_CAUSES)
+# Of the samples, that saturation may span: a larger share would reduce the noise whose level is estimated
 MOST_SHARE = 0.1
 
 
@@ -58,7 +58,7 @@ def _under(problem: Problem, fitted: Fit, basis: Array) -> tuple[Problem, Fit]:
 
 
 def _noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
-    """Noise from the white residual (m,) once `basis` (m, k) is projected out."""
+    """Estimate the noise from the white residual (m,) after `basis` (m, k) is projected out."""
     rest = residual - basis @ (basis.T @ residual)
     count = len(problem.frame)
     full, spread = np.zeros(count), np.zeros((count, basis.shape[1]))

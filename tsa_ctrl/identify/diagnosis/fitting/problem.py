@@ -51,7 +51,7 @@ class Hypothesis:
 
     @cached_property
     def nonsmooth(self) -> NDArray[np.bool_]:
-        """Coordinates along which the prediction jumps: those of effects without an amplitude."""
+        """Return True for coordinates along which the prediction jumps: those of effects without an amplitude."""
         own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
         return np.array([False] * len(self.base.coordinates(self.wide_prior)) + own, dtype=np.bool_)
 
@@ -62,7 +62,7 @@ class Hypothesis:
         return tuple(slice(int(start), int(end)) for start, end in pairwise(ends))
 
     def own(self, point: Array) -> list[Array]:
-        """The coordinates of each variant."""
+        """Return the coordinates of each variant."""
         return [point[place] for place in self.places]
 
     def effects(self, point: Array) -> dict[str, dict[str, Value]]:
@@ -103,7 +103,7 @@ class Problem:
         return np.unique(self.frame.blocks[self.mask], return_inverse=True)[1].astype(np.int64)
 
     def predicted(self, model: Model) -> Array:
-        """The model's torque at the score rate, N*m, shape (n,)."""
+        """Return the model's torque at the score rate, N*m, shape (n,)."""
         return self.frame.stack(predict_each(model, [run.signals for run in self.frame.runs]))
 
     def whiten(self, y: Array) -> Array:
@@ -121,7 +121,7 @@ class Problem:
 
 
 def orthonormal(columns: Array, tolerance: float = 1e-7) -> Array:
-    """An orthonormal basis of the span of `columns` (n, k), shape (n, rank)."""
+    """Return an orthonormal basis of the span of `columns` (n, k), shape (n, rank)."""
     if columns.shape[1] == 0:
         return columns
     norms = np.linalg.norm(columns, axis=0)
@@ -132,6 +132,6 @@ def orthonormal(columns: Array, tolerance: float = 1e-7) -> Array:
     values, vectors = np.linalg.eigh(gram)
     keep = values > tolerance**2 * max(values[-1], 1e-300) + 1e-10
     basis = scaled @ (vectors[:, keep] / np.sqrt(values[keep]))
-    gram = basis.T @ basis  # once more: the first pass leaves what the smallest values amplify
+    gram = basis.T @ basis  # a second pass removes the errors that the smallest eigenvalues amplify
     values, vectors = np.linalg.eigh(gram)
     return np.asarray(basis @ (vectors / np.sqrt(values)))

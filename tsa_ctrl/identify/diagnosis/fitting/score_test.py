@@ -81,7 +81,7 @@ def _trial_points(variant: Variant, start: Array) -> list[tuple[Array, float]]:
 
 
 def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Score]:
-    """One score per response, whitened under the problem's noise."""
+    """Return one score per response, whitened under the problem's noise."""
     if not found:
         return []
     basis = orthonormal(fitted.jacobian)
@@ -105,7 +105,7 @@ def _score(response: Response, columns: Array, residual: Array) -> Score:
 
 
 def best_by_effect(found: Iterable[Score]) -> list[Score]:
-    """The best start of each effect, best effect first."""
+    """Return the best score of each effect, best effect first."""
     best: dict[str, Score] = {}
     for score in found:
         name = score.variant.effect
@@ -115,7 +115,7 @@ def best_by_effect(found: Iterable[Score]) -> list[Score]:
 
 
 def _whole(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
-    """An effect without an amplitude: its response as it is, or stretched where a grid is coarse."""
+    """Return start and gain of an effect without an amplitude; the response may be scaled where the grid is coarse."""
     size = float(columns[:, 0] @ columns[:, 0])
     overlap = float(columns[:, 0] @ residual)
     share = min(max(overlap / size, 0.0), STRETCH) if variant.coordinates and size > 1e-9 else 1.0
@@ -123,7 +123,10 @@ def _whole(variant: Variant, start: Array, columns: Array, residual: Array) -> t
 
 
 def _amplitudes(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
-    """The best amplitudes within their bounds; the others are solved again with one that a bound holds."""
+    """Return the start with the best amplitudes within their bounds, and its gain.
+
+    If a bound limits one amplitude, the others are solved again.
+    """
     index = list(variant.amplitude)
     gram, slope = columns.T @ columns, columns.T @ residual
     gram = gram + (1e-9 * float(np.trace(gram)) + 1e-12) * np.eye(len(gram))

@@ -27,10 +27,10 @@ def models_reversals(found: Fit) -> bool:
 
 
 def on_simulation_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
-    """The problem whose residual is the simulation error over `mask` (default: its own samples), in units of the noise.
+    """Return the problem whose residual is the simulation error over `mask` (default: its own samples), per noise RMS.
 
-    `reversals`: whether the moments of reversals count. Errors of two hypotheses compare only where it is the same for
-    both.
+    `reversals`: True if the samples at reversals count. Compare the errors of two hypotheses only with the same value
+    for both.
     """
     used = problem.mask if mask is None else mask
     plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
@@ -40,15 +40,15 @@ def on_simulation_error(problem: Problem, reversals: bool, mask: NDArray[np.bool
 def fit_on_simulation_error(
     problem: Problem, found: Fit, reversals: bool | None = None, mask: NDArray[np.bool_] | None = None
 ) -> Fit:
-    """The same hypothesis fitted `on_plain_error`, started at `found`. `reversals`: default `through_reversals`."""
+    """Fit the same hypothesis `on_simulation_error`, from `found`. `reversals`: default `models_reversals(found)`."""
     plain = on_simulation_error(problem, models_reversals(found) if reversals is None else reversals, mask)
     return fit(plain, found.hypothesis, found.point)
 
 
 def simulation_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
-    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
+    """Return the sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
 
-    `reversals` as of `fitted_on_plain_error`.
+    `reversals` as for `fit_on_simulation_error`.
     """
     return fit_on_simulation_error(problem, fitted, reversals).rss * problem.noise.rms**2
 
@@ -61,8 +61,8 @@ def full_residuals(frame: Frame, model: Model) -> list[Array]:
 def noise_rms(problem: Problem, fitted: Fit) -> float:
     """Return the RMS noise at the rate of the logs, N*m: by the noise model, plus the part above the score rate.
 
-    At most the whole residual's, which holds whatever is not found yet. Medians, not means, for the sake of what wrong
-    directions add.
+    It is at most the RMS of the whole residual, which includes all causes that are not identified yet. Medians are used
+    instead of means, because samples with a wrong direction are outliers.
     """
     residuals = full_residuals(problem.frame, fitted.hypothesis.model(fitted.point))
     whole = _deviation(residuals)

@@ -23,7 +23,7 @@ from tsa_ctrl.model.parameters import Effects, GearedDrive, Model, RigidDrive, T
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
-WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to see what wrong parameters could explain
+WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to test the effect of wrong parameters
 
 
 STANDSTILL = 1e-6  # rad/s; a joint that moves is faster
@@ -48,7 +48,7 @@ class Base(Protocol):
         ...
 
     def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
-        """A model with these coordinates; `effects` come on top of the file's own."""
+        """Return a model with these coordinates; `effects` are added to those of the file."""
         ...
 
     def direction_weight(self, model: Model, signals: Signals) -> Array:
@@ -72,7 +72,7 @@ class TendonBase:
 
     @cached_property
     def _coordinates(self) -> tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]]:
-        """Without and with a wide prior: each of a thousand predictions asks for them."""
+        """Return the coordinates without and with a wide prior; each of a thousand predictions needs them."""
         return self._freed(False), self._freed(True)
 
     def _freed(self, wide_prior: bool) -> tuple[Coordinate, ...]:
@@ -168,7 +168,7 @@ class DriveBase:
 
 
 def base_of(model: Model, scales: Scales) -> Base:
-    """The base of a model file, scaled to these logs."""
+    """Return the base of a model file, scaled to these logs."""
     if not isinstance(model, TendonSheath):
         sizes = {
             "efficiency": 1.0,

@@ -24,7 +24,7 @@ Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs 
 
 
 def all_but(names: Sequence[str], catalogue: Catalogue) -> list[Variant]:
-    """The variants of every effect but these."""
+    """Return the variants of all effects except these."""
     return [variant for name, variants in catalogue.items() if name not in names for variant in variants]
 
 
@@ -74,7 +74,7 @@ def _untestable(spec: Specification, frame: Frame, model: Model, scales: Scales)
 
 
 def scales_of(frame: Frame, model: Model) -> Scales:
-    """Speeds, torques and travels that occur in these logs: where the grids of candidates lie."""
+    """Return the speeds, torques and travels that occur in these logs, which scale the grids of candidates."""
     signals = [run.signals for run in frame.runs]
     speed = np.concatenate([np.abs(s.omega_j) for s in signals])
     fast = float(np.quantile(speed, 0.95))
@@ -127,6 +127,6 @@ def _step(angles: Sequence[Array]) -> float:
 
 
 def _range_of_bending(frame: Frame, model: TendonSheath) -> float:
-    """Range of the column theta over the model's bending angle; 0 where no log has it."""
+    """Return the range of the column theta divided by the model's bending angle; 0 if no log has the column."""
     angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
     return float(np.ptp(np.concatenate(angles))) / max(model.bending_angle, 1e-9) if angles else 0.0

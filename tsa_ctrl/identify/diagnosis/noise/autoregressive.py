@@ -1,9 +1,8 @@
-"""The noise of the torque: its spectrum, the autoregressive filter that whitens it, and draws of it.
+"""The noise of the torque: its spectrum, the autoregressive filter that whitens it, and random samples of it.
 
-Noise of drives and sensors is coloured, and the part that a fit removes from a residual is missing in its spectrum; so
-the
-spectrum is corrected by the share that the fitted columns span at each frequency. White residuals are what every test
-and interval here rests on: assuming them where they are not covers 27-59 % instead of 95 %.
+Noise of drives and sensors is coloured. A fit removes a part of it from the residual, so the spectrum is corrected by
+the share that the fitted columns span at each frequency. Every test and interval of the diagnosis assumes white
+residuals. If they are not white, 95 % intervals cover only 27-59 %.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ from scipy.linalg.lapack import dtrtrs
 
 from tsa_ctrl.model.functions import Array
 
-# s, of the whitening filter at most: noise slower than that is drift, and looked for as such (residual.changes)
+# s, longest whitening filter: slower noise is drift, for which there is a separate test (residual.changes)
 MEMORY = 1.0
 MOST_LAGS = 120  # about MEMORY at the usual score rate (prepare.SCORE_RATE)
 BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum: three and a half to an octave
-FLOOR = 0.04  # of the mean density: a band that seems quieter is not trusted with more weight
-FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep: its level is then known to 45 %
-# Hz, band whose slope continues downwards: above what a log has too few waves of, below what joints shake by
+FLOOR = 0.04  # of the mean density: lower bound of a band's density, which limits the weight of a quiet band
+FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep: its level then has an error of 45 %
+# Hz, band whose slope is extrapolated downwards: a log has too few periods below it, and joints shake above it
 REFERENCE = (0.7, 5.0)
-STEEPEST = 1.2  # power of 1/f that noise may have: electronics have 1; a slope beyond is a motion's or an effect's
-LOWEST = 0.15  # Hz, below which it is flat: one wave in 7 s, of which a log of seconds shows a part
+STEEPEST = 1.2  # largest power of 1/f of noise: electronics have 1; motion and effects have steeper slopes
+LOWEST = 0.15  # Hz, below which the density is flat: a log of seconds contains only a part of such a wave
 FEW_COLUMNS = 4  # below which a sum over a hundred taps takes less time than three Fourier transforms
-TOGETHER = 8  # columns transformed at a time: what is worked on stays in the cache, and small beside an hour's log
+TOGETHER = 8  # columns transformed at a time, so that the buffers fit into the cache
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,11 @@ class Noise:
 
     @property
     def rms(self) -> float:
-        """Of the noise at the score rate, N*m."""
+        """Return the RMS of the noise at the score rate, N*m."""
         return float(np.sqrt(self.covariance[0]))
 
     def whiten(self, y: Array, slices: Sequence[slice]) -> Array:
-        """Unit-variance white version of stacked noise `y`, shape (n,) or (n, k); runs are independent."""
+        """Return stacked noise `y`, shape (n,) or (n, k), as white noise of unit variance; runs are independent."""
         out = np.empty_like(y)
         lags = len(self.filter) - 1
         for part in slices:
@@ -60,7 +59,7 @@ class Noise:
         return out
 
     def _factor(self, size: int) -> Array:
-        """Cholesky factor of the covariance of so many first samples of a run, (size, size)."""
+        """Return the Cholesky factor of the covariance of the first `size` samples of a run, (size, size)."""
         known = self._factors.get(size)
         if known is None:
             known = self._factors[size] = cholesky(toeplitz(self.covariance[:size]), lower=True)
@@ -68,13 +67,13 @@ class Noise:
 
     @cached_property
     def _factors(self) -> dict[int, Array]:
-        """By size: all runs but the shortest start alike."""
+        """Return the cache of Cholesky factors by size; all runs that are longer than the filter share one size."""
         return {}
 
     def whiten_short(self, start: int, values: Array, part: slice) -> tuple[int, Array]:
-        """White version of a column that is 0 but for `values` from stacked sample `start` on, within one run.
+        """Whiten a column that is 0 except for `values` from stacked sample `start` on, within one run.
 
-        Returns where the white column starts and its values.
+        Returns the start of the white column and its values.
         """
         lags = len(self.filter) - 1
         stop = min(start + len(values) + lags, part.stop)
@@ -86,7 +85,7 @@ class Noise:
         return begin, _filtered(self.filter, piece) / self.deviation
 
     def spread(self, columns: Array, slices: Sequence[slice]) -> Array:
-        """Covariance (k, k) of the products of stacked columns (n, k) with noise of this kind, (N*m)^2."""
+        """Return the covariance (k, k) of the products of stacked columns (n, k) with this noise, (N*m)^2."""
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for part in slices:
             length = 1 << int(np.ceil(np.log2(2 * (part.stop - part.start))))
@@ -112,7 +111,7 @@ def _solved(factor: Array, y: Array) -> Array:
 
 
 def _filtered(taps: Array, y: Array) -> Array:
-    """Causal convolution along the first axis, cut to the length of `y`."""
+    """Return the causal convolution along the first axis, cut to the length of `y`."""
     if y.size == 0:
         return y
     if y.ndim == 1:
@@ -121,7 +120,7 @@ def _filtered(taps: Array, y: Array) -> Array:
         return np.column_stack([_filtered(taps, column) for column in y.T])
     length = next_fast_len(len(y) + len(taps) - 1, real=True)
     response = np.fft.rfft(taps, length)
-    rows = np.zeros((TOGETHER, length))  # one column after another takes two thirds of the time for all side by side
+    rows = np.zeros((TOGETHER, length))  # transposed: two thirds of the time of a transform along the columns
     filtered = np.empty((y.shape[1], len(y)))
     for start in range(0, y.shape[1], TOGETHER):
         columns = y.T[start : start + TOGETHER]
@@ -133,14 +132,14 @@ def _filtered(taps: Array, y: Array) -> Array:
 
 
 def white_noise(deviation: float) -> Noise:
-    """The noise that ordinary least squares assumes."""
+    """Return white noise, as ordinary least squares assumes it."""
     return Noise(np.ones(1), deviation, np.array([deviation**2]))
 
 
 def estimate(
     residual: Array, basis: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, prior: Noise
 ) -> Noise:
-    """Noise from a residual of stacked runs.
+    """Estimate the noise from a residual of stacked runs.
 
     residual: (n,), whitened with `prior` after the columns `basis` (n, k; orthonormal over the masked samples, whitened
     as well) were projected out. The spectrum found multiplies the prior's.
@@ -165,7 +164,7 @@ def estimate(
 
 
 def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
-    """Smoothed power/room on every line: means over bands that widen with frequency, joined by straight lines."""
+    """Return smoothed power/room on every line: means over bands that widen with frequency, interpolated."""
     centres, values = [], []
     start = 0
     while start < len(frequency):
@@ -184,10 +183,10 @@ def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
 
 
 def _continued(frequency: Array, density: Array) -> Array:
-    """A density whose lowest lines are at least what its slope above them continues to.
+    """Return a density whose lowest lines are at least the extrapolation of its slope above them.
 
-    Slow noise and slow effects look alike, and few waves of either fit into a log: taken from these alone, the noise
-    would come out too small, and the effects too sure.
+    Slow noise and slow effects look alike, and few periods of either fit into a log. From these lines alone the noise
+    would be underestimated, and the significance of effects overestimated.
     """
     band = (frequency > REFERENCE[0]) & (frequency < REFERENCE[1])
     if np.count_nonzero(band) < 4:
@@ -200,7 +199,7 @@ def _continued(frequency: Array, density: Array) -> Array:
 
 
 def _density(noise: Noise, frequency: Array) -> Array:
-    """Spectral density of the noise on the lines of a real FFT, (N*m)^2 per line of unit-variance white noise."""
+    """Return the spectral density of the noise on the lines of a real FFT, (N*m)^2; white noise of variance 1 has 1."""
     response = np.fft.rfft(noise.filter, 2 * (len(frequency) - 1))
     return np.asarray(noise.deviation**2 / np.maximum(np.abs(response) ** 2, 1e-12))
 

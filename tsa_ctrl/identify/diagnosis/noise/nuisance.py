@@ -39,12 +39,13 @@ from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
-# Of the velocity noise: as estimated, and where that is too little; of 40 null logs 31 had a false Stribeck without
+# Factors of the velocity noise: as estimated, and for an estimate that is too low. Without them, 31 of 40 null logs had
+# a false Stribeck effect.
 NOISE_FACTORS = (1.0, 2.5)
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
 FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
-FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
-STEP_CUTOFF = 8.0  # Hz, to tell steps from noise: the least that joints' motion is left with (denoise.LOWEST)
+FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
+STEP_CUTOFF = 8.0  # Hz, separates steps from noise: the lowest cut-off for joint motion (denoise.LOWEST)
 STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
 STEP_MARGIN = 0.04  # s: five score samples, in which a filtered step is neither
 MOST_COLUMNS = 800  # a projection costs the square of them; further moments share a column
@@ -69,7 +70,7 @@ class Nuisance:
     moments: tuple[Moment, ...] = ()
 
     def told(self, count: int) -> NDArray[np.bool_]:
-        """Of `count` score samples those outside the short columns, (count,): where the direction is known."""
+        """Return True (count,) for score samples outside the short columns, where the direction is known."""
         out = np.ones(count, dtype=np.bool_)
         for moment in self.moments:
             out[moment.start : moment.start + len(moment.values)] = False
@@ -116,7 +117,7 @@ class Projection:
 
     @cached_property
     def _across(self) -> csr_matrix:
-        """The short columns as rows; for where there are some."""
+        """Return the short columns as rows; at least one must exist."""
         assert self.short is not None
         return self.short.T
 
@@ -129,9 +130,9 @@ class Projection:
 
 
 def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
-    """Columns in N*m at the score rate; `model` gives the torque that hangs on the direction.
+    """Return nuisance columns in N*m at the score rate; `model` gives the torque that depends on the direction.
 
-    A lag of the velocity and a delay of the torque in `model` move the moments at which the direction is unknown.
+    A lag of the velocity and a delay of the torque in `model` shift the times at which the direction is unknown.
     """
     smooth: list[list[Array]] = [[] for _ in NOISE_FACTORS]
     patterns = []
@@ -155,7 +156,7 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
 
 
 def _engaging(run: Run, model: Model) -> Array:
-    """The torque that play holds back, N*m, beside the moments at which it ends, which no sample places better."""
+    """Return the torque (N*m) that backlash withholds, at the samples next to a change, as its time is uncertain."""
     tight = dataclasses.replace(model, effects={k: v for k, v in model.effects.items() if k != "backlash"})
     held = predict(model, run.signals) - predict(tight, run.signals)
     flips = np.flatnonzero(np.diff(held != 0.0))
@@ -167,7 +168,7 @@ def _engaging(run: Run, model: Model) -> Array:
 
 
 def fast(frame: Frame, edge: float) -> list[Array]:
-    """The part of each run's motor torque above `edge` Hz, its steps taken out, at the compute rate."""
+    """Return each run's motor torque above `edge` Hz, without its steps, at the compute rate."""
     out = []
     for run in frame.runs:
         level = _without_steps(run.signals.tau_m, run.signals.period)
@@ -185,7 +186,7 @@ def _without_steps(y: Array, period: float) -> Array:
 
 
 def _velocity(run: Run, model: Model) -> Array:
-    """The joint's true velocity by the model, rad/s."""
+    """Return the joint's true velocity according to the model, rad/s."""
     lag = model.effects.get("velocity_lag")
     if lag is None:
         return run.signals.omega_j
@@ -193,7 +194,7 @@ def _velocity(run: Run, model: Model) -> Array:
 
 
 def _late(run: Run, pattern: Array, model: Model) -> Array:
-    """A pattern in the true torque as the sensor shows it."""
+    """Return a pattern of the true torque as the sensor measures it."""
     for effect in Stack.of(model.effects).sensor:
         pattern = effect.apply(pattern, run.signals.t)
     return pattern
@@ -206,7 +207,7 @@ def _delayed(run: Run, pattern: Array, model: Model) -> Array:
 
 
 def _smeared(frame: Frame, moments: Sequence[Moment], lag: float) -> tuple[Moment, ...]:
-    """Return the moments after a sensor with time constant `lag` (s), cut off at TAIL of their maximum."""
+    """Return the short columns as measured by a sensor of time constant `lag` (s), cut off at TAIL of their peak."""
     longest = math.ceil(-math.log(TAIL) * lag / frame.period)
     out = []
     for moment in moments:
@@ -219,7 +220,7 @@ def _smeared(frame: Frame, moments: Sequence[Moment], lag: float) -> tuple[Momen
 
 
 def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
-    """weight * (E[sigma(v + eta)] - sigma(v))."""
+    """Return weight * (E[sigma(v + eta)] - sigma(v))."""
     width = np.sqrt(2.0) * factor * run.velocity_error
     known = width <= 0.0
     expected = erf(omega / np.where(known, 1.0, width))
@@ -227,7 +228,7 @@ def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
 
 
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
-    """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
+    """Return True (n,) at the compute rate where the direction is not known: below the noise and at each reversal."""
     out = np.abs(omega) < UNKNOWN * run.velocity_error
     out |= _by_chance(out, np.abs(omega) > SURE * run.velocity_error, run.signals.period)
     still = np.append(omega == 0.0, False)
@@ -235,7 +236,7 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     margin = max(1, round(RESTART / run.signals.period))
     for stop in np.flatnonzero(still[:-1] & ~still[1:]):
         late[max(0, stop - margin) : stop + 1] = True
-    out &= ~still[:-1] | late  # a standstill is known to be one, but for its end
+    out &= ~still[:-1] | late  # a standstill is certain, except for its end
     flips = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
     out[flips] = True
     out[np.minimum(flips + 1, len(omega) - 1)] = True
@@ -243,7 +244,7 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
 
 
 def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: float) -> NDArray[np.bool_]:
-    """Samples (n) that noise alone took out of an unknown stretch: too few for a joint to turn in, and none sure."""
+    """Return True (n,) where noise alone interrupts an unknown stretch: too short for a reversal, no sample certain."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], unknown, [True]]).astype(np.int8)))
     out = np.zeros(len(unknown), dtype=np.bool_)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
@@ -252,7 +253,7 @@ def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: floa
 
 
 def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:
-    """One column for each stretch in which a pattern is not 0, more for a long one; at most MOST_COLUMNS."""
+    """Return a column for each stretch in which a pattern is not 0, several for a long one; at most MOST_COLUMNS."""
     stretches: list[tuple[int, int, Array]] = []
     for part, run, pattern in zip(frame.slices, frame.runs, patterns, strict=True):
         level = run.average(pattern)

@@ -193,8 +193,8 @@ def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterato
 def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> Selection | None:
     """Return the selection with one more cause that removes more of the simulation error than remains, or None.
 
-    This step is for a residual that is mostly structure. Structure colours the noise model, so whitening hides effects
-    that are as slow as the structure.
+    This step is for a residual that consists mainly of structure. The noise model includes this structure, so whitening
+    hides effects that are as slow as the structure.
     """
     problem, fitted = selection.problem, selection.fitted
     if len(fitted.names) >= MOST_CAUSES:
