@@ -33,7 +33,13 @@ from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups, made_up
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.entry import FEWEST_LOGS, left_out_error
-from tsa_ctrl.identify.diagnosis.selection.forward import Round, Selection, other_starts, select
+from tsa_ctrl.identify.diagnosis.selection.forward import (
+    Round,
+    Selection,
+    leaves_more_than_noise,
+    other_starts,
+    select,
+)
 from tsa_ctrl.identify.diagnosis.selection.meaning import SIMPLER, meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
@@ -209,15 +215,21 @@ def _searched(
     """Return the selected causes and the structure of what they leave.
 
     If structure is left, the noise model contains it and is no judge between causes. The selection then starts again
-    from other first causes, and the causes that predict logs not used in the fit best are returned. This needs
-    FEWEST_LOGS logs.
+    from other first causes, and from other second causes if even the structure's noise does not cover the rest. The
+    causes that predict logs not used in the fit best are returned. This needs FEWEST_LOGS logs.
     """
     greedy = select(problem, start, catalogue, rng)
     found = [residual_structure(greedy, catalogue, rng)]
     logs = sum(bool(problem.mask[part].any()) for part in problem.frame.slices)
     if logs >= FEWEST_LOGS and structure_share(found[0][1]) and not start.names:
-        for begin in other_starts(problem, greedy.rounds[0], catalogue):
-            found.append(residual_structure(select(*begin, catalogue, rng), catalogue, rng))
+        for begin, first in other_starts(problem, greedy.rounds[0], catalogue):
+            other = select(begin, first, catalogue, rng)
+            found.append(residual_structure(other, catalogue, rng))
+            if leaves_more_than_noise(other):
+                found += [
+                    residual_structure(select(*each, catalogue, rng), catalogue, rng)
+                    for each in other_starts(begin, other.rounds[0], catalogue)
+                ]
     if len(found) == 1:
         return found[0]
     return min(found, key=lambda each: left_out_error(each[0].problem, each[0].fitted))

@@ -121,6 +121,11 @@ def other_starts(problem: Problem, first: Round, catalogue: Catalogue) -> list[t
     return [_entered(problem, step, catalogue) for step in [*accepted.values()][1:MOST_STARTS]]
 
 
+def leaves_more_than_noise(selection: Selection) -> bool:
+    """Return True if the residual of the selected causes is larger than the noise model."""
+    return selection.fitted.rss > MORE_THAN_NOISE * selection.problem.count
+
+
 def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
     """Return the problem under the new noise model, and the causes after one of them was added.
 
