@@ -215,8 +215,9 @@ def _searched(
     """Return the selected causes and the structure of what they leave.
 
     If structure is left, the noise model contains it and is no judge between causes. The selection then starts again
-    from other first causes, and from other second causes if even the structure's noise does not cover the rest. The
-    causes that predict logs not used in the fit best are returned. This needs FEWEST_LOGS logs.
+    from other first causes, and from other second causes if the rest is larger than this noise model. The causes that
+    predict logs not used in the fit best are returned, if they are clearly better than those of the first search.
+    This needs FEWEST_LOGS logs.
     """
     greedy = select(problem, start, catalogue, rng)
     found = [residual_structure(greedy, catalogue, rng)]
@@ -232,7 +233,9 @@ def _searched(
                 ]
     if len(found) == 1:
         return found[0]
-    return min(found, key=lambda each: left_out_error(each[0].problem, each[0].fitted))
+    errors = [left_out_error(each.problem, each.fitted) for each, _ in found]
+    best = int(np.argmin(errors))
+    return found[best] if errors[best] < CLEARLY_BETTER * errors[0] else found[0]
 
 
 def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:
