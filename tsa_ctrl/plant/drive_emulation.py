@@ -4,7 +4,7 @@ Identity, units and deviations are from the makers' public documentation. They a
 controller's profiles, so that each can be tested against the other.
 
 epos4      maxon EPOS4 Firmware Specification (rel8234): 0x6076 in uN*m, computed from the nominal current 0x3001:1 and
-           read-only; the torque is limited by the output current limit 0x3001:2 (mA), there is no 0x6072; 0x60A9 takes
+           read-only; no 0x6072, the output current limit 0x3001:2 (mA) limits the torque instead; 0x60A9 takes
            the prefixes of rpm only, and only while the power stage is off; 0x60C2:2 is -3; 0x605A is 6; no RPDO event
            timer. Vendor 0xFB; product code of an EPOS4 Micro 24/5 as in its published device descriptions.
 elmo_gold  Elmo DSP 402 Implementation Guide MAN-CAN402IG: 0x6076 in mN*m; velocities in counts/s, no 0x60A9; 0x605E is
@@ -52,7 +52,7 @@ class Clamp:
 
 @dataclass(frozen=True)
 class DriveEmulation:
-    """`vendor` and `product` None: those of the settings. `mode_shows` as the quirk of that name.
+    """`vendor` and `product`: None means the values of the settings. `mode_shows` has the meaning of the quirk.
 
     `fixed`: objects that accept only one value or a few. `added`: manufacturer-specific objects. `read_only`: objects
     that cannot be written. `off_only`: objects that can be written only while the power stage is off. `clamp`: object

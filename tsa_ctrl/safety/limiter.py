@@ -122,7 +122,10 @@ class Limiter:
         q_j: float,
         omega_j: float,
     ) -> tuple[float, Reason]:
-        """Return the permitted torque (N*m) and why it differs from `wanted`; torque, speeds and angle are measured."""
+        """Return the permitted torque (N*m), and the reason if it differs from `wanted`.
+
+        `tau_m` (N*m), the speeds (rad/s) and `q_j` (rad) are measured values.
+        """
         if not enabled:
             return self._zero(Reason.DISABLED)
         if not fresh:

@@ -54,8 +54,7 @@ def diagnose(
         model: the nominal model.
         hold_out: pattern of the names of the held-out logs, which are not used to find or fit causes. By default every
             third log by name is held out. With one or two logs, stretches of them are held out instead; only the
-                held-out
-            errors are computed without these stretches.
+            held-out errors are computed without these stretches.
         seed: seed of the random generator.
         progress: called with the name of each stage.
 

@@ -32,7 +32,7 @@ from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion, resi
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups, made_up
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
-from tsa_ctrl.identify.diagnosis.selection.entry import FEWEST_LOGS, left_out_error
+from tsa_ctrl.identify.diagnosis.selection.entry import FEWEST_LOGS, left_out_error, used_logs
 from tsa_ctrl.identify.diagnosis.selection.forward import (
     Round,
     Selection,
@@ -214,19 +214,18 @@ def _searched(
 ) -> tuple[Selection, tuple[Finding, ...]]:
     """Return the selected causes and the structure of what they leave.
 
-    If structure is left, the noise model contains it and is no judge between causes. The selection then starts again
-    from other first causes, and from other second causes if the rest is larger than this noise model. The causes that
-    predict logs not used in the fit best are returned, if they are clearly better than those of the first search.
-    This needs FEWEST_LOGS logs.
+    If structure is left, the noise model contains it, and comparisons under this model are unreliable. With at least
+    FEWEST_LOGS logs the selection then starts again from other first causes. If one of these selections leaves more
+    than noise, the selection also starts from other second causes after the same first one. The causes that predict
+    logs not used in the fit best are returned, if they are clearly better than those of the first selection.
     """
     greedy = select(problem, start, catalogue, rng)
     found = [residual_structure(greedy, catalogue, rng)]
-    logs = sum(bool(problem.mask[part].any()) for part in problem.frame.slices)
-    if logs >= FEWEST_LOGS and structure_share(found[0][1]) and not start.names:
+    if len(used_logs(problem)) >= FEWEST_LOGS and structure_share(found[0][1]) and not start.names:
         for begin, first in other_starts(problem, greedy.rounds[0], catalogue):
             other = select(begin, first, catalogue, rng)
             found.append(residual_structure(other, catalogue, rng))
-            if leaves_more_than_noise(other):
+            if leaves_more_than_noise(other.problem, other.fitted):
                 found += [
                     residual_structure(select(*each, catalogue, rng), catalogue, rng)
                     for each in other_starts(begin, other.rounds[0], catalogue)

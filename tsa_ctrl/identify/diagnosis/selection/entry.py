@@ -188,7 +188,7 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
     of it. Slow noise of one log, however, does not predict that of another log. Return False for fewer than FEWEST_LOGS
     logs.
     """
-    logs = [part for part in problem.frame.slices if problem.mask[part].any()]
+    logs = used_logs(problem)
     if len(logs) < FEWEST_LOGS:
         return False
     reversals = models_reversals(found) or not problem.nuisance.moments
@@ -197,35 +197,37 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
         return False  # This test is cheap and rejects most candidates.
     share = 1.0
     for part in logs:
-        inside = np.zeros(len(problem.frame), dtype=np.bool_)
-        inside[part] = True
-        errors = []
-        for each in (before, found):
-            learned = fit_on_simulation_error(problem, each, reversals, problem.mask & ~inside)
-            left = (problem.frame.target - problem.predicted(learned.hypothesis.model(learned.point)))[part]
-            errors.append(float(np.sum(np.square(left[problem.mask[part]]))))
-        if errors[1] > MOST_LEFT * errors[0]:
+        without, with_it = (_error_on_logs(problem, each, reversals, [part]) for each in (before, found))
+        if with_it > MOST_LEFT * without:
             return False
-        share *= errors[1] / errors[0]
+        share *= with_it / without
     return share <= MOST_LEFT**ENOUGH_LOGS
 
 
 def left_out_error(problem: Problem, found: Fit) -> float:
     """Return the sum of squares of the simulation error of logs that were not used in the fit, (N*m)^2.
 
-    The logs are left out in up to FOLDS groups of neighbours by name, and all other coordinates are fitted again.
+    Up to FOLDS groups of successive logs are left out in turn. All coordinates are fitted again to the other logs.
     """
-    logs = [part for part in problem.frame.slices if problem.mask[part].any()]
+    logs = used_logs(problem)
     reversals = models_reversals(found) or not problem.nuisance.moments
-    total = 0.0
-    for group in np.array_split(np.arange(len(logs)), min(FOLDS, len(logs))):
-        inside = np.zeros(len(problem.frame), dtype=np.bool_)
-        for number in group:
-            inside[logs[number]] = True
-        learned = fit_on_simulation_error(problem, found, reversals, problem.mask & ~inside)
-        left = problem.frame.target - problem.predicted(learned.hypothesis.model(learned.point))
-        total += float(np.sum(np.square(left[problem.mask & inside])))
-    return total
+    groups = np.array_split(np.arange(len(logs)), min(FOLDS, len(logs)))
+    return sum(_error_on_logs(problem, found, reversals, [logs[number] for number in group]) for group in groups)
+
+
+def used_logs(problem: Problem) -> list[slice]:
+    """Return the slice of the frame for each log with samples that are used in the fit."""
+    return [part for part in problem.frame.slices if problem.mask[part].any()]
+
+
+def _error_on_logs(problem: Problem, found: Fit, reversals: bool, logs: Sequence[slice]) -> float:
+    """Return the sum of squares of the simulation error on these logs after a fit to the others, (N*m)^2."""
+    inside = np.zeros(len(problem.frame), dtype=np.bool_)
+    for part in logs:
+        inside[part] = True
+    learned = fit_on_simulation_error(problem, found, reversals, problem.mask & ~inside)
+    left = problem.frame.target - problem.predicted(learned.hypothesis.model(learned.point))
+    return float(np.sum(np.square(left[problem.mask & inside])))
 
 
 def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:

@@ -26,6 +26,7 @@ from tsa_ctrl.identify.diagnosis.selection.entry import (
     entry_threshold,
     evidence,
     transfers,
+    used_logs,
 )
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, SIMPLER, meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import (
@@ -40,14 +41,13 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     step_with_late_reversals,
 )
 
-# Six causes take ten minutes on 25 trials of a cable drive, which has five. Evidence ends the search earlier: with a
-# limit of four, a torque sensor lag took the place of the eccentricity, and a load left out had an error of 17 mN*m
-# instead of 6.
+# One more than the measured cable drive needs. With four, a torque sensor lag took the place of the eccentricity there,
+# and the error of a load left out was 17 instead of 6 mN*m. The evidence usually ends the search earlier.
 MOST_CAUSES = 6
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
 # Ratio of the sum of squares (white units) to the number of samples: 5 % are three standard deviations of 7,000 samples
 MORE_THAN_NOISE = 1.05
-MOST_STARTS = 3  # first causes from which a selection starts; on the cable drive the second one was right
+MOST_STARTS = 3  # causes of one round from which a selection starts; on the cable drive the second or third is right
 
 
 @dataclass(frozen=True)
@@ -110,9 +110,9 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
 
 
 def other_starts(problem: Problem, first: Round, catalogue: Catalogue) -> list[tuple[Problem, Fit]]:
-    """Return the problems and fits with a cause that `first` accepts as well, but not as the best one.
+    """Return the problems and fits with the accepted causes of the round `first`, without the best one.
 
-    Greedy selection may begin with a cause that fits the sum of several others, and then cannot leave it.
+    Greedy selection may begin with a cause that fits the sum of several others, and then keeps it.
     """
     accepted: dict[str, Fit] = {}
     for step in first.steps:
@@ -121,9 +121,9 @@ def other_starts(problem: Problem, first: Round, catalogue: Catalogue) -> list[t
     return [_entered(problem, step, catalogue) for step in [*accepted.values()][1:MOST_STARTS]]
 
 
-def leaves_more_than_noise(selection: Selection) -> bool:
-    """Return True if the residual of the selected causes is larger than the noise model."""
-    return selection.fitted.rss > MORE_THAN_NOISE * selection.problem.count
+def leaves_more_than_noise(problem: Problem, fitted: Fit) -> bool:
+    """Return True if the residual is larger than the noise model allows."""
+    return fitted.rss > MORE_THAN_NOISE * problem.count
 
 
 def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
@@ -145,7 +145,7 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     for variant in variants:
         late = variant.effect in LATE_REVERSALS
         hidden = late and not fitted.names  # Free reversal times may hide a lag or a delay completely.
-        if hidden or fitted.rss > MORE_THAN_NOISE * problem.count:
+        if hidden or leaves_more_than_noise(problem, fitted):
             tried = step_with_late_reversals if late else step_from_nominal
             steps += [tried(problem, fitted, variant, start) for start in variant.full_strength]
     ranked = [found for found in steps if found is not None and found.rss < fitted.rss]
@@ -174,7 +174,7 @@ def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Itera
     Recalibration may have compensated for such an effect. These fits are tried if no other effect enters and
     the residual is more than noise.
     """
-    if fitted.rss > MORE_THAN_NOISE * problem.count:
+    if leaves_more_than_noise(problem, fitted):
         variants = all_but(fitted.names, catalogue)
         found = [step_from_nominal(problem, fitted, v) for v in variants if not v.coordinates]
         yield from sorted((each for each in found if each is not None), key=lambda each: each.rss)
@@ -186,7 +186,7 @@ def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterato
     These fits are tried if no other effect enters. An effect that is as slow as the noise of short logs scores little
     after whitening, but may transfer to other logs.
     """
-    if sum(bool(problem.mask[part].any()) for part in problem.frame.slices) < FEWEST_LOGS:
+    if len(used_logs(problem)) < FEWEST_LOGS:
         return
     plain = on_simulation_error(problem, models_reversals(fitted))
     present = fit(plain, fitted.hypothesis, fitted.point)
