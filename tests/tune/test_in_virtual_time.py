@@ -176,6 +176,10 @@ def test_a_new_rig_is_verified_with_compensation_although_its_file_has_none(
     assert "compensation is still 0; the verification used 0.95" in said
     written = load_configuration(tmp_path / "out" / rig.CONTROLLER)
     assert written.file.axes[0].law.compensation == 0.0
+    logs = sorted((tmp_path / "out").glob("*.mcap"))
+    assert len(logs) >= 5
+    assert [json.loads(log.with_suffix(".json").read_text())["log"] for log in logs] == [log.name for log in logs]
+    assert not any(path.is_dir() for path in (tmp_path / "out").iterdir())
 
 
 @pytest.mark.slow

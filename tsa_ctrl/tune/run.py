@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.table import STRETCH, load_run, read_table, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
+from tsa_ctrl.settings import write_text
 from tsa_ctrl.signals import INPUTS, is_input
 from tsa_ctrl.system.process_supervisor import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
@@ -151,7 +153,7 @@ class RigRunner:
             raise TrippedError(name, str(summary["cause"]))
         nodes = nodes_from(summary["joints"].get(self._axis.name, {}))
         self.origin = Origin("simulated" if summary["simulated"] else "measured", nodes)
-        log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
+        log = _named(self._folder / str(summary["log"]), self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
 
     def motion_of(self, name: str, axis: str) -> Dataset:
@@ -233,6 +235,20 @@ class RigRunner:
         limits["over_speed"] = max(min(self._axis.limits.over_speed, 2.0 * speed), 1.01 * speed)
         if self._bounds.travel is not None:
             limits["travel"] = list(self._bounds.travel)
+
+
+def _named(written: Path, log: Path) -> Path:
+    """Rename a log and its summary, and return the log; the summary names the log without its folder."""
+    written.rename(log)
+    summary = written.with_suffix(".json")
+    if summary.is_file():
+        values = json.loads(summary.read_text(encoding="utf-8")) | {"log": log.name}
+        write_text(log.with_suffix(".json"), json.dumps(values, indent=1) + "\n")
+        summary.unlink()
+    if written.parent != log.parent:
+        with contextlib.suppress(OSError):  # the run wrote other files too
+            written.parent.rmdir()
+    return log
 
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
