@@ -68,24 +68,53 @@ def with_hidden_direction(data: Split, model: Model) -> Split:
     """Estimate the direction in stretches in which noise hides it; masks exclude the stretches that stay hidden."""
     rigid = isinstance(model, RigidDrive)
     hidden = [_hidden(run, rigid) for run in data.frame.runs]
-    if not any(bool(each.any()) for each in hidden):
-        return data
-    frame = data.frame
-    slid = (
-        np.concatenate([run.average(each.astype(float)) for run, each in zip(frame.runs, hidden, strict=True)]) == 0.0
-    )
-    if int((slid & frame.train).sum()) < FEWEST or not bool((slid & data.held).any()):
+    slow = hidden if rigid else [each | _long_rest(run) for run, each in zip(data.frame.runs, hidden, strict=True)]
+    slid = _at_score_rate(data.frame, slow)
+    if slid.all() or int((slid & data.frame.train).sum()) < FEWEST or not bool((slid & data.held).any()):
         return data
     if rigid:
-        runs = tuple(
-            dataclasses.replace(run, hidden=float(np.mean(e))) for run, e in zip(frame.runs, hidden, strict=True)
-        )
-        frame = dataclasses.replace(frame, runs=runs, train=frame.train & slid)
-        masks = {name: getattr(data, name) & slid for name in ("fit", "held", "shipped")}
-        return dataclasses.replace(data, frame=frame, **masks)
-    found = _odds(frame, hidden, slid & frame.train)
-    runs = tuple(_directed(run, each, *of) for run, each, of in zip(frame.runs, hidden, found, strict=True))
-    return dataclasses.replace(data, frame=dataclasses.replace(frame, runs=runs), held=data.held & slid)
+        return _masked(data, hidden)
+    found = _odds(data.frame, hidden, slid & data.frame.train)
+    sticks = [_sticks(each, off) for each, (_, off) in zip(slow, found, strict=True)]
+    hidden = [each & ~stuck for each, stuck in zip(hidden, sticks, strict=True)]
+    runs = tuple(_directed(run, each, *of) for run, each, of in zip(data.frame.runs, hidden, found, strict=True))
+    shown = _at_score_rate(data.frame, hidden)
+    data = dataclasses.replace(data, frame=dataclasses.replace(data.frame, runs=runs), held=data.held & shown)
+    return _masked(data, sticks)
+
+
+def _at_score_rate(frame: Frame, hidden: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    """Return True (m,) for the score samples that contain no hidden sample; `hidden`: (n,) for each run."""
+    return np.asarray(frame.stack([each.astype(float) for each in hidden]) == 0.0)
+
+
+def _masked(data: Split, hidden: Sequence[NDArray[np.bool_]]) -> Split:
+    """Return the split without these samples, (n,) for each run: their friction is unknown."""
+    slid = _at_score_rate(data.frame, hidden)
+    runs = tuple(
+        dataclasses.replace(run, hidden=run.hidden + float(np.mean(each)))
+        for run, each in zip(data.frame.runs, hidden, strict=True)
+    )
+    frame = dataclasses.replace(data.frame, runs=runs, train=data.frame.train & slid)
+    masks = {name: getattr(data, name) & slid for name in ("fit", "held", "shipped")}
+    return dataclasses.replace(data, frame=frame, **masks)
+
+
+def _long_rest(run: Run) -> NDArray[np.bool_]:
+    """Return True (n,) in long stretches in which an encoder shows that the joint rests."""
+    return long(run.signals.omega_j == 0.0, max(1, round(LONG / run.signals.period)))
+
+
+def _sticks(slow: NDArray[np.bool_], off: Array) -> NDArray[np.bool_]:
+    """Return True (n,) in the stretches of `slow` (n,) in which the torque fits neither direction: the joint sticks.
+
+    off: deviation of the torque from that of the likelier direction, (n,), in standard deviations.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
+    out = np.zeros(len(slow), dtype=np.bool_)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        out[start:stop] = float(np.mean(np.square(off[start:stop]))) > FITS**2
+    return out
 
 
 def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:

@@ -20,6 +20,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.three_errors import known_direction
 from tsa_ctrl.model.parameters import TendonSheath
 
 BENDING_VARIED = 0.05  # share of the wrap angle: with a smaller variation there is only one configuration
@@ -97,7 +98,13 @@ def _half_width(quantity: Quantity) -> float:
 
 
 def _error(frame: Frame, fitted: Fit, point: np.ndarray) -> float:
-    """Return the RMS simulation error over all samples, N*m."""
+    """Return the RMS simulation error while the joint slides, N*m; over all samples if it never slides.
+
+    Errors near reversals are large in every model without presliding, and would hide an error everywhere else.
+    """
     residuals = full_residuals(frame, fitted.hypothesis.model(point))
-    total = sum(float(residual @ residual) for residual in residuals)  # An hour of data is not stored twice.
-    return float(np.sqrt(total / sum(map(len, residuals))))
+    slides = [known_direction(run.raw) for run in frame.runs]
+    if not any(mask.any() for mask in slides):
+        slides = [np.ones_like(mask) for mask in slides]
+    total = sum(float(np.sum(np.square(residual[mask]))) for residual, mask in zip(residuals, slides, strict=True))
+    return float(np.sqrt(total / sum(int(mask.sum()) for mask in slides)))
