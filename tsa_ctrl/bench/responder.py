@@ -1,7 +1,7 @@
 """Simulated nodes for a bus without nodes: they answer each SYNC, and statusword and torque follow the commands.
 
-`python -m tsa_ctrl.bench.responder` reads the bus settings and the axes' node ids as JSON on stdin, prints `ready`, and
-ends when its stdin closes.
+`python -m tsa_ctrl.bench.responder` reads the bus settings and the axes' node ids as JSON on stdin. It prints `ready`,
+and ends when its stdin closes.
 """
 
 from __future__ import annotations

@@ -88,7 +88,7 @@ def _repeated(
     faults: tuple[str, ...],
     changes: tuple[str, ...],
 ) -> Simulation:
-    """Repeat the run of a field report or log, and report whether the records are the same."""
+    """Repeat the run of a field report or log, and report if its records are equal."""
     from tsa_ctrl.virtual.script import Replay, first_difference
     from tsa_ctrl.virtual.simulation import simulate_loop
 

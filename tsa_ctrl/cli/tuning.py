@@ -21,8 +21,8 @@ PATIENCE = 0.05  # s for an answer, because requests are sent between two polls 
 def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
     """Show a progress line on stderr if it is a terminal.
 
-    Yield a function that shows phase and completed share, and one that prints a line and waits for Enter.
-    `socket` is the socket of the daemon of each run, or None in virtual time.
+    Yield a function that shows phase and completed share, and one that prints a line and waits for Enter. `socket` is
+    the socket of the daemon of each run, or None in virtual time.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[live]}"))

@@ -71,8 +71,9 @@ class Controller:
             command = controller.step(0.3, tau_m=tau_m, q_m=q_m, omega_m=omega_m, q_j=q_j)
             drive.send(command.torque)
 
-    A measurement that is not finite counts as a missing answer of the drive: the torque is held for as many periods as
-    [bus.supervision] tolerates, then a fault latches. The caller's watchdogs must act if `step` is not called.
+    A measurement that is not finite counts as a missing answer of the drive. The torque is then held for as many
+    periods as [bus.supervision] tolerates, and afterwards a fault latches. The caller's watchdogs must act if `step` is
+    not called.
     """
 
     def __init__(self, configuration: str | Path | Configuration, *, play: bool = False) -> None:

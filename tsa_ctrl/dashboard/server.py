@@ -4,7 +4,7 @@ GET / returns the page. GET /events streams the status (message) and the measure
 server-sent events. POST /set {"name", "value"}, /stop and /recover are commands. The token is part of the page's
 address and of each request. Requests whose Host or Origin is not this server are rejected.
 
-Stop requests have separate threads. All pages share one poll of the daemon, static files are sent from memory, and a
+Stop requests have separate threads. All pages share one poll of the daemon, and static files are sent from memory. A
 new connection replaces the one that has been idle longest. As a result, a stop request is answered under any load of
 other requests.
 """

@@ -1,7 +1,8 @@
 """Test sign and gain on a locked joint: apply a small torque in both directions, and compare it with a sensor.
 
-The joint is locked, so that the tendons slide only by their elongation. At more than twice the friction torque h from a
-reversal they slide along their whole length, and the joint torque is a straight line in the motor torque:
+The joint is locked, so that the tendons slide only by their elongation. Once the motor torque is more than twice the
+friction torque h away from a reversal, they slide along their whole length. The joint torque is then a straight line in
+the motor torque:
 
     tau_J = g a tau_M - sigma b + c                 a: slope of the model, (3.53); g: the gain, 1 if everything is right
 

@@ -15,7 +15,7 @@ SYNC only. A drive that sends no TPDOs is therefore read by SDO, which has no ef
 torque when the guard ends is switched off.
 
 `pull` tests sign and gain while a small motor torque begins. The torque stretches the tendons, so that motor and joint
-move apart with its sign, whether the joint is locked or free. A joint torque sensor follows by at most r_J/r_M. Both
+move apart with its sign, both on a locked and on a free joint. A joint torque sensor follows by at most r_J/r_M. Both
 relations are straight lines through all samples of the pull. The tested loop decides with a different filter
 (`safety.polarity_check`). A joint that something else moves is not judged, because its friction stretches the tendons a
 hundred times as far as a small torque does.

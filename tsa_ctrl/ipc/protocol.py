@@ -134,7 +134,7 @@ class Description(msgspec.Struct, frozen=True):
     parameters: list[list[Range]]  # per axis, in the order of the mailbox
     codes: dict[str, list[str]]  # names of the values of each coded signal
     phases: list[str]
-    set_point_limit: list[float | None]  # N*m per axis, None if the set-point does not come over the socket
+    set_point_limit: list[float | None]  # N*m per axis; None: not set over the socket
     figures: dict[str, Any]  # constant figures of the run, such as the bus load
     remedies: dict[str, str] = {}  # remedy of a fault, by its cause_id
     set_point_timeout: list[float] = []  # s per axis

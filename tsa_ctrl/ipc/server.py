@@ -8,9 +8,9 @@ replaces it and listens on the same socket (`system.process_supervisor`). It end
 closes however the daemon dies.
 
 A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
-client. Meanwhile all others together receive a third of the time. Each role has its own connections, and a new
-connection replaces the one that has been silent longest, so that connections cannot block a new one. The set-point has
-one owner at a time: its lease is renewed by set-points and ends after a time without any.
+client. Meanwhile all others together receive a third of the time. Each role has its own connections. A new connection
+replaces the one that has been silent longest, so that connections cannot block a new one. The set-point has one owner
+at a time: its lease is renewed by set-points and ends after a time without any.
 """
 
 from __future__ import annotations
@@ -248,7 +248,7 @@ class Server:
             self._answer(client, client.lines.popleft(), now)
 
     def _answer_next(self, now: float) -> None:
-        """Answer one request of one client, in turn."""
+        """Answer one request of one client, in rotation."""
         if self._lease.holder is not None and now < self._rests:
             return
         for place, client in enumerate(self._turn):

@@ -2,7 +2,7 @@
 
 The server opens the socket before the daemon imports slow modules. With `SOCKET.pid`, the daemon can be stopped even if
 the socket does not answer. The file contains the process id and the start time in clock ticks since boot (proc(5),
-stat, field 22), which distinguishes the daemon from a later process with the same id.
+stat, field 22). The start time distinguishes the daemon from a later process with the same id.
 """
 
 from __future__ import annotations

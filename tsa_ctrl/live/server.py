@@ -64,7 +64,7 @@ class Parameters(ServerListener):
     def __init__(self, path: str, settable: bool) -> None:
         self._client = Client(path)
         self._settable = settable
-        self._lock = threading.Lock()  # callbacks come from the threads of the WebSocket
+        self._lock = threading.Lock()  # callbacks run in the threads of the WebSocket
         self.subscribed = threading.Event()  # a client has subscribed to the events
 
     def on_subscribe(self, client: Any, channel: Any) -> None:

@@ -183,8 +183,8 @@ _TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 
 def check_signs(session: Session, node: Node) -> None:
     """Raise UsageError if a drive's polarity or its counts per revolution differ from the configuration.
 
-    Another tool may have changed 0x607E, 0x608F, 0x6091 or 0x6092 since the signs were measured, and a wrong sign makes
-    the joint push where it should yield. Only objects that the drive has are compared, and none is written here.
+    Another tool may have changed 0x607E, 0x608F, 0x6091 or 0x6092 since the signs were measured. A wrong sign makes the
+    joint push where it should yield. Only objects that the drive has are compared, and none is written here.
     """
     _check_polarity(session, node)
     _check_counts(session, node)

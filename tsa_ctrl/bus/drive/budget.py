@@ -1,8 +1,9 @@
 """Compute the bus load from the configured bit rate.
 
-A virtual bus has no bit rate, and a real bus shows an overload only while the loop runs. A data frame with an
-11-bit identifier and n bytes takes 47 + 8 n bits (CAN 2.0A with interframe space). Bit stuffing adds at most
-floor((33 + 8 n) / 4) bits.
+A virtual bus has no bit rate, and a real bus shows an overload only while the loop runs.
+
+A data frame with an 11-bit identifier and n bytes takes 47 + 8 n bits (CAN 2.0A with interframe space). Bit stuffing
+adds at most floor((33 + 8 n) / 4) bits.
 """
 
 from __future__ import annotations

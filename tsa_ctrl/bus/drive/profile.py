@@ -140,7 +140,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     """Properties of one drive model."""
 
     name: str = "generic CiA 402 drive"
-    sources: list[str] = []  # documents that the values come from
+    sources: list[str] = []  # documents with these values
     unknown: list[str] = []  # missing values that the user must determine
     eds: str | None = None  # EDS file next to the profile; default: none, the built-in dictionary is used
     identity: Identity = Identity()

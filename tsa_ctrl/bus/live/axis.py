@@ -20,9 +20,9 @@ from tsa_ctrl.bus.wire.bus import Bus, wire_of
 class PositionTracker:
     """Convert a position counter that wraps to an unwrapped angle and an angular velocity.
 
-    The velocity is the difference of two positions over the measured interval dt, filtered by a first-order low-pass
-    with the cutoff f_c: omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega). Its delay is 1 / (2 pi f_c). A missed sample
-    only makes dt longer.
+    The velocity is the difference of two positions over the measured interval dt. A first-order low-pass with the
+    cutoff f_c filters it: omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega). Its delay is 1 / (2 pi f_c). A missed
+    sample only makes dt longer.
 
     Attributes:
         angle: rad; nan until the first sample. The first angle is the one nearest to 0.

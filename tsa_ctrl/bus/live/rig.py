@@ -109,7 +109,7 @@ class Rig:
         self._read_back: ReadBack | None = None
         self._patience = 0.0  # s that the last cycle was prepared to wait for answers
         self._last = 0  # identifier of the answer expected last
-        self._later = 0  # consecutive cycles in which another answer came later
+        self._later = 0  # consecutive cycles in which another answer arrived later
 
     def _hear(self, can_id: int, handler: Handler) -> None:
         """Add a handler for an identifier; a node of two axes has two handlers."""
@@ -382,7 +382,7 @@ def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
     """Send SYNC at the period (s) without commands, so that the slow first cycles do not count in the loop.
 
     Raises:
-        BusError: a node answers less than 80 % of `cycles` SYNCs or none of the last three, or it answers more than
+        BusError: a node answers less than 80 % of `cycles` SYNCs, or none of the last three. Or it answers more than
             once, as two nodes with one id do.
     """
     nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]

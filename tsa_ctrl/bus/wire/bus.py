@@ -1,7 +1,7 @@
 """Interface of a CAN bus for the rest of the package, and a group of several buses behind the same interface.
 
-A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` set in its
-identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `ErrorClass`).
+A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` in its identifier,
+its class in the bits below and its details in the data (see `ErrorClass` and Linux `can/error.h`).
 """
 
 from __future__ import annotations
