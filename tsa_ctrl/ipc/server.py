@@ -5,7 +5,7 @@ The daemon starts it first. It sends an `Opening`, then a line for each stage of
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Clients can load only this process,
 never the loop, which takes at most one command per cycle from the mailbox. If this process hangs or dies, another one
 replaces it and listens on the same socket (`system.process_supervisor`). It ends with the daemon, because their pipe
-closes however the daemon dies.
+closes even if the daemon is killed.
 
 A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
 client. Meanwhile all others together receive a third of the time. Each role has its own connections. A new connection
