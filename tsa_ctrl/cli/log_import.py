@@ -40,7 +40,7 @@ def understand_all(
     """Read and map all files; return them with the proposals that were used.
 
     Raises:
-        UsageError: questions are open. One message lists those of all files. With `accept`, the proposals answer them.
+        UsageError: questions of any file are open; one message lists all. With `accept`, the proposals answer them.
     """
     done, open_questions, proposals = [], [], []
     for path in paths:

@@ -18,7 +18,7 @@ class Finite(click.FloatRange):
         return number
 
     def _describe_range(self) -> str:
-        """Omit the range from the help if there is no bound, because click would print `x<=None`."""
+        """Omit the range from the help without a bound, because click would print `x<=None`."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 

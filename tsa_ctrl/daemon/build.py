@@ -215,7 +215,7 @@ def set_point_limit(settings: AxisSettings, model: TendonSheath) -> float:
 def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give:
     """Return the compliance between motor and joint, with the uncertainty of friction and stiffness.
 
-    `inertia` is that of the motor, kg*m^2; 0 if it is not known.
+    `inertia` of the motor is in kg*m^2, and 0 if it is not known.
     """
     stiffness = motor_stiffness(model)
     friction = model.most_friction - 1.0

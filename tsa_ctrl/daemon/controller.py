@@ -47,7 +47,7 @@ class Command(NamedTuple):
     Attributes:
         torque: motor torque to send, N*m at the motor pulley; always finite and within [axis.limits].
         permitted: False if the torque must be 0; the caller then disables the drive.
-        reason: active limit of the torque, "none" if there is none.
+        reason: active limit of the torque, "none" without one.
         sigma: direction of the friction, -1 to 1.
         friction_term: compensated friction, N*m at the motor pulley.
         fault: the first latched fault with its remedy, or None.

@@ -1,4 +1,4 @@
-"""Check that model files belong to their joints: compare the nodes on the bus with those of each file's tuning.
+"""Check that model files belong to their joints: compare the nodes on the bus with the nodes of each tuning.
 
 A file of another joint is rejected before anything is written to a node. A file is trusted if it was written by a
 tuning of this joint: the serial numbers of drive and encoder match, and the numbers were measured. A file that is not

@@ -138,7 +138,7 @@ def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool
 
 
 def _range(values: Sequence[float]) -> float:
-    """Return the range of the finite values, or 0 if there are none."""
+    """Return the range of the finite values, or 0 without any."""
     known = [value for value in values if math.isfinite(value)]
     return max(known) - min(known) if known else 0.0
 

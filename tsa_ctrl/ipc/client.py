@@ -62,7 +62,7 @@ else:
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """Measurements of one cycle; `measured["knee"]` returns those of one axis."""
+    """Measurements of one cycle; `measured["knee"]` returns the values of one axis."""
 
     time: float  # s, CLOCK_MONOTONIC, of the cycle
     age: float | None  # s since then; None before the first cycle

@@ -27,7 +27,7 @@ class Pdo:
         number: from 1.
         received: True if the node receives it (RPDO), False if the node sends it (TPDO).
         objects: mapped objects in order.
-        place: place of its identifier in the predefined connection set, 1 to 4; 0 stands for `number`.
+        place: place of its identifier in the predefined connection set, 1 to 4; 0 means `number`.
         every: number of SYNCs from one transmission to the next (transmission type of a TPDO).
     """
 
@@ -112,8 +112,8 @@ class DriveLayout:
 def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None, lean: bool = False) -> DriveLayout:
     """Return the PDOs of the axis in this slot of a device.
 
-    A node has identifiers for two axes: the second axis uses those of RPDO 2, TPDO 3 and TPDO 4. Any axis may use the
-    identifiers of an unused node id (`identifiers_of`).
+    A node has identifiers for two axes: the second axis uses the identifiers of RPDO 2, TPDO 3 and TPDO 4. Any axis may
+    use the identifiers of an unused node id (`identifiers_of`).
     """
     motion, position = (LEAN_MOTION, LEAN_STATE) if lean else (MOTION, POSITION)
     if slot == 2 and identifiers_of is None:

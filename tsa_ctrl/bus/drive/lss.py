@@ -49,7 +49,7 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
         say: receives a text if a reset or a power cycle is needed.
 
     Raises:
-        BusError: there is no node or more than one, or it cannot take or store the id.
+        BusError: no node or more than one answers, or the node cannot take or store the id.
     """
     found = find(bus)
     _send(bus, _SWITCH, _CONFIGURING)

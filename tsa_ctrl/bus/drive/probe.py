@@ -96,7 +96,7 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
         raise BusError(another_master(name, heard))
     found = Probe(node_id, slot, sync_heard=bool(heard))
     session.be_patient(node_id, PATIENCE)
-    first = session.read(node_id, objects.DEVICE_TYPE)  # raises BusError if there is no answer
+    first = session.read(node_id, objects.DEVICE_TYPE)  # raises BusError without an answer
     for entry in READ:
         _read(session, found, entry)
     for text in (_NAME, _HARDWARE, _SOFTWARE):

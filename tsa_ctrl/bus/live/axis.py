@@ -364,7 +364,7 @@ class Axis:
         self._motor_count, image.mode, image.error_code = values
 
     def _store_bare_position(self, values: tuple[Any, ...]) -> None:
-        """Store the position of a drive without 0x603F; its error code is that of its last emergency."""
+        """Store the position of a drive without 0x603F; its error code is taken from its last emergency."""
         image = self.image
         self._motor_count, image.mode = values
         said = image.nodes[0].emcy

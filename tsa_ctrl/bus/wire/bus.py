@@ -56,7 +56,7 @@ class Bus(Protocol):
         ...
 
     def recv(self, timeout: float) -> Frame | None:
-        """Return the next frame within `timeout` s, or None if there is none or the bus has failed (see `fault`)."""
+        """Return the next frame within `timeout` s, or None if none arrives or the bus has failed (see `fault`)."""
         ...
 
     def gather(self, until: float, most: int) -> Sequence[Frame]:

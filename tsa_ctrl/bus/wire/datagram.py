@@ -4,7 +4,7 @@ It is meant for demos and benches; a test of the kernel's CAN requires a vcan. E
 over a connection that preserves frame boundaries (SOCK_SEQPACKET). A SOCK_DGRAM socket would hold only
 net.unix.max_dgram_qlen frames, often 10. The names are abstract, so that no files remain.
 
-Limits: there is no arbitration, bit rate, error frame, bus-off, acknowledgement or kernel filter. The frames of each
+Limits: the bus has no arbitration, bit rate, error frame, bus-off, acknowledgement or kernel filter. The frames of each
 sender keep their order, and frames of several senders mix. A frame without a receiver counts as sent. A participant
 that does not read loses frames. All participants are processes of one user in one network namespace.
 """

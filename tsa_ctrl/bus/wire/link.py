@@ -40,7 +40,7 @@ def request(kind: int, flags: int, body: bytes) -> list[bytes]:
     """Send a request, and return the bodies of the answers before its acknowledgement.
 
     Raises:
-        OSError: with the kernel's reason, or if there is no netlink.
+        OSError: with the kernel's reason, or without netlink.
     """
     if not hasattr(socket, "AF_NETLINK"):
         raise OSError("this system has no netlink")
@@ -121,7 +121,7 @@ class Interface:
 
 
 def read(channel: str) -> Interface | None:
-    """Return a link read from the kernel, or None if there is no answer (no such link, no netlink)."""
+    """Return a link read from the kernel, or None without an answer (no such link, no netlink)."""
     try:
         found = request(RTM_GETLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), 0, 0))
     except OSError:
