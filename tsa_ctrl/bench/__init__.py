@@ -1,1 +1,1 @@
-"""`tsa bench`: how fast this machine, this adapter and this configuration can go."""
+"""`tsa bench`: measure the highest rate of this machine, its CAN adapter and a configuration."""

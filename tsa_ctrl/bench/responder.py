@@ -1,7 +1,7 @@
-"""Stand-in nodes for a bus without any: each SYNC is answered, statusword and torque follow the commands.
+"""Simulated nodes for a bus without nodes: they answer each SYNC, and statusword and torque follow the commands.
 
-`python -m tsa_ctrl.bench.responder`: settings of the bus and the axes' node ids as JSON on stdin; prints `ready`, ends
-when its stdin closes.
+`python -m tsa_ctrl.bench.responder` reads the bus settings and the axes' node ids as JSON on stdin. It prints `ready`,
+and ends when its stdin closes.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.process_supervisor import READY, Child
 
-PRIORITY = 70  # below the loop, above everything else
-BEAT = 0.02  # s between heartbeats, at the next SYNC
-LOOK = 0.2  # s between looks at whether to end
-START = 20.0  # s
+PRIORITY = 70  # below the loop, above all other processes
+BEAT = 0.02  # s between heartbeats, which are sent at the next SYNC
+LOOK = 0.2  # s between checks for a stop request
+START = 20.0  # s for the process to start or end
 DISABLED = 0x1250  # statusword: switch on disabled
 STATUSWORDS = {Controlword.SHUTDOWN: 0x1231, Controlword.SWITCH_ON: 0x1233, Controlword.ENABLE_OPERATION: 0x1237}
 
@@ -45,14 +45,14 @@ class Ids(msgspec.Struct, frozen=True):
 
 
 class Task(msgspec.Struct, frozen=True):
-    """The settings of the process."""
+    """Settings of the process, received on stdin."""
 
     bus: BusSettings
     axes: tuple[Ids, ...]
 
 
 def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
-    """Identifiers of each axis' frames, as the configuration maps them."""
+    """Return the node ids of each axis."""
     return tuple(
         Ids(
             axis.drive.node_id,
@@ -64,7 +64,7 @@ def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
 
 
 class Responder:
-    """The nodes of some axes at rest, whose positions tremble by a count: what does not move at all is frozen."""
+    """Nodes of axes at rest. Their positions change by one count, because a constant position counts as frozen."""
 
     def __init__(self, bus: Bus, axes: Sequence[Ids]) -> None:
         self._bus = bus
@@ -86,7 +86,7 @@ class Responder:
         bus.accept([cia301.SYNC, *self._status])
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Answer until a stop is requested."""
+        """Answer frames until `stop` returns True."""
         due = time.monotonic() + LOOK
         while True:
             frame = self._bus.recv(LOOK)
@@ -117,10 +117,12 @@ class Responder:
 
 @contextlib.contextmanager
 def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
-    """Simulate nodes that answer while the block runs, in a process.
+    """Run simulated nodes in a separate process during the block.
 
-    The interface "virtual" of python-can exists in one process only, so a thread is used there. Raises BusError if the
-    process does not start.
+    The python-can interface "virtual" exists within one process only, so a thread is used there.
+
+    Raises:
+        BusError: the process does not start.
     """
     if settings.interface == "virtual":
         with _in_a_thread(settings, axes):
@@ -154,7 +156,7 @@ def _in_a_thread(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[N
 
 
 def main() -> int:
-    """Answer until the parent ends this process; the task comes by stdin."""
+    """Read the task from stdin, and answer frames until the parent closes stdin."""
     task = msgspec.json.decode(sys.stdin.buffer.readline(), type=Task)
     bus = open_bus(task.bus)
     with contextlib.suppress(OSError):

@@ -1,6 +1,7 @@
-"""Measure the highest rate of this machine and bus: cycles as configured, the rate that follows, cycles at that rate.
+"""Measure the highest rate of this machine and bus.
 
-A cycle of the real control loop is timed from waking up to the last command, and as a whole.
+The bench runs cycles at the configured rate, computes the highest rate from them, and runs cycles at that rate. A cycle
+of the real control loop is timed from the wake-up to the last command, and as a whole.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from tsa_ctrl.safety.supervisor import Request
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.realtime import freeze_garbage
 
-WARM_UP = 0.2  # share of the cycles that is not counted
-LEAST = 50  # cycles
-WHOLE = 0.999  # of the cycles are inside the figure that a rate is made of
+WARM_UP = 0.2  # cycles run before counting, as a share of the counted ones
+LEAST = 50  # minimum number of counted cycles
+WHOLE = 0.999  # quantile of the durations that determines a rate
 
 
 @dataclass(frozen=True)
 class Times:
-    """Durations of one kind, in s."""
+    """Quantiles of a duration, s."""
 
     p50: float
     p99: float
@@ -58,15 +59,15 @@ class Times:
 
 @dataclass(frozen=True)
 class Measured:
-    """The durations of some cycles at `rate` (Hz); `busy`: from the deadline to the end of all that a cycle does."""
+    """Durations of cycles at `rate` (Hz). `busy` lasts from the deadline to the end of all work in a cycle."""
 
     rate: float
     cycles: int
     lost: int  # cycles in which an answer was missing
-    late: int  # begun after half a period
-    enabled: int  # with torque permitted
+    late: int  # cycles that began more than half a period late
+    enabled: int  # cycles with torque permitted
     lateness: Times
-    command: Times  # from waking up to the last command out
+    command: Times  # from the wake-up to the last command
     busy: Times
 
 
@@ -83,9 +84,10 @@ class _Samples:
 def measure(
     configuration: Configuration, bus: Bus, rate: float, seconds: float, enable: bool, progress: Callable[[float], None]
 ) -> Measured:
-    """Run the loop's own cycle with its record, but no other process; torque is asked for only when `enable`.
+    """Run the cycle of the loop, including its log, without other processes.
 
-    `progress` is called now and then with the share that is done. The bus stays open.
+    Torque is requested only if `enable` is True. `progress` repeatedly receives the completed share. The bus stays
+    open.
     """
     file = configuration.file
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
@@ -145,7 +147,7 @@ def _run(
             samples.busy.append((end - deadline) * 1e-9)
         elif enable and number == first // 2:
             for axis in axes:
-                axis.set_point.gain = 0.0  # everything is computed as usual, but substitute nodes deliver no torque
+                axis.set_point.gain = 0.0  # everything is computed as usual, but simulated nodes deliver no torque
                 axis.enable()
         if number % 256 == 0:
             progress(number / (first + count))
@@ -155,13 +157,13 @@ def _run(
     return samples
 
 
-HIGHEST = 4000.0  # Hz, of [controller] rate
-LOWEST = 10.0  # Hz
+HIGHEST = 4000.0  # Hz, upper limit of [controller] rate
+LOWEST = 10.0  # Hz, lower limit
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Hold one bound of the rate and its measured reason."""
+    """One upper bound of the rate, and its measured reason."""
 
     name: str
     rate: float  # Hz
@@ -172,7 +174,7 @@ def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, m
     """Return all bounds of the rate, the lowest first, from the measured times.
 
     Args:
-        measured: the times of the cycles.
+        measured: durations of the cycles.
         margin: share of the period that stays free, 1.
         collect: share of the remaining period in which the answers must arrive, 1.
         bus_rate: highest rate of the bus, Hz.
@@ -210,16 +212,16 @@ def _us(seconds: float) -> str:
     return f"{1e6 * seconds:.0f} us (99.9 %)"
 
 
-LOWER = 0.8  # factor of the next try when a rate does not hold
+LOWER = 0.8  # factor on the rate for the next attempt
 TRIES = 8
-TOLERATED = 100  # cycles; a rate with lost answers does not hold
+TOLERATED = 100  # cycles that the supervision tolerates, because the bench counts losses itself
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Found:
-    """Hold the results of `tsa bench`; `confirmed`: cycles at `highest` with simulated nodes, None with real ones."""
+    """Results of `tsa bench`. `confirmed` holds cycles at `highest` with simulated nodes, or None with real ones."""
 
     bus: str
     rights: str
@@ -228,7 +230,7 @@ class Found:
     margin: float
     configured: Measured
     bounds: tuple[Bound, ...]
-    highest: float  # Hz; 0: not even the lowest rate
+    highest: float  # Hz; 0 if not even the lowest rate holds
     limited_by: str
     confirmed: Measured | None
 
@@ -239,10 +241,14 @@ class Found:
 
 
 def bench(configuration: Configuration, seconds: float, margin: float, progress: Progress) -> Found:
-    """Measure for `seconds` at each rate that is tried; raises BusError when the bus or its nodes are not fit for it.
+    """Measure for `seconds` at each rate that is tried, and return the results.
 
-    With real nodes on the bus nothing is enabled: they are brought up, answer every SYNC with the drives off, and are
-    left as after a run. On a virtual bus without nodes, substitute nodes answer, and the loop runs as with torque.
+    With real nodes on the bus nothing is enabled. They are brought up, answer every SYNC with the drives off, and are
+    left as after a run. On a virtual bus without nodes, simulated nodes answer, and the loop runs as with torque.
+
+    Raises:
+        BusError: the bus or its nodes are not suitable.
+        UsageError: the configuration has several buses.
     """
     if configuration.file.other_buses:
         raise UsageError(f"{configuration.path}: tsa bench measures one bus; give it a file with one [bus]")
@@ -261,7 +267,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
 
 
 def _tolerant(configuration: Configuration) -> Configuration:
-    """Return the same configuration with a supervision that counts losses instead of ending the torque."""
+    """Return the configuration with a supervision that counts losses instead of removing the torque."""
     file = configuration.file
     supervision = msgspec.structs.replace(
         file.bus.supervision, tolerated_misses=TOLERATED, tolerated_drops=TOLERATED, lost_share=1.0
@@ -273,7 +279,7 @@ def _tolerant(configuration: Configuration) -> Configuration:
 
 
 def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
-    """Return the real-time settings, with which the measurement runs even if the rights are missing."""
+    """Return real-time settings with which the measurement runs even without the rights."""
     asked = configuration.file.realtime
     return realtime.RealtimeSettings(
         priority=asked.priority, lock_memory=asked.lock_memory, cpu=asked.cpu, allow_without=True
@@ -281,9 +287,10 @@ def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
 
 
 def _nobody(configuration: Configuration, bus: Bus) -> bool:
-    """Return True if substitute nodes are necessary.
+    """Return True if simulated nodes are needed.
 
-    Raises BusError when another master is there, or a real bus has no nodes.
+    Raises:
+        BusError: another master is active, only some drives answer, or a real bus has no nodes.
     """
     settings = configuration.file.bus
     seen = listen(bus)
@@ -306,7 +313,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
 
 @contextlib.contextmanager
 def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[None]:
-    """Nodes that answer SYNC while the block lasts."""
+    """Provide nodes that answer SYNC during the block."""
     file = configuration.file
     if simulated:
         with standing_in(file.bus, file.axes):

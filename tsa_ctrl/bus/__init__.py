@@ -1,1 +1,1 @@
-"""Raw frames in, SI out: the CANopen master. The only package that knows device units and object numbers."""
+"""CANopen master: raw frames in, SI values out. Only this package uses device units and object numbers."""

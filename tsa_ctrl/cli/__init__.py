@@ -60,7 +60,7 @@ def module_of(verb: str) -> str:
 
 
 class LazyGroup(click.Group):
-    """Loads `tsa_ctrl.cli.VERB` on first use; a verb is listed once its module exists."""
+    """Load `tsa_ctrl.cli.NAME` on first use; a command is listed if its module exists."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return [verb for verb in VERBS if importlib.util.find_spec(module_of(verb)) is not None]
@@ -76,7 +76,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Suggest a similar command; click itself searches only the loaded commands, which are none."""
+        """Suggest a similar command, because click searches only the loaded commands, and none is loaded."""
         near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
         if args[0] not in self.list_commands(ctx) and near and not ctx.resilient_parsing:
             ctx.fail(f"No such command '{args[0]}'; did you mean '{near[0]}'?")
@@ -90,7 +90,7 @@ class LazyGroup(click.Group):
 
 
 def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Write the script of the user's shell ($SHELL) and print its path; raises UsageError for another shell."""
+    """Write the completion script for the user's shell ($SHELL) and print its path; raise UsageError for others."""
     if not asked:
         return
     shell = Path(os.environ.get("SHELL", "")).name
@@ -123,7 +123,7 @@ def cli() -> None:
 
 
 def main(argv: list[str] | None = None) -> Any:
-    """Run `tsa`; exit code 0: done, 1: machine or bus failed, 2: command, configuration or data wrong."""
+    """Run `tsa`. Exit codes: 0 done, 1 machine or bus failed, 2 wrong command, configuration or data."""
     try:
         code = cli.main(args=argv, prog_name="tsa", standalone_mode=False)
         sys.exit(code if isinstance(code, int) else 0)

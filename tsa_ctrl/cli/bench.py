@@ -1,4 +1,4 @@
-"""`tsa bench`: how fast can I go."""
+"""`tsa bench`: find the highest rate."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
     from tsa_ctrl.config import load_configuration
 
     configuration = load_configuration(controller)
-    from tsa_ctrl.bench.run import bench  # the loop and all it needs, not loaded for a mistake in the file
+    from tsa_ctrl.bench.run import bench  # imports the loop; not needed for a wrong file
 
     with Progress(console=Console(file=sys.stderr), transient=True, disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("bench", total=1.0)

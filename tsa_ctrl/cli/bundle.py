@@ -1,4 +1,4 @@
-"""`tsa bundle`."""
+"""`tsa bundle`: write a field report of a run."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ def command(
 
 
 def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
-    """Raise UsageError unless a person confirms that a worse result is to be written."""
+    """Raise UsageError unless the user confirms that a worse result is to be written."""
     asked = sys.stdin.isatty() and sys.stdout.isatty() and not as_json
     if asked and click.confirm(f"the calibrated model is worse than {model}; write {out}?", default=False):
         return
@@ -133,7 +133,7 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
 
 
 def _loaded(model: Path) -> TendonSheath:
-    """Return the nominal model; raises UsageError for a plain drive, whose parameters the diagnosis estimates."""
+    """Return the nominal model; raise UsageError for a plain drive, whose parameters `tsa diagnose` estimates."""
     from tsa_ctrl.model.parameters import TendonSheath, load_model
 
     loaded = load_model(model)
@@ -203,7 +203,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
 
 
 def _unit(quantity: Quantity) -> str:
-    """Return the unit for a table; empty for a plain number."""
+    """Return the unit for a table, or an empty text for a dimensionless number."""
     from tsa_ctrl.identify.quantity import spelled
 
     return "" if quantity.unit == "1" else spelled(quantity.unit)

@@ -1,4 +1,4 @@
-"""`tsa data`: measured data that others published."""
+"""`tsa data`: measured data published by others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tsa demo`: the whole system on this machine."""
+"""`tsa demo`: run the whole system on this machine."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 Shown = TypeVar("Shown")
 
-SECONDS = 11.0  # of a gait and of a sine; the hand of a wearer takes longer
+SECONDS = 11.0  # s, of a gait and of a sine; the load "wearer" takes longer
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
-FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
+FULL_SECONDS = 20.0  # s, the period of the motion
 STAGE_WORDS = {
     "none": "without compensation",
     "nominal": "nominal model",
@@ -106,7 +106,7 @@ def command(
         return
     if hidden:
         raise UsageError("demo: --hidden belongs to --full; give both")
-    from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
+    from tsa_ctrl.demo import rig  # imports plant, loop and pictures, which --help does not need
     from tsa_ctrl.demo.rig import from_file, play_for
     from tsa_ctrl.demo.run import demo
 
@@ -200,7 +200,7 @@ def _full_circle(
     out: Path | None,
     as_json: bool,
 ) -> None:
-    from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
+    from tsa_ctrl.demo.circle import circle  # the diagnosis is slow to import
     from tsa_ctrl.demo.example import draw
     from tsa_ctrl.demo.run import RATE
 
@@ -265,7 +265,7 @@ def _show(outcome: Outcome, asked: float | None) -> None:
 
 
 def _show_circle(circle: Circle, folder: Path) -> None:
-    """Print the hidden effect, the result, and the error of each stage; `folder` is where everything was left."""
+    """Print the hidden effect, the result, and the error of each stage; `folder` contains all files."""
     from rich.console import Console
     from rich.table import Table
 

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
     from tsa_ctrl.identify.quantity import Quantity
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # as <malloc.h> names them
-LARGE = 8 << 20  # bytes: a quarter of the size that glibc's own threshold rises to; a minute at 1 kHz is 0.5 MB
-# Bytes that may stay free at the heap's end: with a fixed size above glibc keeps 128 KB, and each array of a minute is
-# mapped again, page by page: 16 % of a diagnosis
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # constants of <malloc.h>
+LARGE = 8 << 20  # bytes, a quarter of the maximum of glibc's own threshold; a minute at 1 kHz is 0.5 MB
+# Bytes that may stay free at the end of the heap. If the threshold above is fixed, glibc keeps only 128 KB, and maps
+# each array of a minute again page by page, which is 16 % of a diagnosis.
 KEPT = 8 * LARGE
 
 EXAMPLES = """\b
@@ -63,7 +63,7 @@ def command(
     Several logs are diagnosed together, as one drive. Each log of a folder is diagnosed separately: the answers go to
     one table, verdicts.csv, and the same command goes on where it was interrupted.
     """
-    # Set before numpy is loaded. With matrices this narrow a second thread mostly waits at the cost of a core, and the
+    # Set before numpy is imported. With matrices this narrow, a second thread mostly waits and occupies a core, and the
     # order of the sums would depend on the number of cores.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -99,7 +99,7 @@ def command(
 
 
 def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
-    """Make a log, diagnose it, and print the hidden cause at the end."""
+    """Make an example log, diagnose it, and print the hidden cause at the end."""
     if logs or model is not None:
         raise UsageError("--example: makes its own log and model; leave LOG and --model out")
     from tsa_ctrl.demo import example
@@ -123,8 +123,8 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
 def give_back_large() -> None:
     """Let glibc map each large array separately, so that its memory returns to the system when it is freed.
 
-    glibc takes arrays of up to 32 MB from one heap once some were freed. A column of an hour at 1 kHz is 29 MB, and
-    a freed one between two that are still in use stays with the process. Without glibc nothing happens.
+    After the first arrays are freed, glibc takes arrays of up to 32 MB from one heap. A column of an hour at 1 kHz is
+    29 MB, and a freed column between two used ones stays with the process. Without glibc the function does nothing.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -141,10 +141,10 @@ def _diagnose(
     strict: bool,
     cutoff: float | None,
 ) -> Diagnosis:
-    """Read, diagnose and write; show the current step on stderr."""
+    """Read logs, diagnose them and write the report; show the current step on stderr."""
     from tsa_ctrl.system.process_supervisor import worker_context
 
-    if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to load as all else together
+    if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to import as everything else together
         worker_context("tsa_ctrl.identify.diagnosis.report.pictures")
 
     from rich.console import Console

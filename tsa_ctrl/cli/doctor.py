@@ -70,7 +70,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 
 
 def _write_serial_numbers(configuration: Configuration) -> int:
-    """Read the serial numbers by SDO, command nothing, and write the file; a backup is kept next to it."""
+    """Read the serial numbers by SDO without any command, and write them to the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
     from tsa_ctrl.bus.drive.network import open_buses
 
@@ -108,7 +108,7 @@ def _show(found: list[Check]) -> None:
 
 
 def serial_numbers(bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes]) -> dict[str, int | None]:
-    """Return 0x1018:4 of the drive of each axis, None if it has none. Raises BusError if a drive does not answer."""
+    """Return 0x1018:4 of the drive of each axis, or None if it has none. Raises BusError if a drive does not answer."""
     from tsa_ctrl.bus.canopen import objects
     from tsa_ctrl.bus.drive.session import Session
 

@@ -1,4 +1,4 @@
-"""`tsa drive`: look at a drive; dump, restore or compare the objects that this master writes; give it a node id."""
+"""`tsa drive`: probe a drive; dump, restore or compare the objects that this master writes; set a node id."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from tsa_ctrl.bus.wire.bus import Bus
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
-_PERIOD = 0.001  # s, without a configuration
+_PERIOD = 0.001  # s, SYNC period without a configuration
 
 
 class Target:
-    """The drive that the command line names, and how to reach it."""
+    """The drive selected on the command line, with its bus, its profile and the SYNC period."""
 
     def __init__(self, bus: BusSettings, axis: AxisNodes, profile: DriveProfile, period: float) -> None:
         self.bus = bus
@@ -60,7 +60,7 @@ class Target:
 
 
 def target_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Options that name a drive: by a controller file and an axis, or by interface, channel and node id."""
+    """Add the options that select a drive: controller file and axis, or interface, channel and node id."""
     options = (
         click.option("--config", type=click.Path(), help="Controller file: takes bus, drive and profile from it."),
         click.option("--axis", "axis_name", help="Axis of the controller file; default: its only one."),
@@ -84,7 +84,7 @@ def find_target(
     bitrate: int,
     profile: str,
 ) -> Target:
-    """Return the drive that the options select; raises UsageError if they select none or two."""
+    """Return the drive that the options select; raise UsageError unless they select exactly one."""
     from tsa_ctrl import settings
     from tsa_ctrl.bus.drive.profile import load_profile
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
@@ -212,7 +212,7 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
 
 
 def bus_options(function: Callable[..., None]) -> Callable[..., None]:
-    """Options that name a bus."""
+    """Add the options that select a bus."""
     options = (
         click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
         click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
@@ -225,7 +225,7 @@ def bus_options(function: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, BusSettings]]:
-    """Open a bus by its name, and close it at the end; raises UsageError, BusError."""
+    """Open a bus for the block; raise UsageError or BusError if that fails."""
     from tsa_ctrl import settings
     from tsa_ctrl.bus.settings import BusSettings
     from tsa_ctrl.bus.wire.link import open_bus

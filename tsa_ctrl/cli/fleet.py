@@ -1,4 +1,4 @@
-"""`tsa diagnose FOLDER`: each log of a folder separately, with a progress bar and one table of verdicts."""
+"""`tsa diagnose FOLDER`: diagnose each log of a folder separately, with a progress bar and one table of verdicts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tsa_ctrl.identify.fleet.ledger import TABLE, counted
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.outputs import json_types
 
-SHOWN = 40  # rows of the table on a screen; verdicts.csv has all of them
+SHOWN = 40  # maximum number of rows on the screen; verdicts.csv has all of them
 
 
 def diagnose_folder(
@@ -30,7 +30,7 @@ def diagnose_folder(
     as_json: bool,
 ) -> None:
     """Diagnose the logs of a folder, and print the results; a log that cannot be read is a row of the table."""
-    load_model(model)  # its errors are reported once, and now
+    load_model(model)  # reports an error of the model file once, before the logs
     logs = logs_in(folder)
     console = Console(stderr=True)
     columns = (

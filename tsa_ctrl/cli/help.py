@@ -1,4 +1,4 @@
-"""`tsa help`: the manual's pages in the terminal, from the package itself."""
+"""`tsa help`: show the pages of the manual in the terminal; the package contains them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def command(ctx: click.Context, topic: str | None) -> None:
 
 
 def _identifier(topic: str) -> str:
-    """Return the id of a cause from its id or its title, as status and events print it."""
+    """Return the id of a cause from its id or from its title, as printed by status and events."""
     words = topic.strip().lower()
     by_title = {cause.title.lower(): cause.id for cause in Cause}
     return by_title.get(words, words.replace(" ", "_").replace("-", "_"))

@@ -1,4 +1,4 @@
-"""`tsa init`: commented files, as a template for a rig that cannot move anything, or as a set that runs on a desk."""
+"""`tsa init`: write commented files, as a template for a rig that moves nothing yet, or as a set for a desk."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 
 SHIPPED = Path(__file__).parents[1] / "shipped"
 MOTION = "motion.csv"
-COMMENTS = 33  # column in which the example files' comments begin
+COMMENTS = 33  # column of the comments in the example files
 _HEADER = re.compile(r"(?:# )?\[\[?(?P<table>[a-z_.]+)\]\]?")
 _KEY = re.compile(r"(?:# )?(?P<key>[a-z_]+) = [^#]*(?P<comment>#.*)?$")
 
-# On a desk: no CAN, no rights, a crowded machine. Stalls of 10 ms and more are borne, and nothing moves but numbers.
-LOCAL_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: of this machine alone
-Changes = Mapping[str, Mapping[str, str | None]]  # by table and key: the value, None to comment the key out
+# A desk has no CAN and no real-time rights, and its machine is loaded. Stalls of 10 ms and more are tolerated, because
+# no motor moves.
+LOCAL_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: this machine only
+Changes = Mapping[str, Mapping[str, str | None]]  # by table and key: the value, or None to comment the key out
 DESK: dict[str, Changes] = {
     "controller.toml": {
         "controller": {"rate": "250.0", "settle_cycles": "20"},
@@ -34,8 +35,8 @@ DESK: dict[str, Changes] = {
     "plant.toml": {"bus": LOCAL_BUS},
 }
 
-# A rig: set-point, compensation and limit permit no torque until a person has filled in its values.
-NODE_ID = "1 to 127"  # of keys without a comment
+# On a rig, set-point, compensation and limit permit no torque until the user has filled in the values.
+NODE_ID = "1 to 127"  # for keys without a comment
 EMPTY = '""'  # a value that only the user knows; `tsa run --check` lists them all
 RIG: dict[str, Changes] = {
     "controller.toml": {
@@ -67,8 +68,8 @@ RIG: dict[str, Changes] = {
     "plant.toml": {"bus": LOCAL_BUS},  # never on the bus of the rig
 }
 
-AXIS = "[[axis]]"  # where the part of a file begins that is repeated for each joint of a leg
-LEG_RATE = "500.0"  # Hz: three joints with encoders and torque sensors fit on one bus, in the lean form
+AXIS = "[[axis]]"  # start of the part of a file that is repeated for each joint of a leg
+LEG_RATE = "500.0"  # Hz: three joints with encoders and torque sensors fit on one bus with lean PDOs
 
 
 def leg() -> tuple[dict[Path, str], dict[Path, str]]:
@@ -98,7 +99,7 @@ def leg() -> tuple[dict[Path, str], dict[Path, str]]:
                         "pdo": '"lean"',
                     },
                     "axis.encoder": {"node_id": str(32 + place)},
-                    "axis.law": {"motor_inertia": "1e-4"},  # the plant's, as a motor's data sheet states it
+                    "axis.law": {"motor_inertia": "1e-4"},  # the plant's value, as in the data sheet of a motor
                     "axis.torque_sensor": {"node_id": str(64 + place)},
                     "axis.setpoint": {
                         "kind": '"file"',
@@ -133,7 +134,7 @@ def leg() -> tuple[dict[Path, str], dict[Path, str]]:
 
 
 def _repeated(block: str, place: int, changes: Changes) -> str:
-    """Return the block of one joint; only the first one shows the keys that are comments."""
+    """Return the block of one joint; only the first joint keeps the keys that are commented out."""
     text = with_values(block, changes)
     if place == 0:
         return text
@@ -182,11 +183,11 @@ def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
 
 
 def _compile() -> None:
-    """Compile the observer, so that the first start of a daemon on this machine takes no longer than the next ones."""
+    """Compile the observer, so that the first start of a daemon on this machine is as fast as later ones."""
     from tsa_ctrl.model.parameters import load_tendon_sheath
     from tsa_ctrl.observer.stretch import StretchObserver
 
-    StretchObserver(load_tendon_sheath(SHIPPED / "actuator.toml"), 1e-3, (1e-4, 1e-4))  # its period and counts: any
+    StretchObserver(load_tendon_sheath(SHIPPED / "actuator.toml"), 1e-3, (1e-4, 1e-4))  # any period and counts
 
 
 def _shipped() -> list[Path]:
@@ -194,10 +195,10 @@ def _shipped() -> list[Path]:
 
 
 def with_values(text: str, changes: Changes) -> str:
-    """Return a commented file in which the keys of these tables are set, also those that are comments.
+    """Return a commented file with these keys set, including keys that are commented out.
 
     Raises:
-        KeyError: the file does not show a key.
+        KeyError: the file does not contain a key.
     """
     open_keys = {(table, key) for table, keys in changes.items() for key in keys}
     lines, table = [], ""
@@ -226,7 +227,7 @@ def _changed(line: str, key: str, value: str | None, comment: str) -> str:
 
 
 def write(folder: Path, texts: Mapping[Path, str]) -> None:
-    """Write files to a folder in which none of them is yet. Raises UsageError."""
+    """Write files to a folder; raise UsageError if one of them exists already or cannot be written."""
     from tsa_ctrl.settings import write_text
 
     taken = [str(folder / name) for name in texts if (folder / name).exists()]

@@ -1,4 +1,4 @@
-"""`tsa investigate`: play experiments until one cause remains or none can be separated."""
+"""`tsa investigate`: run experiments until one cause remains or the remaining ones cannot be separated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tsa log`: look into a log, convert it."""
+"""`tsa log`: inspect, convert and import logs, and show a trend over runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result of `tsa log import` for a foreign table: found, shown as a table, written."""
+"""`tsa log import`: interpret, show and write tables of other programs."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from tsa_ctrl.signals import COLUMNS
 
 @dataclass(frozen=True)
 class Understood:
-    """A foreign table, which of its columns are ours, and these in SI."""
+    """A foreign table, the mapping of its columns, and the mapped columns in SI units."""
 
     table: ForeignTable
     mapped: list[Mapped]
     columns: dict[str, NDArray[np.float64]]
-    dropped: int  # rows with a NaN, left out: holes of the log
+    dropped: int  # omitted rows with a NaN, which leave holes in the log
 
     @property
     def left(self) -> list[str]:
-        """Return the foreign columns that are not taken."""
+        """Return the foreign columns that are not mapped."""
         taken = {column.source for column in self.mapped}
         return [name for name in self.table.names if name not in taken]
 
@@ -37,9 +37,10 @@ class Understood:
 def understand_all(
     paths: Sequence[Path], map_file: Path | None, given: Sequence[str], accept: bool
 ) -> tuple[list[Understood], list[str]]:
-    """Read and map all files; return them with the proposals that they rest on.
+    """Read and map all files; return them with the proposals that were used.
 
-    Raises: UsageError with all open questions of all files in one message, unless `accept` takes the proposals.
+    Raises:
+        UsageError: questions of any file are open; one message lists all. With `accept`, the proposals answer them.
     """
     done, open_questions, proposals = [], [], []
     for path in paths:
@@ -59,7 +60,7 @@ def understand_all(
 def understand(
     path: Path, map_file: Path | None, given: Sequence[str]
 ) -> tuple[Understood | None, list[tuple[str, str]]]:
-    """Read and map one file by the proposals; return it and the open questions, each with its proposal or ""."""
+    """Read and map one file; return it and the open questions, each with its proposal or ""."""
     file = mapping.MapFile() if map_file is None else mapping.load_map(map_file)
     table = read_foreign(path, mapping.full_shape(file))
     shape = mapping.shape_of(file, table.shape)
@@ -105,7 +106,7 @@ def understand(
 
 
 def stems(paths: Sequence[Path]) -> list[str]:
-    """Return a file name for each path without suffix; with it, then with a number, where names would be equal."""
+    """Return a file name without suffix for each path; equal names get their suffix, then a number."""
     short = [path.name.split(".")[0] for path in paths]
     whole = [s if short.count(s) == 1 else path.name.replace(".", "_") for s, path in zip(short, paths, strict=True)]
     return [w if whole.count(w) == 1 else f"{w}_{whole[:i].count(w) + 1}" for i, w in enumerate(whole)]

@@ -1,4 +1,4 @@
-"""Options that several verbs share, and numbers within bounds that are never nan or infinite."""
+"""Options that several commands share, and a number type that rejects nan and infinity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 
 class Finite(click.FloatRange):
-    """As click.FloatRange, without nan and inf."""
+    """A click.FloatRange that rejects nan and inf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = float(super().convert(value, param, ctx))
@@ -18,7 +18,7 @@ class Finite(click.FloatRange):
         return number
 
     def _describe_range(self) -> str:
-        """Leave the range out of the help if there is no bound: click would write `x<=None`."""
+        """Omit the range from the help without a bound, because click would print `x<=None`."""
         return "" if self.min is None and self.max is None else super()._describe_range()
 
 

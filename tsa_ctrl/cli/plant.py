@@ -1,4 +1,4 @@
-"""`tsa plant`: the simulated machine on a bus."""
+"""`tsa plant`: run the simulated machine on a bus."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def command(
         raise click.UsageError("Missing argument 'PLANT.toml'.")
     if not check and eds is None:
         click.echo("plant: starting", err=True)
-    from tsa_ctrl.plant import process  # compiled code, not loaded for a question
+    from tsa_ctrl.plant import process  # imports compiled code, which --ask does not need
 
     if check:
         plant = process.check(configuration)

@@ -1,4 +1,4 @@
-"""`tsa run`."""
+"""`tsa run`: run the daemon."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def command(
         from tsa_ctrl.daemon.joint_files import admitted
 
         configuration = admitted(load_configuration(controller), allow_simulated)
-        from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a file that is rejected
+        from tsa_ctrl.daemon.run import run  # imports the loop; not needed for a rejected file
 
         def say(line: str) -> None:
             click.echo(line, err=True)
@@ -83,7 +83,7 @@ def command(
 
 
 def _socket_server(controller: Path) -> ServerProcess | None:
-    """Open the daemon's socket before anything slow is imported; None for a file that will be rejected."""
+    """Open the daemon's socket before slow imports; return None for a file that will be rejected."""
     from tsa_ctrl.ipc.protocol import default_path
     from tsa_ctrl.ipc.server_process import ServerProcess
 
@@ -100,7 +100,7 @@ def _socket_server(controller: Path) -> ServerProcess | None:
 
 
 def _check(controller: Path, allow_simulated: bool, record_bus: Path | None) -> None:
-    """Validate the configuration and print the result; the loop is not imported."""
+    """Validate the configuration and print the result, without importing the loop."""
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.daemon.bus_recorder import check_record
     from tsa_ctrl.daemon.joint_files import admitted
@@ -132,10 +132,10 @@ def _checked(configuration: Configuration) -> str:
 
 
 def leave_out() -> None:
-    """Load neither scipy.linalg nor threads of OpenBLAS in this process; call it before numpy is imported.
+    """Exclude scipy.linalg and the threads of OpenBLAS from this process; call this before numpy is imported.
 
-    numba imports scipy.linalg for matrix products in compiled functions, and the daemon's have none. The largest matrix
-    of the daemon has a dozen rows, for which a single thread suffices.
+    numba imports scipy.linalg for matrix products in compiled functions, but the daemon's functions have none. The
+    largest matrix of the daemon has a dozen rows, for which a single thread is sufficient.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # Python's way to have an import fail
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # makes an import of this module fail

@@ -1,4 +1,4 @@
-"""The commands that talk to a running daemon over its socket: status, set, stop, dashboard and live."""
+"""Commands to a running daemon over its socket: status, set, stop, dashboard and live."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.client import MOST_RATE, Client, stop_daemon
 from tsa_ctrl.ipc.parameters import of_unit
 
-FOLLOW_PERIOD = 0.1  # s between two statuses of --follow, as often as the daemon writes one
-RECOVERY = 15.0  # s: a bring-up of a slow drive, and the cycles that settle
-HELD = 2.0  # s of torque in which a remaining fault shows: a torn tendon throws the joint in less
+FOLLOW_PERIOD = 0.1  # s between two statuses of --follow
+RECOVERY = 15.0  # s for the bring-up of a slow drive and the settling cycles
+HELD = 2.0  # s of torque within which a remaining fault appears; a torn tendon throws the joint in less
 POLL = 0.05  # s
-PATIENCE = 0.5  # of the wait, after which the process gets SIGTERM as well
+PATIENCE = 0.5  # share of the wait after which the process also gets SIGTERM
 DASHBOARD_NEEDS = ("starlette", "uvicorn")
 
 SOCKET = click.option(

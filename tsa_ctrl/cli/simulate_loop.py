@@ -1,4 +1,4 @@
-"""`tsa simulate-loop`: the real loop and the simulated plant under one virtual clock."""
+"""`tsa simulate-loop`: run the real loop on the simulated plant under one virtual clock."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def command(
     In place of CONTROLLER.toml, a field report (tsa bundle) or the log of a virtual run: the run is repeated with its
     files and arguments, and each record is compared with the log.
     """
-    from tsa_ctrl.virtual.simulation import simulate_loop  # the loop and the plant, not loaded for --help
+    from tsa_ctrl.virtual.simulation import simulate_loop  # imports loop and plant, which --help does not need
 
     if controller.suffix.lower() in (".zip", ".mcap"):
         simulation = _repeated(controller, plant, seconds, record, out, seed, faults, changes)
@@ -88,7 +88,7 @@ def _repeated(
     faults: tuple[str, ...],
     changes: tuple[str, ...],
 ) -> Simulation:
-    """Repeat the run of a field report or log, and print whether it gives the same records."""
+    """Repeat the run of a field report or log, and report if its records are equal."""
     from tsa_ctrl.virtual.script import Replay, first_difference
     from tsa_ctrl.virtual.simulation import simulate_loop
 

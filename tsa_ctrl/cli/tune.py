@@ -186,7 +186,7 @@ def _on_the_rig(session: Session, asks: bool) -> Outcome:
 
 
 def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:
-    """Return True if the files are to be written: after a yes, and never a file that did worse."""
+    """Return True if the files are to be written: only after consent, and never files that did worse."""
     if not session.worth_writing(outcome):
         click.echo("the new file does no better on data not used for the fit: nothing is written", err=True)
         return False

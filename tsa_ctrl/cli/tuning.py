@@ -1,4 +1,4 @@
-"""The display while `tsa tune` moves a rig: the phase, how far it is, torque and angle, and that Ctrl-C is safe."""
+"""Display while `tsa tune` moves a rig: phase, progress, torque, angle, and a note that Ctrl-C is safe."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc.client import AxisMeasured, Client
 
-PATIENCE = 0.05  # s for an answer: it is asked between two looks at the run
+PATIENCE = 0.05  # s for an answer, because requests are sent between two polls of the run
 
 
 @contextlib.contextmanager
 def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
     """Show a progress line on stderr if it is a terminal.
 
-    Yield a function for phase and share done, and one that prints a line and waits for Enter.
-    `socket`: of the daemons that the runs are; None without any, as in virtual time.
+    Yield a function that shows phase and completed share, and one that prints a line and waits for Enter. `socket` is
+    the socket of the daemon of each run, or None in virtual time.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[live]}"))
@@ -47,7 +47,7 @@ def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float]
 
 
 class Live:
-    """Torque and angle of one axis from whichever daemon answers at a socket; nothing while none does."""
+    """Torque and angle of one axis, from the daemon that currently answers at a socket."""
 
     def __init__(self, axis: str, path: str) -> None:
         self._axis = axis
@@ -55,7 +55,7 @@ class Live:
         self._client: Client | None = None
 
     def words(self) -> str:
-        """Return the measurement, for example "0.31 N*m, 0.12 rad; "; empty without an answer."""
+        """Return the measurement, for example "0.31 N*m, 0.12 rad; ", or an empty text without an answer."""
         try:
             if self._client is None:
                 self._client = Client(self._path, timeout=PATIENCE)
@@ -65,14 +65,14 @@ class Live:
             return ""
 
     def close(self) -> None:
-        """Leave the daemon, which ends with each run."""
+        """Close the connection, because the daemon ends with each run."""
         if self._client is not None:
             self._client.close()
             self._client = None
 
 
 def told(axis: AxisMeasured) -> str:
-    """Return the torque at the joint (without a sensor: at the motor) and the joint angle, in words."""
+    """Return the torque at the joint (at the motor without a sensor) and the joint angle as text."""
     torque, where = (axis.tau_m, "motor") if axis.tau_j is None else (axis.tau_j, "joint")
     shown = "no torque yet" if torque is None else f"{torque:+.2f} N*m at the {where}"
     return f"{shown}, {axis.q_j:+.2f} rad; "

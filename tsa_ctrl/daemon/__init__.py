@@ -1,1 +1,1 @@
-"""`tsa run`: children, bring-up, the loop, one shutdown path, and the summary."""
+"""`tsa run`: child processes, bring-up, the loop, a single shutdown path, and the summary."""

@@ -48,7 +48,7 @@ from tsa_ctrl.settings import referenced
 
 
 class LoopPhase(Enum):
-    """List the phases of the loop; the values are the codes in the status."""
+    """Phases of the loop; the values are the codes in the status."""
 
     STARTING = 0  # the child processes run, the bus is brought up
     SETTLING = 1  # cycles run with torque 0 until all nodes respond
@@ -69,12 +69,13 @@ class LoopPhase(Enum):
         return self in (LoopPhase.STOPPING, LoopPhase.ENDED)
 
 
-# J that a friction term may feed into the joint before a sensor confirms the friction. Worn: a tenth of the energy that
-# a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench. A file that is not of this
-# joint may be of one that is worn, so until the friction confirms it, it has the credit of that class.
+# Energy, J, that a friction term may feed into the joint before a sensor confirms the friction. Worn: a tenth of the
+# energy that a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench. A model file
+# that was not tuned on this joint may belong to a worn joint, so it has the credit of that class until the friction
+# confirms it.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
-AT_JOINT = 0.025  # 1, distance of the centre of bending from the joint, over the length: no file states it better
-ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
+AT_JOINT = 0.025  # 1, distance of the centre of bending from the joint over the length; no file is more precise
+ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the ringing of the motor that remains after averaging is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
 CODES = {  # names of the values of each coded signal, from 0 on
@@ -152,7 +153,7 @@ def safeguards_of(
     inertia: float,
     period: float,
 ) -> Safeguards:
-    """Return the parts of one axis that may take its torque away; `inertia`: of the motor, kg*m^2, `period` in s."""
+    """Return the parts of one axis that may remove its torque; motor `inertia` in kg*m^2, `period` in s."""
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
     return Safeguards(
         supervisor=supervisor,
@@ -207,14 +208,14 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
 
 
 def set_point_limit(settings: AxisSettings, model: TendonSheath) -> float:
-    """Return the largest set-point in N*m: the joint torque of the motor's torque limit without friction."""
+    """Return the largest set-point, N*m: the joint torque at the motor's torque limit without friction."""
     return settings.limits.torque * model.joint_pulley_radius / model.motor_pulley_radius
 
 
 def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give:
     """Return the compliance between motor and joint, with the uncertainty of friction and stiffness.
 
-    `inertia`: kg*m^2 of the motor, 0 where it is not known.
+    `inertia` of the motor is in kg*m^2, and 0 if it is not known.
     """
     stiffness = motor_stiffness(model)
     friction = model.most_friction - 1.0
@@ -241,14 +242,14 @@ def shape_known(model: TendonSheath) -> bool:
 
 
 def bent_at_joint(model: TendonSheath) -> bool:
-    """Return True if, by the model file, all bends are at the joint, within `AT_JOINT`."""
+    """Return True if the model file places all bending at the joint, within `AT_JOINT`."""
     return shape_known(model) and 1.0 - compliance_centre(model) < AT_JOINT
 
 
 def free_shares(model: TendonSheath) -> tuple[float, float]:
-    """Return the least and the most of 1 - s_c, the share of the friction that shows in the elongation.
+    """Return the bounds of 1 - s_c, the share of the friction that appears in the elongation.
 
-    0 and 1 for an unknown shape, because the sheath may bend at the joint alone or at the motor alone.
+    They are 0 and 1 for an unknown curvature profile, because all bending may be at the joint or at the motor.
     """
     if not shape_known(model):
         return 0.0, 1.0
@@ -257,7 +258,7 @@ def free_shares(model: TendonSheath) -> tuple[float, float]:
 
 
 def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
-    """Return one count of the motor and the joint encoder (0 without it), rad at the motor; `geared`: r_J/r_M."""
+    """Return one count of the motor and the joint encoder (0 without one), rad at the motor; `geared` is r_J/r_M."""
     motor = 2.0 * math.pi / (settings.drive.counts_per_revolution * settings.drive.gear_ratio)
     encoder = settings.encoder
     return motor, 0.0 if encoder is None else 2.0 * math.pi * geared / encoder.counts_per_revolution
@@ -266,14 +267,14 @@ def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
 def polarity_check_of(settings: AxisSettings, model: TendonSheath, period: float) -> PolarityCheck:
     """Return the check of the motor torque's direction and size."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
-    counts = math.hypot(*counts_of(settings, geared))  # they round by chance
+    counts = math.hypot(*counts_of(settings, geared))  # their rounding errors are independent
     stiffness = least_stiffness(model) if settings.plausibility.slip is None else 0.0
     slope = max(1.0, *(sliding(model, sigma).slope / geared for sigma in (-1.0, 1.0)))
     return PolarityCheck(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness, slope)
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:
-    """Return the estimate of the joint torque without its sensor: by the model and, if possible, by the elongation."""
+    """Return the estimate of the joint torque without its sensor: from the model and, if possible, the elongation."""
     encoder = settings.encoder
     by_model = ModelTorque(model, period, inertia)
     if encoder is None:
@@ -291,7 +292,7 @@ def proven_friction_of(
 ) -> ProvenFriction:
     """Return the measurement of the friction torque: by the sensor on the bus, the elongation, or a serial sensor.
 
-    A serial sensor comes last because its values are late: a torque that changes looks like friction meanwhile.
+    A serial sensor comes last, because its values are delayed, and a changing torque then looks like friction.
     """
     by_sensor = settings.torque_sensor is not None or (settings.has_torque_sensor and joint_torque.stretch is None)
     return ProvenFriction(model, period, inertia, by_sensor, joint_torque.stretch)
@@ -300,7 +301,7 @@ def proven_friction_of(
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
     """Return the bound on the friction that this axis may compensate.
 
-    `why_fixed`: why the estimator is not the one by the tendon elongation; empty if it is.
+    `why_fixed` is the reason why the estimator does not use the tendon elongation; empty if it does.
     """
     estimator = settings.estimator
     follows = estimator.kind != "tension" or estimator.attribute is Attribution.BENDING
@@ -312,7 +313,7 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         compensation=settings.law.compensation,
     )
     notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
-    if why_fixed and not joint_torque.why_not:  # which has the same effect
+    if why_fixed and not joint_torque.why_not:  # why_not has the same effect and is reported
         notes.append(why_fixed)
     if settings.oscillation is not None:
         notes.append("[axis.oscillation] no longer has an effect: the guard of [axis.passivity] replaces it; remove it")
@@ -379,7 +380,7 @@ def log_header(configuration: Configuration) -> LogHeader:
     """Return the header of the log: all files of the configuration, and the names of the codes."""
     files = {**referenced(configuration.path), configuration.path.name: configuration.text}
     for axis in configuration.file.axes:
-        profile = Path("drives", f"{axis.drive.profile}.toml")  # "generic" is used without being named
+        profile = Path("drives", f"{axis.drive.profile}.toml")  # "generic" is used without a name in the file
         if (configuration.folder / profile).is_file():
             files[str(profile)] = (configuration.folder / profile).read_text(encoding="utf-8")
     return LogHeader(

@@ -30,8 +30,8 @@ from tsa_ctrl.system.process_supervisor import READY, Child, follow, ignore
 
 FORMATS = (".asc", ".blf", ".csv", ".log", ".trc")
 SHARED = ("socketcan", "udp_multicast", "datagram")  # interfaces that several programs can open at once
-LOOK = 0.1  # s between two looks at whether the run has ended
-LONGEST_END = 0.5  # s of frames after the run
+LOOK = 0.1  # s between two checks for the end of the run
+LONGEST_END = 0.5  # s, longest recording after the end of the run
 PATIENCE = 5.0  # s for the last frames to be written
 
 
@@ -66,9 +66,11 @@ def _check(settings: BusSettings, path: Path) -> None:
 
 @contextmanager
 def recorded(buses: Sequence[BusSettings], path: Path | None, say: Callable[[str], None]) -> Iterator[None]:
-    """Record the buses while the block runs, each to `path`, with several buses with its name; None records nothing.
+    """Record each bus during the block to its file (see `_files`); without a `path` nothing is recorded.
 
-    Raises UsageError as `check_record`, BusError if a bus cannot be opened.
+    Raises:
+        UsageError: see `check_record`.
+        BusError: a bus cannot be opened.
     """
     check_record(buses, path)
     with ExitStack() as stack:
@@ -107,7 +109,7 @@ def record(interface: str, channel: str, bitrate: str, options: str, path: str) 
     try:
         with _received(interface, channel, int(bitrate), json.loads(options)) as receive, can.Logger(path) as log:
             os.write(1, READY)
-            last = math.inf  # s, when the recorder ends although others still send
+            last = math.inf  # s, end of the record even if other nodes still send
             while time.monotonic() < last:
                 message = receive(LOOK)
                 if message is not None:
@@ -126,7 +128,7 @@ def record(interface: str, channel: str, bitrate: str, options: str, path: str) 
 def _received(
     interface: str, channel: str, bitrate: int, options: Mapping[str, Option]
 ) -> Iterator[Callable[[float], can.Message | None]]:
-    """Open the bus and return the function that waits at most so many seconds for the next frame."""
+    """Open the bus and yield a function that waits at most a time in s for the next frame."""
     if interface != "datagram":
         with opened(interface, channel, bitrate, options) as library:
             yield library.recv
@@ -150,5 +152,5 @@ def _received(
 if __name__ == "__main__":
     follow()
     ignore(signal.SIGINT, signal.SIGTERM)
-    logging.getLogger("can").addHandler(logging.NullHandler())  # the error is one line, ours
+    logging.getLogger("can").addHandler(logging.NullHandler())  # the error is reported in one line
     sys.exit(record(*sys.argv[1:]))

@@ -1,7 +1,7 @@
 """The controller of one axis for the user's own loop: law, estimator, limits and checks, without bus and daemon.
 
-The caller reads the drive, calls `Controller.step` once per period, and sends the returned torque. The cycle is the
-daemon's (`control.cycle`), so the same measurements give the same torque.
+The caller reads the drive, calls `Controller.step` once per period, and sends the returned torque. The controller runs
+the daemon's cycle (`control.cycle`), so that the same measurements result in the same torque.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Command(NamedTuple):
     Attributes:
         torque: motor torque to send, N*m at the motor pulley; always finite and within [axis.limits].
         permitted: False if the torque must be 0; the caller then disables the drive.
-        reason: what limits the torque, "none" if nothing does.
+        reason: active limit of the torque, "none" without one.
         sigma: direction of the friction, -1 to 1.
         friction_term: compensated friction, N*m at the motor pulley.
         fault: the first latched fault with its remedy, or None.
@@ -71,17 +71,18 @@ class Controller:
             command = controller.step(0.3, tau_m=tau_m, q_m=q_m, omega_m=omega_m, q_j=q_j)
             drive.send(command.torque)
 
-    A measurement that is not finite counts as a missing answer of the drive: the torque holds for as many periods as
-    [bus.supervision] tolerates, then a fault latches. The caller's watchdogs must act if `step` is not called.
+    A measurement that is not finite counts as a missing answer of the drive. The torque is then held for as many
+    periods as [bus.supervision] tolerates, and afterwards a fault latches. The caller's watchdogs must act if `step` is
+    not called.
     """
 
     def __init__(self, configuration: str | Path | Configuration, *, play: bool = False) -> None:
         """Prepare the axis of a controller file.
 
         Args:
-            configuration: path of a controller file with one axis, or what `load_configuration` returned. Node ids,
+            configuration: path of a controller file with one axis, or the result of `load_configuration`. Node ids,
                 [bus] and [socket] are not used.
-            play: True plays the file's [axis.setpoint]; False takes the set-point from each call of `step`.
+            play: True plays the [axis.setpoint] of the file; False takes the set-point from each call of `step`.
 
         Raises:
             UsageError: the file is wrong, has several axes, or is of class "worn", whose checks need the daemon.
@@ -118,11 +119,11 @@ class Controller:
         self._encoder = settings.encoder
         self._state = PowerState.SWITCH_ON_DISABLED
         self._set_point: tuple[float, float] | None = None
-        self._asked = False  # for torque, since the last step
+        self._asked = False  # torque was requested since the last step
         self._gap = math.inf  # s since the last measurement
 
     def enable(self) -> None:
-        """Request torque after the next step; it fades in. A latched fault must be reset first."""
+        """Request torque after the next step; the torque fades in. A latched fault must be reset first."""
         self._asked = True
 
     def disable(self) -> None:
@@ -140,7 +141,7 @@ class Controller:
             self._asked = False
 
     def set(self, name: str, value: float) -> None:
-        """Move a live parameter to a value, as `tsa set` does.
+        """Change a live parameter, as `tsa set` does.
 
         Raises:
             UsageError: the name is unknown, or the value is outside its bounds.
@@ -173,7 +174,7 @@ class Controller:
         """Return the command of this period.
 
         Args:
-            tau_j_des: desired joint torque, N*m; without a finite one for [axis.setpoint] timeout it goes to 0.
+            tau_j_des: desired joint torque, N*m; after [axis.setpoint] timeout without a finite value it goes to 0.
             tau_m: motor torque that the drive reports, N*m at the motor pulley.
             q_m: motor angle, rad at the motor pulley.
             omega_m: motor velocity, rad/s at the motor pulley.
@@ -203,7 +204,7 @@ class Controller:
         self._state = _ANSWERS.get(controlword, PowerState.SWITCH_ON_DISABLED)
         axis.follow(now)
         self._tuner.update()
-        if self._asked:  # the supervisor has seen a cycle without a request
+        if self._asked:  # the supervisor has processed a cycle without a request
             self._asked = False
             axis.enable()
         fault = axis.supervisor.fault
@@ -212,7 +213,7 @@ class Controller:
         return Command(torque, terms.permitted, axis.reason.name.lower(), terms.sigma, axis.law.friction_term, text)
 
     def _measure(self, now: float, required: Sequence[float], tau_j: float) -> None:
-        """Take the measurements of this period, or count it as a missing answer."""
+        """Store the measurements of this period, or count a missing answer."""
         image, gap = self._axis.image, self._gap
         image.now = now
         image.fresh = image.joint_fresh = all(map(math.isfinite, required))
@@ -240,7 +241,7 @@ class Controller:
 
 
 class _NoBus:
-    """A bus without nodes, in the caller's time: nothing is sent, and nothing arrives."""
+    """A bus without nodes, on the caller's clock: it sends nothing and receives nothing."""
 
     name = "none"
     fault: BusFault | None = None

@@ -1,9 +1,9 @@
-"""Model files belong to joints: compare the nodes on the bus with those that each file was tuned on.
+"""Check that model files belong to their joints: compare the nodes on the bus with the nodes of each tuning.
 
-A file of another joint is rejected before anything is written to a node. A file is trusted if a tuning of this very
-joint wrote it: the serial numbers of drive and encoder match, and the numbers were measured. A file that is not trusted
-is reported at startup, and has the smaller energy credit of `control.compensation_limit` until motion confirms its
-friction.
+A file of another joint is rejected before anything is written to a node. A file is trusted if it was written by a
+tuning of this joint: the serial numbers of drive and encoder match, and the numbers were measured. A file that is not
+trusted is reported at startup, and has the smaller energy credit of `control.compensation_limit` until motion confirms
+its friction.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def nodes_simulated(configuration: Configuration) -> bool:
 
 
 def admitted(configuration: Configuration, allow_simulated: bool) -> Configuration:
-    """Return the configuration as a run on its bus may use it. Simulated numbers do not calibrate hardware.
+    """Return the configuration for a run on its bus. On hardware, simulated numbers do not count as calibrated.
 
     Raises:
         UsageError: a simulated model file is used on hardware, and `allow_simulated` is False.
@@ -56,7 +56,7 @@ class JointFiles:
     """Compare the model files of a configuration with the nodes that a bring-up found."""
 
     def __init__(self, configuration: Configuration, simulated: bool) -> None:
-        """`simulated`: the nodes are simulated, so a file that was tuned on them is theirs."""
+        """`simulated` is True if the nodes are simulated; then files tuned on simulated nodes are accepted."""
         axes = zip(configuration.file.axes, configuration.models, strict=True)
         self._models = {axis.name: model for axis, model in axes}
         self._accepted = {"measured", "simulated"} if simulated else {"measured"}
@@ -67,7 +67,7 @@ class JointFiles:
 
         Args:
             axis: the nodes of the axis.
-            role: the node's part in it.
+            role: role of the node in the axis.
             serial_number: 0x1018:4; None or 0 for a node without one.
 
         Raises:
@@ -90,11 +90,11 @@ class JointFiles:
             )
 
     def trusted(self, axis: str) -> bool:
-        """Return True if a tuning of this very joint wrote the axis' model file."""
+        """Return True if the axis' model file was written by a tuning of this joint."""
         return not self.doubt(axis)
 
     def doubt(self, axis: str) -> str:
-        """Return why the axis' model file is not trusted; "" if it is."""
+        """Return the reason why the axis' model file is not trusted, or an empty text if it is."""
         origin, found = self._models[axis].origin, self._found[axis]
         if not found:
             return "the serial numbers were not read"

@@ -53,7 +53,7 @@ def ramp_down(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: f
 
 
 Say = Callable[[str], None]
-Admit = Callable[[Nodes, bool], None]  # nodes, and whether a drive has digital inputs; raises UsageError
+Admit = Callable[[Nodes, bool], None]  # nodes, and True if a drive has digital inputs; raises UsageError
 
 
 class Lifecycle:
@@ -102,8 +102,11 @@ class Lifecycle:
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
         """Bring the rig up, run the loop, bring it up again on request, and shut it down in every case.
 
-        `ready` is called once, directly before the first cycle. An earlier stop request ends the bring-up. Raises
-        UsageError or BusError for a failure before the first cycle.
+        `ready` is called once, directly before the first cycle. An earlier stop request ends the bring-up.
+
+        Raises:
+            UsageError: the configuration failed a check before the first cycle.
+            BusError: the bus or a node failed before the first cycle.
         """
         period = self._configuration.period
         for line in loose_lines(self._configuration):
@@ -129,7 +132,7 @@ class Lifecycle:
             self.unconfirmed = shut_down(self._rig, period, say=self._say)
             channel = self._loop.channel
             if self.unconfirmed and channel.acted(self._rig.bus.clock()) and channel.confirmed:
-                self.unconfirmed = []  # a stopped node answers no SYNC; the monitor asked it before
+                self.unconfirmed = []  # a stopped node answers no SYNC, but it answered the monitor before
                 self._say("every drive confirmed to the monitor that it gives no torque")
             self._loop.last_words(self.unconfirmed)
 
@@ -176,7 +179,7 @@ class Lifecycle:
         try:
             with self._no_loop():
                 loop.channel.renew()
-                self._bring_up(reset_faults=False, resets_later=True)  # the supervisors do it
+                self._bring_up(reset_faults=False, resets_later=True)  # the supervisors reset the faults
                 self._prove(self._configuration.period)
         except TsaError as error:  # for example, an exchanged drive contradicts the configuration
             loop.note(f"recovery failed: {error}")

@@ -1,4 +1,4 @@
-"""The real-time loop: wait for an absolute deadline, one cycle, record, one command, and what follows from faults."""
+"""Real-time loop: wait for an absolute deadline, run and record a cycle, take a command, and react to faults."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
 
 STATUS_RATE = 50.0  # Hz of the published status
-SETTLE_TIME = 3.0  # s beyond the cycles to settle, after which start is given up
+SETTLE_TIME = 3.0  # s beyond the settling cycles after which startup is abandoned
 RESET_TIME = 0.5  # s beyond the supervisors' own time-out
-STOP_TIME = 2.0  # s beyond ramp and confirmation, after which the loop ends in any case
+STOP_TIME = 2.0  # s beyond ramp and confirmation after which the loop ends in any case
 
 
 class Loop:
@@ -50,10 +50,10 @@ class Loop:
         self.cause: str | None = None
         self.events = events
         self.cycles = 0
-        self.late = 0  # cycles begun later than half a period
-        self.stop_began = math.inf  # s of the log's time, when the torque began to ramp to 0 for good
+        self.late = 0  # cycles that began more than half a period late
+        self.stop_began = math.inf  # s on the log's clock, at which the final ramp of the torque to 0 began
         self.channel = SecondChannel()  # the monitor process, if there is one
-        self.recover = False  # the bus has to be brought up again before `run` goes on
+        self.recover = False  # the bus must be brought up again before `run` continues
         self._clock = clock
         self._rig = rig
         self._axes = axes
@@ -100,7 +100,7 @@ class Loop:
 
     @property
     def planned(self) -> int:
-        """Return the number of periods run or skipped."""
+        """Return the number of periods that were run or skipped."""
         return self.cycles + self.skipped
 
     @property
@@ -112,33 +112,33 @@ class Loop:
         return self._ticker.skipped
 
     def stop(self, cause: str) -> None:
-        """End soon, by the one way there is; the first cause is kept. Safe in a signal handler."""
+        """Request the end of the run; the first cause is kept. Safe in a signal handler."""
         if self._stop is None:
             self._stop = cause
 
     @property
     def stop_asked(self) -> str | None:
-        """Return the origin of the stop request, if there is one; also known before it runs."""
+        """Return the origin of the stop request, or None; also valid before `run`."""
         return self._stop or ("tsa stop" if self._mailbox.stop_requested else None)
 
     def note(self, text: str) -> None:
-        """Keep an event that happened outside of the cycles."""
+        """Store an event that occurred outside the cycles."""
         self.events.add((self._clock() - self._start) * 1e-9, "", text)
 
     def last_words(self, unconfirmed: Sequence[str]) -> None:
-        """Leave in the log why it ended; after the drives were shut down."""
+        """Log the reason for the end of the run, after the drives were shut down."""
         if self._start:
             self._telemetry.last_words(self._t(self._clock()), self.cause or "an error", unconfirmed)
 
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
-        """Run until stopped, or for `seconds` of torque or fault; again after a new bring-up, from RESETTING."""
+        """Run until stopped, or for `seconds` of torque or fault; after a new bring-up with another `first` phase."""
         ticker, telemetry = self._ticker, self._telemetry
         clock, wait = self._clock, self._rig.wait
         ticker.deadline = clock() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
             self._notices.begin()
-        else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
+        else:  # stay on the time grid of the log; a bring-up leaves a hole in it
             ticker.deadline += -(ticker.deadline - self._start) % ticker.period
         self.recover = False
         ticker.history.clear()
@@ -178,7 +178,7 @@ class Loop:
         self.publish(ticker.deadline)
 
     def publish(self, planned: int) -> None:
-        """Write the status for the socket server; once a second, look after log and serial sensors."""
+        """Write the status for the socket server; once a second, check log, sensors, bus, server and losses."""
         ticker = self._ticker
         if self.cycles % self._check_every == 0:
             self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
@@ -207,7 +207,7 @@ class Loop:
             tuner.update()
 
     def _judge(self, planned: int, seconds: float) -> None:
-        """Move the loop's own phase on; the supervisors have already seen to the torque."""
+        """Update the phase of the loop. The supervisors have already acted on the torque."""
         now = planned * 1e-9
         self._stop = self.stop_asked
         self._follow_monitor(planned)
@@ -233,7 +233,7 @@ class Loop:
             self._enter(LoopPhase.ENDED, planned)
 
     def _settle(self, planned: int) -> None:
-        """Enable once all answers came for long enough."""
+        """Enable the axes after all answers have arrived in enough consecutive cycles."""
         self._settled = self._settled + 1 if all(axis.image.fresh for axis in self._axes) else 0
         if self._settled >= self._settings.settle_cycles:
             for axis in self._axes:
@@ -258,17 +258,17 @@ class Loop:
         self._enter(LoopPhase.SETTLING if standby else LoopPhase.FAULTED, planned)
 
     def _ask_for_recovery(self, planned: int) -> None:
-        """Begin a recovery from a latched fault, if the budget of releases permits one."""
+        """Begin a recovery from a latched fault if the budget of releases permits one."""
         if self.phase is LoopPhase.FAULTED and self._permits("recovery", "", planned):
             self._recovery_asked = planned * 1e-9
 
     def _release(self, axis: ControlAxis, planned: int) -> None:
-        """Release the latch of an axis' guard, if the budget of releases permits it."""
+        """Release the latch of an axis' guard if the budget of releases permits it."""
         if axis.guard.latched and self._permits("release of the guard's latch", axis.name, planned):
             axis.guard.release()
 
     def _permits(self, what: str, axis: str, planned: int) -> bool:
-        """Count a release, and report it as an event."""
+        """Return True if the budget permits a release; count it, and report either result as an event."""
         now = planned * 1e-9
         permitted = self._releases.take(now)
         wait = max(0.0, self._releases.next - now)
@@ -297,21 +297,21 @@ class Loop:
             self._enter(LoopPhase.RESETTING, planned)
 
     def reset_faults(self) -> None:
-        """Release every latch and ask every supervisor in fault for a reset."""
+        """Release every latch, and request a reset from every supervisor in fault."""
         self._ticker.history.clear()
         for axis in self._axes:
             axis.limiter.reset()
             axis.request = Request.RESET if axis.supervisor.phase is Phase.FAULT else Request.DISABLE
 
     def _follow_monitor(self, planned: int) -> None:
-        """Latch the monitor's fault, or ramp the torque to 0 without a monitor."""
+        """Latch a stop by the monitor, or ramp the torque to 0 if the monitor has failed."""
         finding = self.channel.follow(planned * 1e-9, self._axes)
         if finding is not None:
             self.events.add(self._t(planned), "", str(finding), finding.cause)
             self._fault(planned)
 
     def _note_faults(self, planned: int) -> None:
-        """Turn new faults and back-offs into events."""
+        """Report new faults and back-offs as events."""
         for index, axis in enumerate(self._axes):
             faults = axis.supervisor.faults
             if len(faults) > self._faults[index]:
@@ -329,7 +329,7 @@ class Loop:
         self.faulty = True
         for axis in self._axes:
             axis.stop()
-        if self._settings.after_fault == "exit" or not self._ran:  # a start that fails is not worth waiting for
+        if self._settings.after_fault == "exit" or not self._ran:  # waiting makes no sense after a failed startup
             first = self.events.faults[0]
             remedy = "" if self._ran else f"; {REMEDIES[first.cause_id]}"
             self.stop(f"fault: {first.text}{remedy}")

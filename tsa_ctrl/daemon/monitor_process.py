@@ -1,7 +1,7 @@
-"""The monitor as a process with a separate CAN socket: `python -m tsa_ctrl.daemon.monitor_process FD`.
+"""Run the monitor as a process with a separate CAN socket: `python -m tsa_ctrl.daemon.monitor_process FD`.
 
-It outlives the daemon until the drives confirm that they give no torque. Signals of a terminal or a service manager do
-not end it. It ends when the pipe from the daemon is closed.
+It outlives the daemon until the drives confirm that they deliver no torque. Signals of a terminal or a service manager
+do not end it. It ends when the pipe from the daemon is closed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ TICK = 0.004  # s between two checks for missing frames
 REPEAT = 0.02  # s between two repetitions of the stop
 PERMIT = 0.05  # s between two bytes that permit torque
 OUTLIVE = 5.0  # s for which it repeats the stop after the daemon's end
-LATE = 0.05  # s without a sign of life until the daemon looks whether the process ended
-SILENT = 0.5  # s without a sign of life until the daemon counts it as hung
-MOST = 64  # frames between two looks
+LATE = 0.05  # s without a sign of life after which the daemon checks if the process has ended
+SILENT = 0.5  # s without a sign of life after which the daemon counts the process as hung
+MOST = 64  # maximum number of frames between two checks
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame
 _TIMESPEC = struct.Struct("@ll")
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
@@ -40,7 +40,7 @@ _IGNORED = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP, signal
 
 
 class Given(msgspec.Struct, frozen=True, kw_only=True):
-    """The input of the process."""
+    """Input of the process."""
 
     watched: Watched
     interface: str
@@ -52,7 +52,7 @@ class Given(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """The findings so far."""
+    """Findings of the monitor so far."""
 
     stop: Stop | None = None
     confirmed: bool = False
@@ -86,7 +86,7 @@ class Board:
 
 
 class RawCan:
-    """A raw SocketCAN socket with the kernel's time of arrival. Raises OSError."""
+    """A raw SocketCAN socket that reports the kernel's time of arrival. Raises OSError."""
 
     def __init__(self, channel: str) -> None:
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
@@ -131,7 +131,7 @@ class LibraryCan:
 
 
 class DatagramCan:
-    """The substitute for a CAN interface."""
+    """A datagram bus, the substitute for a CAN interface."""
 
     def __init__(self, channel: str) -> None:
         self._bus = DatagramBus(channel)
@@ -157,7 +157,7 @@ class Watch:
         self._number, self._due, self._permit, self._last = 0, 0.0, 0.0, Report()
 
     def run(self, pipe: int) -> None:
-        """Watch until the pipe is closed; then until no drive gives torque, for `OUTLIVE` s at most."""
+        """Watch until the pipe is closed, then until no drive delivers torque, for at most `OUTLIVE` s."""
         monitor, reading, end = self._monitor, [self._bus.fileno(), pipe], float("inf")
         while time.monotonic() < end and not (end < float("inf") and (monitor.stop is None or self._last.confirmed)):
             readable = select(reading, (), (), TICK)[0]
@@ -184,12 +184,12 @@ class Watch:
                 now -= max(0.0, time.time() - found[1])
                 step(found[0], now)
             step(None, now)
-        except Exception as error:  # python-can lets anything through
+        except Exception as error:  # python-can raises exceptions of any type
             if self._monitor.on:
                 self._monitor.act("bus", time.monotonic(), error)
 
     def _follow(self, now: float) -> None:
-        """Report, then act, and again until it is confirmed."""
+        """Report a stop and act on it; repeat this until the drives have confirmed it."""
         monitor = self._monitor
         done = monitor.stop is not None and monitor.confirmed
         if monitor.stop is not None and now >= self._due and not self._last.confirmed:
@@ -215,10 +215,10 @@ class Watch:
 
 
 class MonitorProcess:
-    """The daemon's end: start the process, and supervise it."""
+    """The daemon's side of the monitor: start the process, and supervise it."""
 
     def __init__(self, given: Given) -> None:
-        """Raises UsageError with the one line of a process that cannot watch."""
+        """Start the process; raise UsageError with its message if it cannot watch."""
         self.report = Report()
         self._told: set[str] = set()
         self._board = Board()
@@ -233,7 +233,7 @@ class MonitorProcess:
         return self._child.pid
 
     def fault(self, now: float) -> Finding | None:
-        """Return why there must be no torque, None while the monitor watches; `now` in s, monotonic."""
+        """Return the reason why torque is not permitted, or None while the monitor watches; `now` is monotonic, s."""
         found = self._board.take()
         self.report = self.report if found is None else found
         if self.report.stop is not None:
@@ -250,18 +250,18 @@ class MonitorProcess:
         return new
 
     def close(self) -> None:
-        """Let the process end, which takes until the drives confirm that they give no torque; kill one that hangs."""
+        """End the process, which first waits for the drives to confirm no torque; kill a process that hangs."""
         if time.monotonic() - self._board.heard > SILENT:
             self._child.kill()
         self._child.end(OUTLIVE + 1.0)
 
 
 def main(argv: list[str]) -> int:
-    """Watch until the daemon is gone."""
+    """Watch until the daemon has ended."""
     for number in _IGNORED:
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):
-        os.setsid()  # a stop of the terminal's group does not stop it
+        os.setsid()  # a stop of the terminal's process group does not stop it
     given = msgspec.json.decode(_first_line(sys.stdin.fileno()), type=Given)
     try:
         bus = opened(given)
@@ -270,7 +270,7 @@ def main(argv: list[str]) -> int:
         line = str(error) if isinstance(error, TsaError) else f"[monitor] bus '{given.channel}': {error}"
         print(" ".join(line.split()), flush=True)
         return 2
-    with contextlib.suppress(OSError):  # a right that may be missing; the loop's is reported
+    with contextlib.suppress(OSError):  # these rights may be missing; the loop's are reported
         os.sched_setaffinity(0, range(os.cpu_count() or 1))
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(given.priority))
     board = Board(int(argv[0]))
@@ -282,7 +282,7 @@ def main(argv: list[str]) -> int:
 
 
 def _first_line(pipe: int) -> bytes:
-    """Return the first line, and leave what follows unread."""
+    """Return the first line of the pipe; the daemon sends only one."""
     line = b""
     while not line.endswith(b"\n") and (found := os.read(pipe, 1 << 16)):
         line += found

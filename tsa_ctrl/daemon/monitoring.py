@@ -21,14 +21,14 @@ MORE_MISSES = 3  # periods beyond the misses that the loop tolerates: the loop a
 
 
 def watched_of(configuration: Configuration) -> Watched:
-    """Return the inputs of the monitor of a configuration, with limits from [axis.limits]."""
+    """Return the inputs of the monitor for a configuration, with limits from [axis.limits]."""
     file, axes = configuration.file, []
     for settings, model, profile in zip(file.axes, configuration.models, configuration.profiles, strict=True):
         drive, encoder, limits = settings.drive, settings.encoder, settings.limits
         give = give_of(settings, model, 0.0)
         scale = drive_scale(drive, profile, f"axis '{settings.name}'")
         slip, torque_error, travel = settings.plausibility.slip, settings.plausibility.torque, limits.travel
-        alone = max(0.0, limits.torque - give.domain) / limits.torque  # beyond it one tendon pulls, and gives twice
+        alone = max(0.0, limits.torque - give.domain) / limits.torque  # above it one tendon pulls, twice as compliant
         margin = limits.travel_margin
         axes.append(
             WatchedAxis(
@@ -69,7 +69,7 @@ def watched_of(configuration: Configuration) -> Watched:
 
 
 class Watcher(Protocol):
-    """A monitor that runs: a process, or an object in virtual time."""
+    """A running monitor: a process, or an object in virtual time."""
 
     report: Report
 
@@ -79,19 +79,19 @@ class Watcher(Protocol):
 
 
 class MonitorState(IntEnum):
-    """State of the second channel; the values are codes of the status."""
+    """States of the second channel; the values are codes of the status."""
 
     OFF = 0
     WATCHING = 1
-    STOPPED = 2  # it took the torque away
+    STOPPED = 2  # it removed the torque
     FAILED = 3  # its process ended or hangs
 
 
 class SecondChannel:
-    """The monitor of a run, or none; a new one takes its place at a new bring-up if it stopped or failed."""
+    """The monitor of a run, if there is one. A new bring-up replaces a monitor that stopped or failed."""
 
     def __init__(self, begin: Callable[[], Watcher] | None = None) -> None:
-        """`begin` starts a monitor; raises UsageError when it cannot watch."""
+        """`begin` starts a monitor; it raises UsageError if the monitor cannot watch."""
         self._begin = begin
         self._watcher = None if begin is None else begin()
         self._fault: Finding | None = None
@@ -107,16 +107,16 @@ class SecondChannel:
 
     @property
     def failed(self) -> bool:
-        """Return True once it stopped or failed: torque needs a new monitor."""
+        """Return True if the monitor stopped or failed; torque then requires a new monitor."""
         return self._fault is not None
 
     @property
     def confirmed(self) -> bool:
-        """Return True if every drive confirmed to the monitor that it gives no torque."""
+        """Return True if every drive confirmed to the monitor that it delivers no torque."""
         return self._watcher is not None and self._watcher.report.confirmed
 
     def fault(self, now: float) -> Finding | None:
-        """Return once why there must be no torque; `now` in s, monotonic."""
+        """Return the reason why torque is not permitted, once, otherwise None; `now` is monotonic, s."""
         if self._watcher is None or self._fault is not None:
             return None
         self._fault = self._watcher.fault(now)
@@ -132,7 +132,7 @@ class SecondChannel:
         return None
 
     def acted(self, now: float) -> bool:
-        """Return True if the monitor took the torque away, so that a master's frame may be its own."""
+        """Return True if the monitor removed the torque, so that a frame of a master may be its own."""
         if self._watcher is None:
             return False
         self._watcher.fault(now)
@@ -143,13 +143,13 @@ class SecondChannel:
         return [] if self._watcher is None else self._watcher.news()
 
     def renew(self) -> None:
-        """Start a new monitor in the place of one that stopped or failed."""
+        """Replace a monitor that stopped or failed by a new one."""
         if self._begin is not None and self._fault is not None:
             self.close()
             self._watcher, self._fault = self._begin(), None
 
     def close(self) -> None:
-        """End it; torque must be gone."""
+        """End the monitor; the torque must be 0 before."""
         if self._watcher is not None:
             self._watcher.close()
 
@@ -172,7 +172,7 @@ def monitor_process(configuration: Configuration) -> SecondChannel:
 
 
 def monitor_line(configuration: Configuration) -> str:
-    """Return the line of the start that reports whether a monitor runs."""
+    """Return the startup message about the monitor."""
     if not configuration.monitored:
         return "monitor: off; only the drives' own time-outs act when this process fails ([monitor] enabled)"
     output = configuration.file.monitor.output

@@ -1,8 +1,8 @@
-"""Keep the events of a run in order, and report facts of the run as events.
+"""Store the events of a run in order, and report facts of the run as events.
 
-`Events` supplies status, summary and clients; nothing here prints. `AxisNotices` compares the state of
-one axis with its last state: limits of the rig, and problems without a fault. `Notices` does this for all axes and the
-loop. `ProcessNotices` monitors a process next to the loop.
+`Events` supplies status, summary and clients; nothing here prints. `AxisNotices` compares the state of one axis with
+its last state: limits of the rig, and problems without a fault. `Notices` does this for all axes and the loop.
+`ProcessNotices` monitors a process next to the loop.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from tsa_ctrl.safety.debounce import SECOND
 from tsa_ctrl.sensors.process import LineState, SerialSensors
 from tsa_ctrl.system.realtime import SKIPPED_SHARE, Overruns
 
-MOST = 50  # events that are kept, the first fault among them
+MOST = 50  # stored events, including the first fault
 LONGEST = 1000  # characters of a text; the first fault always has room in the mailbox
 LONGEST_NAME = 100  # characters of an axis' name
 
 
 class Events:
-    """Keep the newest events and the first fault, which is never dropped because it is the cause."""
+    """Store the newest events and the first fault, which is never dropped because it is the cause."""
 
     def __init__(self) -> None:
         self._kept: list[Event] = []
@@ -37,7 +37,7 @@ class Events:
         self.changed = False
 
     def add(self, t: float, axis: str, text: str, cause: Cause | None = None) -> None:
-        """Keep an event; with a `cause` it is a fault."""
+        """Store an event; with a `cause` it is a fault."""
         cause_id = "" if cause is None else cause.id
         self._kept.append(Event(self._number, t, axis[:LONGEST_NAME], text[:LONGEST], cause is not None, cause_id))
         self._number += 1
@@ -63,7 +63,7 @@ class Events:
         return self._number
 
     def since(self, number: int) -> tuple[Event, ...]:
-        """Return the kept events from this number on."""
+        """Return the stored events from this number on."""
         return tuple(event for event in self._kept if event.number >= number)
 
     def encoded(self) -> bytes:
@@ -122,11 +122,11 @@ class AxisSensors:
 
 
 AGAIN = 10.0  # s between two notices of one kind on one axis; the log has the reason of every cycle
-LESS, AS_SAID = 0.93, 0.97  # of the file's friction torque: reported below the one, again only after the other
-LOST_SHARE = 0.05  # of the cycles since the last check: a sound bus loses fewer than one in 10,000
-LEAST_LOST = 2  # commands that a drive did not hear; one may be lost with an error
+LESS, AS_SAID = 0.93, 0.97  # of the file's friction torque: reported below LESS, and again only after more than AS_SAID
+LOST_SHARE = 0.05  # share of the cycles since the last check; a sound bus loses fewer than one in 10,000
+LEAST_LOST = 2  # lost commands of a drive; a single one may be lost by a bus error
 SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
-BITS = (  # of the statusword, that stop nothing
+BITS = (  # bits of the statusword that are reported without a stop
     (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, has the reason"),
     (
         INTERNAL_LIMIT,
@@ -170,7 +170,7 @@ class AxisNotices:
         self._events.add(t, self._axis.name, text)
 
     def begin(self) -> None:
-        """Report what this rig cannot have, before the first cycle."""
+        """Report the limitations of this rig, before the first cycle."""
         axis = self._axis
         self._missing = axis.bending.missing  # joints without an encoder are among the notes of the bound
         for note in (*axis.law.notes, *axis.compensation_limit.bound.notes, axis.joint_torque.why_not):
@@ -178,7 +178,7 @@ class AxisNotices:
                 self._add(0.0, note)
 
     def update(self, t: float) -> None:
-        """Report what has changed since the last call; `t` in s of the log."""
+        """Report changes since the last call; `t` is in s of the log."""
         self._update_torque(t)
         self._update_estimate(t)
         self._update_routing(t)
@@ -219,7 +219,7 @@ class AxisNotices:
         if bool(estimator.why) is not bool(self._why):
             if estimator.why:
                 self._add(t, f"friction and pretension are not estimated: {estimator.why}")
-            elif estimator.state is EstimateState.ESTIMATED:  # else it was reset, by a disable
+            elif estimator.state is EstimateState.ESTIMATED:  # otherwise it was reset by a disable
                 self._add(t, "friction and pretension are estimated again")
             self._why = estimator.why
         found = estimator.found if estimator.use else math.nan
@@ -257,7 +257,7 @@ class AxisNotices:
         self._missing = missing
 
     def update_statusword(self, t: float) -> None:
-        """Report the bits of the statusword that stop nothing, when they begin; `t` in s of the log."""
+        """Report new bits of the statusword that do not stop the axis; `t` is in s of the log."""
         image = self._axis.image
         word, before = image.statusword, self._statusword
         self._statusword = word
@@ -278,7 +278,7 @@ class AxisNotices:
                 )
 
     def update_losses(self, t: float, run: int) -> None:
-        """Report lost commands and answers while torque is permitted; `run`: cycles since the last call."""
+        """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last call."""
         axis = self._axis
         image, hearing, permitted = axis.image, axis.io.hearing, axis.terms.permitted
         before, self._heard = self._heard, (hearing.asked, hearing.unheard)
@@ -311,17 +311,17 @@ class Notices:
         self._cycles = 0
 
     def begin(self) -> None:
-        """Report what this rig cannot have, before the first cycle."""
+        """Report the limitations of this rig, before the first cycle."""
         for axis in self._axes:
             axis.begin()
 
     def update(self, t: float) -> None:
-        """Report what has changed since the last call; `t` in s of the log."""
+        """Report changes since the last call; `t` is in s of the log."""
         for axis in self._axes:
             axis.update(t)
 
     def update_losses(self, t: float, cycles: int) -> None:
-        """Report a bus that loses answers or commands, about once a second; `cycles` run by now."""
+        """Report a bus that loses answers or commands, about once a second; `cycles` is the number of cycles so far."""
         run, self._cycles = cycles - self._cycles, cycles
         for axis in self._axes:
             axis.update_losses(t, run)
@@ -332,7 +332,7 @@ class Notices:
         Args:
             t: time of the log, s.
             now: monotonic time, s.
-            rate: of the loop, Hz.
+            rate: rate of the loop, Hz.
         """
         if now - self._checked < SECOND:
             return
@@ -347,7 +347,7 @@ class Notices:
 class ProcessNotices:
     """Monitor one process next to the loop, and add an event when it hangs, is replaced, or responds again.
 
-    A check only reads shared memory twice, so the loop can make one with every status.
+    A check only reads shared memory twice, so that the loop can check with every status.
     """
 
     def __init__(
@@ -356,9 +356,9 @@ class ProcessNotices:
         """Prepare the monitoring of one process.
 
         Args:
-            name: of the process, for the events.
+            name: name of the process in the events.
             heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
-            replaced: returns how often it was replaced so far.
+            replaced: returns the number of its replacements so far.
             if_hung: consequence of a hanging process, for the events.
             if_replaced: consequence of its replacement.
         """
@@ -372,7 +372,7 @@ class ProcessNotices:
     def update(self, t: float, now: float, events: Events) -> None:
         """Check the process and add events; `t` in s of the log, `now` in s of the monotonic clock."""
         heard, replaced = self._heard(), self._replaced()
-        if heard == 0.0:  # it has not begun
+        if heard == 0.0:  # it has not started yet
             return
         if replaced > self._known:
             self._known = replaced

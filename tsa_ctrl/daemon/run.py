@@ -1,4 +1,4 @@
-"""The daemon from start to end: children, rights, bring-up, loop, and the one way down."""
+"""Run the daemon from start to end: child processes, rights, bring-up, loop, and a single shutdown path."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ MEGA = 1e6  # bytes of a MB
 class Children:
     """Own the log writer, the socket server and the serial readers, and the memory that they share with the loop.
 
-    They are started before the loop, and the loop never waits for them.
+    The processes are started before the loop, and the loop never waits for them.
     """
 
     def __init__(
         self, configuration: Configuration, tuners: Sequence[Tuner], server: ServerProcess | None = None
     ) -> None:
-        """Start the processes; raises UsageError if the log or the socket cannot be created.
+        """Start the processes; raise UsageError if the log or the socket cannot be created.
 
-        `server`: one that was started before; None starts it here.
+        `server` is a socket server that was started before; None starts one.
         """
         file = configuration.file
         self.ring: RingWriter | None = None
@@ -88,7 +88,7 @@ class Children:
 
 
 def server_process(configuration: Configuration) -> ServerProcess:
-    """Start the socket server of a configuration; raises UsageError if the socket cannot be opened."""
+    """Start the socket server of a configuration; raise UsageError if the socket cannot be opened."""
     socket = configuration.file.socket
     name = configuration.file.controller.name
     return ServerProcess(socket.path or default_path(), socket.group, socket.watch_group, name)
@@ -203,7 +203,7 @@ class Daemon:
                         nodes_simulated(configuration),
                         self._admit,
                     )
-                    realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
+                    realtime.freeze_garbage()  # slow, and our heartbeat must not wait between bring-up and loop
                     try:
                         lifecycle.run(seconds, self._reset_faults)
                     finally:
@@ -231,11 +231,11 @@ class Daemon:
             self._notifier.close()
 
     def _admit(self, nodes: Nodes, has_inputs: bool) -> None:
-        """Raise UsageError unless class "worn" has everything that it requires of the nodes."""
+        """Raise UsageError if the nodes do not meet the requirements of class "worn"."""
         require(self._configuration, missing_on_bus(self._configuration, nodes, has_inputs))
 
     def _enter(self, loop: Loop) -> None:
-        """Pass signals to the loop from now on, an earlier one included; the bring-up checks the loop for a stop."""
+        """Pass signals to the loop from now on, including an earlier one; the bring-up checks the loop for a stop."""
         self._loop = loop
         if self._early_stop is not None:
             loop.stop(self._early_stop)
@@ -251,7 +251,7 @@ class Daemon:
             else:
                 self._early_stop = self._early_stop or name
 
-        wanted = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]  # nohup stays so
+        wanted = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]  # respects nohup
         before = {number: signal.signal(number, handle) for number in wanted}
         try:
             yield

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 SCHEMA = 1
-SHOWN = 0.005  # 1, of the cycles, from which a limit is listed
+SHOWN = 0.005  # share of the cycles from which a limit is listed
 BAR = 40  # characters of the longest bar
 
 
 @dataclass(frozen=True)
 class NodeCount:
-    """How the PDOs of one node arrived."""
+    """Arrival of the PDOs of one node."""
 
     axis: str
     node: str
@@ -45,16 +45,16 @@ class Summary:
     rate: float  # Hz
     start: float  # s, CLOCK_MONOTONIC of the first cycle: t = 0 of the log
     cause: str  # the first reason to end
-    failed: bool  # whether that was a fault
+    failed: bool  # True if a fault was not recovered, or a drive did not confirm that it is off
     planned: int  # periods from the first cycle to the last
     sent: int  # cycles run, each with its SYNC and commands
     skipped: int  # periods lost to overruns
     overruns: int
-    late: int  # cycles that began later than half a period
+    late: int  # cycles that began more than half a period late
     dropped: int  # frames that could not be sent
     error_frames: int
     flooded: int  # cycles whose answers could not be distinguished from old ones
-    load: tuple[float, float]  # of the bit rate: least and worst bit stuffing
+    load: tuple[float, float]  # shares of the bit rate with least and worst bit stuffing
     rights: str
     lateness: Distribution
     work: Distribution
@@ -64,7 +64,7 @@ class Summary:
     torque: tuple[TorqueError, ...]
     events: tuple[Event, ...]
     unconfirmed: tuple[str, ...]
-    simulated: bool  # whether the nodes were simulated
+    simulated: bool  # True if the nodes were simulated
     joints: Mapping[str, Mapping[str, Mapping[str, int]]]  # by axis and node: serial number, node id, slot
     log: str | None
     log_written: int
@@ -72,11 +72,11 @@ class Summary:
 
     @property
     def missed_pdo(self) -> int:
-        """Return the number of cycles, summed over nodes, whose PDOs were late."""
+        """Return the number of cycles without all PDOs of a node, summed over the nodes."""
         return sum(node.missed for node in self.nodes)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready object: null for unknown."""
+        """Return a JSON-ready object, with null for unknown values."""
         cycles = ("planned", "sent", "skipped", "overruns", "late", "missed_pdo", "dropped", "error_frames", "flooded")
         found: dict[str, Any] = json_types(
             {
@@ -97,12 +97,12 @@ class Summary:
         return found
 
     def save(self) -> None:
-        """Write it as JSON next to the log, so that the cause of a fault stays with it; raises UsageError."""
+        """Write the summary as JSON next to the log, to keep the cause of a fault with it. Raises UsageError."""
         if self.log is not None:
             write_text(Path(self.log).with_suffix(".json"), json.dumps(self.as_dict(), indent=1) + "\n")
 
     def show(self, console: Console) -> None:
-        """Print the torque error first, then cycles, nodes and events; histograms only where cycles began late."""
+        """Print torque error, cycles, nodes and events; histograms only if cycles began late or were skipped."""
         from rich.table import Table  # not loaded while the loop runs
 
         console.print(_torque(self.torque))

@@ -26,7 +26,7 @@ _record, _status, _measured = (
     attrgetter(*(signal.source for signal in signals_of(place))) for place in (Place.LOG, Place.STATUS, Place.CLIENT)
 )
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
-LEASE_APART = 1.0  # s between two events of it
+LEASE_APART = 1.0  # s between two events about the lease
 
 
 class Telemetry:
@@ -58,7 +58,7 @@ class Telemetry:
         self._note = None if ring is None else ring.note
         self._noted = 0
         self._error_frames = 0
-        self._warnings: dict[tuple[int, int], int] = {}  # reported of each node
+        self._warnings: dict[tuple[int, int], int] = {}  # number of reported warnings of each node
         self._server_alive: Callable[[], bool] | None = None
         self._processes: list[ProcessNotices] = []
         if ring is not None and log is not None:
@@ -79,7 +79,7 @@ class Telemetry:
         self._written = 0
         self._lease_told = -LEASE_APART
         self._events = events
-        self._heard = [[-math.inf] * len(axis.image.nodes) for axis in axes]  # s of the log, of each node's PDOs
+        self._heard = [[-math.inf] * len(axis.image.nodes) for axis in axes]  # s of the log, last PDOs of each node
 
     def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
         """Write one record per axis; `t` (s) is the planned time, and SYNC was sent `lateness` s later."""
@@ -100,10 +100,16 @@ class Telemetry:
         releases: ReleaseBudget,
         recovery: tuple[int, int, int] = (0, 0, 0),
     ) -> None:
-        """Write the status; times in s, monotonic.
+        """Write the status.
 
-        `counts`: cycles run, planned, skipped, overruns; `recovery`: recoveries that ended with torque, and with a
-        fault, and the number of the first event since the last of them.
+        Args:
+            now: monotonic time, s.
+            start: monotonic time of the first cycle, s.
+            counts: numbers of cycles run, periods planned, periods skipped, overruns.
+            phase: code of the phase.
+            releases: budget of the releases.
+            recovery: number of recoveries that ended with torque, number that ended with a fault, and number of the
+                first event after the last recovery.
         """
         cycles, planned, skipped, overruns = counts
         general = General(
@@ -139,17 +145,17 @@ class Telemetry:
             self._note_events()
 
     def measure(self, now: float, cycle: int, phase: int) -> None:
-        """Publish the measurements of this cycle for clients that use them for control; `now` in s, monotonic."""
+        """Publish the measurements of this cycle for clients that use them for control; `now` is monotonic, s."""
         self._mailbox.measure(now, cycle, phase, [_measured(axis) for _, axis in self._axes])
 
     def tell_lease(self, t: float, start: float) -> None:
-        """Add an event when the set-point's owner changes, with the server's text, at most once a second."""
+        """Add an event when the owner of the set-point changes, with the server's text, at most once a second."""
         if t - self._lease_told >= LEASE_APART and (found := self._mailbox.told()) is not None:
             self._lease_told = t
             self._events.add(found[0] - start, "", found[1])
 
     def last_words(self, t: float, cause: str, unconfirmed: Sequence[str]) -> None:
-        """Log why the run ended, and which drives did not confirm that they are off."""
+        """Log the reason for the end of the run, and the drives that did not confirm that they are off."""
         self._note_events()
         if self._note is not None:
             for line in unconfirmed:
@@ -223,7 +229,7 @@ class Telemetry:
     def check_log(self, t: float, records: int) -> None:
         """Add an event when the log writer fails or has ended; called about once a second.
 
-        `records`: number of records that were passed to it.
+        `records` is the number of records that were passed to it.
         """
         log = self._log
         if log is None or not self._log_alive:

@@ -1,4 +1,4 @@
-"""Count the torque error of a run for its summary: a few operations per cycle."""
+"""Accumulate the torque error of a run for its summary, with a few operations per cycle."""
 
 from __future__ import annotations
 
@@ -14,10 +14,14 @@ SENSOR, ELONGATION, UNKNOWN = "torque sensor", "tendon elongation", "not measure
 
 @dataclass(frozen=True)
 class TorqueError:
-    """The joint torque less the set-point over the cycles with torque, after each fade-in.
+    """Joint torque minus set-point, over the cycles with torque after each fade-in.
 
-    `source`: what measured the joint torque, SENSOR, ELONGATION or UNKNOWN. `rms`, `mean`, `peak`, `desired_rms` in
-    N*m, nan without a measured cycle. `limited`: share of these cycles by name of the limit that acted.
+    Attributes:
+        axis: name of the axis.
+        source: source of the joint torque: SENSOR, ELONGATION or UNKNOWN.
+        seconds: duration of these cycles, s.
+        rms, mean, peak, desired_rms: N*m; nan without a measured cycle.
+        limited: share of these cycles by name of the active limit.
     """
 
     axis: str
@@ -31,7 +35,7 @@ class TorqueError:
 
 
 class TorqueErrorCounter:
-    """Follow one axis; `update` once per cycle."""
+    """Accumulate the torque error of one axis; call `update` once per cycle."""
 
     def __init__(self, axis: ControlAxis, period: float) -> None:
         self._axis = axis
@@ -41,7 +45,7 @@ class TorqueErrorCounter:
         self._reasons: Counter[int] = Counter()
 
     def update(self) -> None:
-        """Take this cycle."""
+        """Add the values of this cycle."""
         axis = self._axis
         reason = axis.reason
         if reason == Reason.DISABLED or not axis.law.faded or axis.ramp < 1.0:
@@ -64,7 +68,7 @@ class TorqueErrorCounter:
             self._peak = max(self._peak, abs(error))
 
     def result(self) -> TorqueError:
-        """Return the figures so far."""
+        """Return the results so far."""
         number = self._measured
         source = UNKNOWN if number == 0 else SENSOR if 2 * self._by_sensor > number else ELONGATION
 

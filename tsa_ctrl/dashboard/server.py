@@ -1,11 +1,12 @@
 """Serve the dashboard page on the loopback interface, with a token for every request.
 
-GET / returns the page. GET /events streams the status (message) and the measurements of the newest cycle ("sample")
-as server-sent events. POST /set {"name", "value"}, /stop and /recover are commands. The token is part of the page's
+GET / returns the page. GET /events streams the status (message) and the measurements of the newest cycle ("sample") as
+server-sent events. POST /set {"name", "value"}, /stop and /recover are commands. The token is part of the page's
 address and of each request. Requests whose Host or Origin is not this server are rejected.
 
-Stop requests have separate threads. All pages share one poll of the daemon, static files are sent from memory, and a
-new connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
+Stop requests have separate threads. All pages share one poll of the daemon, and static files are sent from memory. A
+new connection replaces the one that has been idle longest. As a result, a stop request is answered under any load of
+other requests.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from tsa_ctrl.ipc.protocol import Measure, Recover, Set, Status
 from tsa_ctrl.signals import BANDED, Kind, Place, signals_of
 
 TIMEOUT = 2.0  # s for an answer
-STOP_TIMEOUT = 0.5  # s: a working server answers within milliseconds; after that the daemon gets SIGTERM
+STOP_TIMEOUT = 0.5  # s; a working server answers within milliseconds, later the daemon gets SIGTERM
 LONGEST_NAME = 64
 
 
@@ -71,7 +72,7 @@ class Feed:
         return sample if sample["cycle"] else None
 
     def set(self, name: object, value: object) -> dict[str, Any]:
-        """Change a parameter; the daemon checks the name's existence and the bounds.
+        """Change a parameter; the daemon checks its name and bounds.
 
         Raises:
             UsageError: the daemon rejected the change.
@@ -128,8 +129,8 @@ STATUS_RATE = 50.0  # Hz of the status, the rate at which the daemon publishes i
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
 MOST = 64  # connections at once; a browser keeps six to one server
-FRESH = 1.0  # s from its start in which a connection without a request is not replaced
-CEILING = 256  # connections at once, fresh ones included
+FRESH = 1.0  # s after its start in which a connection without a request is not replaced
+CEILING = 256  # connections at once, including new ones
 STOPPING = 8  # threads for stop requests
 ASK_TIME = 5.0  # s within which a connection must send a request
 HEADERS = {
@@ -143,12 +144,13 @@ HEADERS = {
 
 
 class Bounded(H11Protocol):
-    """The protocol of uvicorn with a bounded number of connections: a new one replaces the one idle longest.
+    """The protocol of uvicorn with a limited number of connections: a new one replaces the one idle longest.
 
-    A connection that sends no request within ASK_TIME is closed. Idle means that no request is being answered.
+    A connection that sends no request within ASK_TIME is closed. A connection is idle if none of its requests is being
+    answered.
     """
 
-    open: ClassVar[dict[Bounded, float]] = {}  # s, when each last received data
+    open: ClassVar[dict[Bounded, float]] = {}  # s, time of the last received data
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Register the connection, and close another one if there are too many."""
@@ -171,7 +173,7 @@ class Bounded(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Note the time."""
+        """Store the time at which data was received."""
         if self in self.open:
             self.open[self] = self.loop.time()
         super().data_received(data)
@@ -182,11 +184,11 @@ class Bounded(H11Protocol):
         return cycle is not None and not cycle.response_complete
 
     def _spent(self, age: float) -> bool:
-        """Return True if the connection has had a request, or has had FRESH for it; `age` in s."""
+        """Return True if the connection has sent a request, or is older than FRESH; `age` in s."""
         return getattr(self, "cycle", None) is not None or age > FRESH
 
     def _give_up(self) -> None:
-        begun = getattr(self, "cycle", None) is not None  # the head of a request came to its end
+        begun = getattr(self, "cycle", None) is not None  # the header of a request is complete
         if not begun and not self.transport.is_closing():
             self.transport.close()
 
@@ -219,14 +221,14 @@ class Guard:
     def _knows(self, request: Request) -> bool:
         try:
             asked = "" if request.method == "POST" else request.query_params.get("token")
-        except UnicodeDecodeError:  # no address of this server has such bytes
+        except UnicodeDecodeError:  # no address of this server contains these bytes
             return False
         given = request.headers.get("x-token") or asked
         return secrets.compare_digest((given or "").encode(), self._token.encode())
 
 
 def signals_shown() -> list[dict[str, Any]]:
-    """Return the signals of an axis that the page shows: in which chart, and whether they have a band."""
+    """Return the signals of an axis on the page, each with its chart and with True if it has a band."""
     ends = {f"{name}_{end}" for name in BANDED for end in ("low", "high")}
     return [
         {
@@ -303,7 +305,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a request; raises ValueError."""
+    """Return the JSON object of a request; raise ValueError if it is too long or not an object."""
     data = b""
     async for part in request.stream():
         data += part
@@ -319,19 +321,19 @@ async def _body(request: Request) -> dict[str, Any]:
 
 
 class Poll:
-    """The newest measurements and status as server-sent events; all pages share the requests to the daemon."""
+    """Newest measurements and status as server-sent events. All pages share the requests to the daemon."""
 
     def __init__(self, feed: Feed) -> None:
         self._feed = feed
         self._asking: asyncio.Task[None] | None = None
-        self._asked = self._status_asked = -math.inf  # s, when
+        self._asked = self._status_asked = -math.inf  # s, times of the last requests
         self._sample = self._status = ""
-        self._number = 0  # of the status
+        self._number = 0  # number of the status
 
     async def newest(self, seen: int) -> tuple[str, int]:
-        """Return the events and the number of their status; a status up to number `seen` is left out.
+        """Return the events and the number of their status; a status with a number up to `seen` is omitted.
 
-        The measurements are at most 1 / RATE old, unless the daemon is slower than that.
+        The measurements are at most 1 / RATE old, unless the daemon is slower.
         """
         now = time.monotonic()
         if self._asking is None or (self._asking.done() and now - self._asked >= 1.0 / RATE):
@@ -341,7 +343,7 @@ class Poll:
         return (self._status if self._number > seen else "") + self._sample, self._number
 
     def _ask(self, now: float) -> None:
-        if now - self._status_asked >= 1.0 / STATUS_RATE - 0.5 / RATE:  # the nearest of the polls
+        if now - self._status_asked >= 1.0 / STATUS_RATE - 0.5 / RATE:  # the poll nearest to the due time
             self._status_asked = now
             self._status = f"data: {json.dumps(self._feed.status(), allow_nan=False)}\n\n"
             self._number += 1
@@ -360,7 +362,7 @@ async def _events(poll: Poll, request: Request) -> AsyncIterator[str]:
 
 
 def serve(path: str, port: int, say: Callable[[str], None]) -> None:
-    """Serve until SIGINT or SIGTERM; `say` receives the address. Raises UsageError when the port is taken."""
+    """Serve until SIGINT or SIGTERM; `say` receives the address. Raises UsageError if the port is taken."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -1,1 +1,1 @@
-"""The whole system on one machine: simulated drive and joint, the daemon, a set-point, and what compensation gains."""
+"""Run the whole system on one machine: simulated drive and joint, daemon, set-point, and effect of compensation."""

@@ -1,7 +1,7 @@
-"""The full circle: run with the nominal model, calibrate, diagnose the log of this run, run again with the result.
+"""Run the full circle: nominal model, calibration, diagnosis of this run's log, and runs with the results.
 
-The estimates use only the daemon's log of the nominal run, that is, data from the bus and the sensors. The plant's
-truth serves only for the run that shows the limit.
+The estimates use only the daemon's log of the nominal run, that is, data from the bus and the sensors. The true
+parameters of the plant are used only in the run that shows the limit.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.tune.run import Run, read_run
 
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
-MODEL_ALONE = {"kind": "fixed"}  # each stage shows its model: no estimate compensates for its errors
-COMPENSATION = 1.0  # of the friction term: the motion is imposed, nothing can begin to oscillate
+MODEL_ALONE = {"kind": "fixed"}  # each stage shows its model: no estimate compensates for model errors
+COMPENSATION = 1.0  # of the friction term; with a prescribed motion nothing can oscillate
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Circle:
-    """One full circle: hidden and identified effects, and the run of each stage; `notes` for people."""
+    """Result of a full circle: hidden and identified effects, the run of each stage, and notes for display."""
 
     bus: str
     hidden: Hidden
@@ -48,12 +48,12 @@ class Circle:
 
     @property
     def found(self) -> str:
-        """The names found, each with the rivals that the log does not exclude."""
+        """Return the identified effects, each with the competing hypotheses that the log does not exclude."""
         names = (" or ".join((cause.effect, *cause.alternatives)) for cause in self.diagnosis.causes)
         return " + ".join(names) or "nothing"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return a JSON-ready object."""
         return {
             "schema": 1,
             "bus": self.bus,
@@ -75,7 +75,9 @@ class Circle:
 def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: float, say: Progress) -> Circle:
     """Run all stages in `folder`, each with a new plant; `seconds` of torque per run, `rate` in Hz.
 
-    Raises BusError when plant or daemon fail, UsageError when the log of the nominal run shows too little.
+    Raises:
+        BusError: the plant or the daemon failed.
+        UsageError: the log of the nominal run contains too little information.
     """
     nominal = rig.NOMINAL
     controllers = {name: rig.controller(bus, name, rate, f"{name}.toml", COMPENSATION, MODEL_ALONE) for name in STAGES}

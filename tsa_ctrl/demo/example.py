@@ -1,6 +1,6 @@
-"""A log to try the diagnosis on: the real loop on the simulated plant in virtual time, with a hidden cause.
+"""Make an example log for the diagnosis: the real loop on the simulated plant in virtual time, with a hidden cause.
 
-The effects of the catalogue, their sizes and the parameter errors are random and repeatable by seed.
+The effects, their sizes and the parameter errors are random and repeatable by seed.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.specification import Draw
 from tsa_ctrl.model.parameters import TendonSheath
 
-OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
-SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples of its inverse
+OFF = 0.2  # limit of |nominal / true - 1| of friction and pretension
+SECONDS = 20.0  # s until motion and torque repeat; all frequencies below are whole multiples of its inverse
 RATE = 500.0  # Hz: sufficient for the diagnosis of these motions, at half the time of 1 kHz
 MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
 TORQUE = ((0.35, 0.25), (0.55, 0.25), (0.85, 0.25), (1.2, 0.25))  # Hz, N*m: none of the motion's frequencies
@@ -32,7 +32,7 @@ EFFECTS = tuple(name for name, spec in CATALOGUE.items() if spec.demo is not Non
 
 @dataclass(frozen=True)
 class Hidden:
-    """Hold the differences between plant and nominal file: `effects`, and factors on its parameters."""
+    """Differences between the plant and the nominal file: `effects`, and factors on parameters."""
 
     effects: Mapping[str, Mapping[str, Any]]
     factors: Mapping[str, float]
@@ -42,7 +42,7 @@ class Hidden:
         return " + ".join(self.effects) or "nothing"
 
     def axis(self) -> dict[str, dict[str, Any]]:
-        """Return the tables of the plant's axis: stiff tendons bent at the joint; only the effects violate (3.55)."""
+        """Return the tables of the plant's axis. Stiff tendons, bent at the joint: only the effects violate (3.55)."""
         return {
             "effects": {name: dict(values) for name, values in self.effects.items()},
             "perturbation": {**self.factors, "axial_stiffness": 10.0},
@@ -58,9 +58,10 @@ class Hidden:
 
 
 def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
-    """Draw factors and sizes from the seed, and the effect too if no names are given.
+    """Return random factors and effect sizes for a seed, and a random effect if no names are given.
 
-    Raises UsageError for a name that the demo cannot hide.
+    Raises:
+        UsageError: a name is not an effect that the demo can hide.
     """
     for name in names:
         if name not in EFFECTS:
@@ -72,7 +73,7 @@ def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
 
 
 def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the parameters of one effect; `rng` draws the random ones."""
+    """Return the parameters of one effect, with random ones from `rng`."""
     sizes = CATALOGUE[name].demo or {}
     return {key: size.value(rng) if isinstance(size, Draw) else size for key, size in sizes.items()}
 
@@ -88,7 +89,7 @@ def motion() -> Play:
 
 @dataclass(frozen=True)
 class Example:
-    """Hold the paths of the log and of the model file without the hidden cause, and that cause."""
+    """Paths of a log and of the model file without the hidden cause, and that cause."""
 
     log: Path
     model: Path
@@ -110,7 +111,7 @@ class Example:
 
 
 def make(folder: Path, seed: int) -> Example:
-    """Write the files and run them; the same seed hides the same. Raises BusError when the loop ends in a fault."""
+    """Write an example and run it; the same seed hides the same cause. Raises BusError if the loop ends in a fault."""
     hidden = draw(seed)
     controllers = {"example": rig.controller(VIRTUAL, "example", RATE, "nominal.toml", 0.0)}
     rig.write(folder, motion(), rig.plant(VIRTUAL, "full", hidden.axis()), controllers)

@@ -1,4 +1,4 @@
-"""A leg whose joints bend each other's sheaths: three joints in one loop, with and without `[routing]`."""
+"""Simulate a leg whose joints bend each other's sheaths: three joints in one loop, with and without `[routing]`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from tsa_ctrl.virtual.simulation import play
 
 Progress = Callable[[str, float], None]
 
-# Typical level walking over one stride, of the literature, in degrees, and small assisting torques in N*m. Share of the
-# stride, value; heel strike at 0.
+# Typical joint angles of level walking from the literature, in degrees, and small assisting torques, in N*m.
+# Each pair is (share of the stride, value), with heel strike at 0.
 ANGLES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "hip": ((0.0, 20.0), (0.15, 14.0), (0.5, -12.0), (0.65, -2.0), (0.85, 22.0)),
     "knee": ((0.0, 5.0), (0.15, 18.0), (0.40, 5.0), (0.60, 35.0), (0.72, 61.0), (0.95, 6.0)),
@@ -30,7 +30,7 @@ TORQUES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "ankle": ((0.0, 0.0), (0.2, -0.2), (0.48, 0.8), (0.65, 0.0)),
 }
 ROUTING = {"hip": {}, "knee": {"hip": 0.8}, "ankle": {"knee": 0.5}}  # rad of wrap angle per rad of the other joint
-WITHOUT, FIXED, FOLLOWED = "without", "fixed", "with"  # compensation; routing; both
+WITHOUT, FIXED, FOLLOWED = "without", "fixed", "with"  # no compensation, no routing, with both
 SECONDS = 9.0  # s of torque: five strides
 SHOWN = 2.0 * PERIOD  # s in the picture
 
@@ -46,7 +46,7 @@ def strides() -> dict[str, Play]:
 
 @dataclass(frozen=True)
 class Leg:
-    """The three runs on the same motion, joints by name in each."""
+    """Three runs with the same motion; each holds its joints by name."""
 
     runs: Mapping[str, Mapping[str, Course]]
     picture: Path
@@ -57,7 +57,7 @@ class Leg:
 
     @property
     def reduction(self) -> float:
-        """Per cent by which compensation with routing reduces the error of all joints."""
+        """Return the reduction of the RMS error of all joints by compensation with routing, %."""
         return 100.0 * (1.0 - self.rms(FOLLOWED) / self.rms(WITHOUT))
 
     def to_dict(self) -> dict[str, Any]:
@@ -116,9 +116,10 @@ class Leg:
 
 
 def demo(folder: Path, seconds: float, say: Progress) -> Leg:
-    """Run the leg of `folder` (as `tsa init --leg` writes it) three times in virtual time.
+    """Run the leg of `folder` (as written by `tsa init --leg`) three times in virtual time.
 
-    Raises BusError when a run fails.
+    Raises:
+        BusError: a run failed.
     """
     text = (folder / "controller.toml").read_text(encoding="utf-8")
     runs: dict[str, dict[str, Course]] = {}
@@ -136,7 +137,7 @@ def demo(folder: Path, seconds: float, say: Progress) -> Leg:
 
 
 def _controller(folder: Path, text: str, run: str) -> str:
-    """Return the controller file of a run; some have no compensation, or models without the other joints."""
+    """Return the controller file of a run: without compensation, without routing, or with both."""
     document = tomlkit.parse(text)
     document["log"]["folder"] = run
     for axis in document["axis"]:

@@ -15,7 +15,7 @@ from tsa_ctrl.log.table import load_run
 
 FloatArray = NDArray[np.float64]
 
-LEGEND = 0.22  # of an axis, above the curves: height of a legend of one line
+LEGEND = 0.22  # share of an axis above the curves, for a legend of one line
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Course:
 
     @property
     def left_out(self) -> float:
-        """Share of the cycles that the loop left out, as the machine woke it after their time."""
+        """Return the share of the cycles that the loop skipped, because the machine woke it too late."""
         cycles = self.summary["cycles"]
         return 1.0 - float(cycles["sent"]) / max(float(cycles["planned"]), 1.0)
 
@@ -47,9 +47,10 @@ class Course:
 def course_of(folder: Path, summary: dict[str, Any], seconds: float, axis: str = "") -> Course:
     """Return a run's log from the end of the fade-in to the start of the stop, `seconds` s after the enable.
 
-    `axis`: its name, if the log has several.
+    `axis` is the name of the axis if the log has several.
 
-    Raises BusError if the log has torque for too short a time.
+    Raises:
+        BusError: the log has torque for too short a time.
     """
     log = folder / str(summary["log"])
     columns = load_run(f"{log}:{axis}" if axis else log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
@@ -58,7 +59,7 @@ def course_of(folder: Path, summary: dict[str, Any], seconds: float, axis: str =
 
 @dataclass(frozen=True)
 class Outcome:
-    """The run without and the run with compensation; on the same motion, where that is imposed."""
+    """Runs without and with compensation; the motion is the same if it is prescribed."""
 
     bus: str
     load: str
@@ -69,7 +70,7 @@ class Outcome:
 
     @property
     def reduction(self) -> float:
-        """Per cent by which compensation reduces the RMS error."""
+        """Return the reduction of the RMS error by compensation, %."""
         return 100.0 * (1.0 - self.compensated.rms / self.without.rms)
 
     def to_dict(self) -> dict[str, Any]:
@@ -100,7 +101,7 @@ class Outcome:
         wanted = self.compensated
         torque.plot(*window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="desired")
         for run, colour, label, width in (
-            (self.without, "tab:red", "without compensation", 2.6),  # seen beneath the other where both are alike
+            (self.without, "tab:red", "without compensation", 2.6),  # wider, to be visible under the other
             (self.compensated, "tab:blue", "with compensation", 1.2),
         ):
             torque.plot(*window(run.t, run.delivered, first, seconds), colour, lw=1.0, label=f"delivered {label}")

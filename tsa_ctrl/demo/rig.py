@@ -18,15 +18,15 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.table import from_zero, read_waypoints
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 
-# Provide the desired joint torque and the joint motion of the demo, built in or from a file.
+# Desired joint torque and joint motion of the demo, built in or from a file.
 
 FloatArray = NDArray[np.float64]
 
 PERIOD = 1.6  # s of one gait cycle
 RATE = 200.0  # Hz of the built-in tables
-SINE_PERIOD, SINE_TORQUE = 2.0, 0.5  # s, N*m: so small that every load stays within its travel
-# Typical level walking over one cycle, of the literature: knee flexion in degrees, and an assisting torque in N*m as a
-# small actuator gives it. Fraction of the cycle, value.
+SINE_PERIOD, SINE_TORQUE = 2.0, 0.5  # s, N*m: small enough that every load stays within its travel
+# Typical level walking from the literature: knee flexion in degrees, and an assisting torque of a small actuator in
+# N*m. Each pair is (fraction of the gait cycle, value).
 KNEE_ANGLE = (
     (0.00, 5.0), (0.07, 12.0), (0.15, 18.0), (0.25, 14.0), (0.40, 5.0),
     (0.50, 11.0), (0.60, 35.0), (0.72, 61.0), (0.85, 34.0), (0.95, 6.0),
@@ -39,13 +39,13 @@ KNEE_TORQUE = (
 
 @dataclass(frozen=True)
 class Play:
-    """`t` (n) in s from 0; `tau_j_des` (n) in N*m; `q_j` (n) in rad, of an imposed joint. Repeats."""
+    """A repeating motion: `t` (n) in s from 0, `tau_j_des` (n) in N*m, and `q_j` (n) in rad of a prescribed joint."""
 
     t: FloatArray
     tau_j_des: FloatArray
     q_j: FloatArray
-    seconds: float = 11.0  # of torque that show it
-    shown: float = 3.2  # s of it in the picture
+    seconds: float = 11.0  # of torque in a run
+    shown: float = 3.2  # s in the picture
 
     def write_setpoint(self, path: Path) -> None:
         """Write the CSV set-point file of the controller."""
@@ -67,12 +67,12 @@ def gait() -> Play:
 
 
 def play_for(load: str) -> Play:
-    """Return the motion of a joint with this load: the gait, and a sine where the torque moves the joint."""
+    """Return the gait if the load prescribes the joint's motion, or a sine of torque if the torque moves the joint."""
     if load in ("imposed", "held"):
         return gait()
     t = np.arange(0.0, SINE_PERIOD + 0.5 / RATE, 1.0 / RATE)
     wanted = SINE_TORQUE * np.sin(2.0 * np.pi * t / SINE_PERIOD)
-    if load == "wearer":  # its hand's script takes 12 s
+    if load == "wearer":  # the scripted hand motion takes 12 s
         return Play(t, wanted, np.zeros_like(t), seconds=14.0, shown=12.0)
     return Play(t, wanted, np.zeros_like(t), shown=2.0 * SINE_PERIOD)
 
@@ -86,7 +86,8 @@ def cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
 def from_file(path: Path, most_torque: float) -> Play:
     """Return a motion from a CSV with the columns t, tau_j_des and optionally q_j (default: the built-in gait).
 
-    Raises UsageError with file, column and row, also for a torque above `most_torque` N*m.
+    Raises:
+        UsageError: the file is invalid or a torque exceeds `most_torque` N*m; the message has column and row.
     """
     table = read_waypoints(path, ("tau_j_des",), ("q_j",))
     t, wanted = from_zero(table.columns["t"]), table.columns["tau_j_des"]
@@ -103,7 +104,7 @@ def from_file(path: Path, most_torque: float) -> Play:
 
 @dataclass(frozen=True)
 class BusChoice:
-    """Hold an interface and channel of python-can, or virtual time; `name` is the text shown to the user."""
+    """An interface and channel of python-can, or virtual time; `name` is the text shown to the user."""
 
     interface: str
     channel: str
@@ -120,11 +121,13 @@ VIRTUAL = BusChoice("socketcan", "vcan0", virtual=True)
 
 
 def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: None) -> BusChoice:
-    """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL), else the best available one.
+    """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL), otherwise the best available one.
 
     The order of preference is an existing vcan, a new vcan, local sockets. A vcan that is down is brought up. Without
     the permission for that, `say` receives a message and another bus is used.
-    Raises UsageError if the requested CAN interface does not exist or is down.
+
+    Raises:
+        UsageError: the requested CAN interface does not exist or is down.
     """
     there = can_interfaces()
     up = [name for name, link in there.items() if link.up]
@@ -160,12 +163,12 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
             return BusChoice("socketcan", "vcan0")
     if named is not None and named.startswith("datagram:"):
         return BusChoice("datagram", named.removeprefix("datagram:"))
-    return BusChoice("datagram", f"demo-{os.getpid()}")  # no two demos receive each other's frames
+    return BusChoice("datagram", f"demo-{os.getpid()}")  # two demos must not receive each other's frames
 
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the model's domain at the pretension below
 FADE_IN = 1.0  # s
-MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value; that of a real motor is in its data sheet
+MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value; the data sheet of a real motor has its own
 
 NOMINAL = TendonSheath(
     motor_pulley_radius=0.020,
@@ -188,7 +191,7 @@ Tables = dict[str, Any]
 def plant(
     bus: BusChoice, tendon: str, axis: Mapping[str, Mapping[str, Any]] | None = None, load: str = "imposed"
 ) -> Tables:
-    """Return the plant's configuration; `tendon` is the tendon's kind, `axis` changes or adds tables of its axis."""
+    """Return the plant's configuration; `tendon` is the kind of tendon, `axis` changes or adds tables of the axis."""
     tables: Tables = {
         "name": "joint",
         "actuator": "nominal.toml",
@@ -212,10 +215,10 @@ def controller(
 ) -> Tables:
     """Return a controller's configuration for a loaded machine without real-time permissions.
 
-    It tolerates stalls of 10 ms and more. `estimator`: its [axis.estimator]; missing keys have the loop's defaults.
+    It tolerates stalls of 10 ms and more. `estimator` is the table [axis.estimator]; missing keys have their defaults.
     """
     law: Tables = {"compensation": compensation, "fade_in": FADE_IN}
-    if compensation > 0.0:  # without compensation is tau_J* r_M/r_J, and nothing for the motor's own motion
+    if compensation > 0.0:  # otherwise the command is tau_J* r_M/r_J, without a term for motor inertia
         law["motor_inertia"] = MOTOR_INERTIA
     return {
         "controller": {"name": "demo", "rate": rate, "settle_cycles": 20, "after_fault": "exit"},

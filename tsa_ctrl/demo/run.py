@@ -14,11 +14,11 @@ from tsa_ctrl.system.process_supervisor import daemon, plant
 
 COMPENSATION = 0.95
 RATE = 1000.0  # Hz
-SLOWEST = 250.0  # Hz, that a demo falls back to: a machine that keeps not even this shows nothing of the controller
-LEFT_OUT = 0.1  # of the cycles: a stall now and then stays below 0.02, a machine that is too slow leaves out a third
+SLOWEST = 250.0  # Hz, lowest rate of a demo: a slower machine demonstrates nothing about the controller
+LEFT_OUT = 0.1  # share of cycles: occasional stalls skip less than 0.02, a machine that is too slow skips a third
 
 Progress = Callable[[str, float], None]
-Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
+Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick -> summary
 
 
 def runs_on(bus: BusChoice) -> Run:
@@ -48,11 +48,20 @@ def demo(
     say: Progress,
     load: str = "imposed",
 ) -> Outcome:
-    """Run both and measure; everything is left in `folder`. `say(what, share)` reports progress.
+    """Run without and with compensation and return the outcome; all files stay in `folder`.
 
-    `seconds` of torque per run; `rate` of the loop in Hz, None for RATE or the half or quarter of it that this machine
-    keeps; `tendon` is the plant's kind ("full" or "distributed") and `load` the load of the joint. Raises BusError when
-    plant or daemon fail.
+    Args:
+        folder: folder of the files.
+        bus: bus of plant and daemon.
+        play: motion and set-point.
+        seconds: torque per run, s.
+        rate: rate of the loop, Hz; None: RATE, or half or a quarter of it if the machine is slower.
+        tendon: kind of the plant's tendon, "full" or "distributed".
+        say: receives a text and the completed share.
+        load: load of the joint.
+
+    Raises:
+        BusError: the plant or the daemon failed.
     """
     taken, plant = rate or RATE, rig.plant(bus, tendon, load=load)
 
@@ -85,7 +94,7 @@ def compare(
 ) -> dict[str, Course]:
     """Run each controller for `seconds` on a new plant with the same motion; return their courses by name.
 
-    A course that is not to be `kept` is the last.
+    A course that `kept` rejects is the last one.
     """
     rig.write(folder, play, plant_tables, controllers)
     run = runs_on(bus)

@@ -1,1 +1,1 @@
-"""Is this machine fit to run the loop: kernel, rights, clock, CAN interface, bus load, lateness."""
+"""Check if this machine can run the loop: kernel, rights, clock, CAN interface, bus load and wake-up latency."""

@@ -17,7 +17,7 @@ from tsa_ctrl.errors import TsaError
 
 
 class Result(Enum):
-    """List the possible results of a check."""
+    """Possible results of a check."""
 
     PASS = "pass"
     WARN = "warn"
@@ -26,7 +26,7 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """Hold the result of one check, with the actual and the required state.
+    """Result of one check, with the actual and the required state.
 
     `fix` is the remedy: a command or one sentence, empty for a pass.
     """
@@ -43,7 +43,7 @@ def judge(name: str, good: bool, found: str, wanted: str, fix: str, otherwise: R
     return Check(name, Result.PASS, found, wanted) if good else Check(name, otherwise, found, wanted, fix)
 
 
-MOST_QUEUE = 256  # frames: a longer queue plays stale torque out late
+MOST_QUEUE = 256  # frames; a longer queue sends stale torque late
 LISTEN_TIME = 0.5  # s, in which the frames of other nodes are counted
 UPLOAD_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))  # CiA 301: initiate upload of 0x1000:0
 ROUND_TRIPS = 20
@@ -107,7 +107,7 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
 
 
 def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:
-    """Open the bus as the daemon would, listen to who talks already, and time the answer of each drive."""
+    """Open the bus as the daemon would, listen for other traffic, and measure the response time of each drive."""
     wanted = "opens; no other node sends SYNC or torque"
     try:
         bus = open_bus(settings)
@@ -123,7 +123,7 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
 
 
 def listen(bus: Bus) -> dict[int, int]:
-    """Count the frames of other nodes by identifier for `LISTEN_TIME` s; ends early if the bus fails."""
+    """Return the number of frames by identifier, received within `LISTEN_TIME` s or until the bus fails."""
     seen: dict[int, int] = {}
     end = time.monotonic() + LISTEN_TIME
     while bus.fault is None and (left := end - time.monotonic()) > 0.0:
@@ -146,7 +146,7 @@ def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
 
 
 def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
-    """Check the time from an SDO request for 0x1000 (device type) to its answer: adapter, wire and drive together."""
+    """Check the time from an SDO request for 0x1000 (device type) to its answer, through adapter, wire and drive."""
     node, name = axis.drive.node_id, f"round trip to node {axis.drive.node_id}"
     times = [took for _ in range(ROUND_TRIPS) if (took := answering(bus, node)) is not None]
     if not times:

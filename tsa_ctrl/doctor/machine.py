@@ -1,8 +1,8 @@
 """Check kernel, processors, rights, governor and clock, measure the wake-up latency, and check CAN interrupts.
 
-The checks include scheduling and memory-lock rights, and on which processors and with which priority the loop and the
-interrupts of the CAN interface run. Values are read from /proc and /sys, which requires no rights. Both roots are
-arguments for tests.
+The checks include scheduling and memory-lock rights, and the processors and priorities of the loop and of the CAN
+interface's interrupts. Values are read from /proc and /sys, which requires no privileges. Both roots are arguments for
+tests.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tsa_ctrl.version import build_kind
 PROC, SYS = Path("/proc"), Path("/sys")
 FIFO = 1  # scheduling policy, sched(7)
 PRIORITY, POLICY = 37, 38  # fields of /proc/PID/stat after the name of the process, from 0: proc_pid_stat(5)
-HIGHEST = 99  # of SCHED_FIFO
+HIGHEST = 99  # highest priority of SCHED_FIFO
 
 
 def isolation(settings: RealtimeSettings, sys: Path = SYS) -> Check:
@@ -80,8 +80,8 @@ def can_interrupts(channel: str, settings: RealtimeSettings, proc: Path = PROC, 
 def interrupts_of(channel: str, proc: Path, sys: Path) -> list[int]:
     """Return the numbers of the interrupts in use for a network interface.
 
-    They have the name of the interface or of its device; otherwise they belong to the nearest parent device with
-    interrupts: a USB adapter is served by the interrupts of its host controller.
+    An interrupt has the name of the interface or of its device. Otherwise it belongs to the nearest parent device with
+    interrupts, because a USB adapter uses the interrupts of its host controller.
     """
     link = sys / "class/net" / channel / "device"
     if not link.exists():
@@ -103,7 +103,7 @@ def interrupts_of(channel: str, proc: Path, sys: Path) -> list[int]:
 
 
 def interrupt_actions(proc: Path) -> dict[int, list[str]]:
-    """Return the words behind the counters of each numbered line of /proc/interrupts."""
+    """Return the words after the counters of each numbered line of /proc/interrupts, by number."""
     found = {}
     for line in text_of(proc / "interrupts").splitlines():
         number, colon, rest = line.partition(":")
@@ -114,13 +114,13 @@ def interrupt_actions(proc: Path) -> dict[int, list[str]]:
 
 
 def affinity_of(number: int, proc: Path) -> set[int]:
-    """Return the processors that may handle an interrupt; the kernel's choice where it reports one."""
+    """Return the processors that may handle an interrupt, or the kernel's choice if it reports one."""
     folder = proc / "irq" / str(number)
     return processors_of(text_of(folder / "effective_affinity_list") or text_of(folder / "smp_affinity_list"))
 
 
 def threads_of(number: int, proc: Path) -> list[tuple[int, int]]:
-    """Return process id and SCHED_FIFO priority of each thread of an interrupt; priority 0 under another policy."""
+    """Return process id and SCHED_FIFO priority of each thread of an interrupt; priority 0 means another policy."""
     found = []
     for folder in sorted(proc.glob("[0-9]*"), key=lambda path: int(path.name)):
         if text_of(folder / "comm").startswith(f"irq/{number}-"):
@@ -131,7 +131,7 @@ def threads_of(number: int, proc: Path) -> list[tuple[int, int]]:
 
 
 def processors_of(text: str) -> set[int]:
-    """Return the processors of a list such as 0-2,5; the empty set for anything else."""
+    """Return the processors of a list such as 0-2,5, or an empty set for any other text."""
     found: set[int] = set()
     for part in text.split(","):
         first, _, last = part.partition("-")
@@ -141,7 +141,7 @@ def processors_of(text: str) -> set[int]:
 
 
 def spelled(processors: set[int]) -> str:
-    """Return processors as the kernel takes them, "none" for the empty set."""
+    """Return processors in the kernel's list format, or "none" for an empty set."""
     return ",".join(map(str, sorted(processors))) or "none"
 
 
@@ -160,7 +160,7 @@ CLOCKS = Path("/sys/devices/system/clocksource/clocksource0")
 
 
 def checks(settings: RealtimeSettings, rate: float, seconds: float) -> Iterator[Check]:
-    """Yield all checks of the machine; the last sleeps at `rate` Hz for `seconds` s with the rights of `settings`."""
+    """Yield all checks of the machine. The last sleeps at `rate` Hz for `seconds` s with the rights of `settings`."""
     yield build()
     yield kernel()
     yield processors()
@@ -206,7 +206,7 @@ def processors() -> Check:
 
 
 def governor() -> Check:
-    """Return the check of the frequency governor: a processor that first has to speed up wakes late."""
+    """Return the check of the frequency governor. A processor that must first increase its frequency wakes up late."""
     found = sorted({text_of(path) for path in CPUS.glob("cpu[0-9]*/cpufreq/scaling_governor")})
     return judge(
         "governor",
@@ -232,7 +232,7 @@ def clock_source() -> Check:
 
 
 def throttling() -> Check:
-    """Return the check of the share of time that the kernel leaves to real-time tasks."""
+    """Return the check of the share of time that the kernel grants to real-time tasks."""
     found = text_of(Path("/proc/sys/kernel/sched_rt_runtime_us"))
     share = (
         1.0 if found in ("-1", "") else int(found) / int(text_of(Path("/proc/sys/kernel/sched_rt_period_us")) or 1e6)
@@ -247,7 +247,7 @@ def throttling() -> Check:
 
 
 def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tuple[Check, Check, Check]:
-    """Take the rights in a separate process and read them back there, so that this process keeps its rights."""
+    """Acquire the rights and measure the latency in a separate process, so that this process keeps its own rights."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_measure, args=(theirs, settings, rate, seconds), daemon=True)

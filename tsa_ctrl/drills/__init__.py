@@ -1,1 +1,1 @@
-"""`tsa verify-safety`: hang and kill the loop, withhold its heartbeat, and time how the drives take the torque away."""
+"""`tsa verify-safety`: hang and kill the loop, withhold its heartbeat, and time the torque removal by the drives."""

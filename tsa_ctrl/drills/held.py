@@ -1,9 +1,10 @@
-"""Test of sign and gain on a held joint: a small torque in both directions, and the torque that a sensor shows.
+"""Test sign and gain on a locked joint: apply a small torque in both directions, and compare it with a sensor.
 
-The joint is held, so the tendons slide by their stretch alone. Beyond a reversal by twice the friction torque h they
-slide all along, and the joint torque is a straight line in the motor torque:
+The joint is locked, so that the tendons slide only by their elongation. Once the motor torque is more than twice the
+friction torque h away from a reversal, they slide along their whole length. The joint torque is then a straight line in
+the motor torque:
 
-    tau_J = g a tau_M - sigma b + c                 a: slope of the model, (3.53); g: the gain, 1 when all is right
+    tau_J = g a tau_M - sigma b + c                 a: slope of the model, (3.53); g: the gain, 1 if everything is right
 
 Load cells at the motor show g without the sheath: r_M (T3 - T1) = g tau_M.
 """
@@ -34,18 +35,18 @@ Columns = Mapping[str, NDArray[np.float64]]
 Say = Callable[[str], None]
 
 NAMES = frozenset({"t", "tau_m", "tau_j", "tau_j_des", "tau_m_cmd", "q_j", "t1", "t3"})  # columns of a log
-TOLERANCE = 0.1  # 1, of the gain
-FREQUENCY = 0.25  # Hz, of the torque; slow enough that neither inertia nor delays count
+TOLERANCE = 0.1  # 1, allowed deviation of the gain
+FREQUENCY = 0.25  # Hz, of the torque; slow enough that inertia and delays are negligible
 SECONDS = 9.0  # s of torque: two periods
-AMPLITUDE, LEAST = 2.5, 1.6  # friction torques: the amplitude, and the smallest one that shows the line
-SLIDING = 2.2  # friction torques since a reversal, from which the tendons slide all along
-SHARE = 0.1  # of the rated torque: the amplitude on tendons without friction
-MOVED = 0.05  # rad that a held joint may give
-CLEAR = 0.98  # share of the variance that the line explains
+AMPLITUDE, LEAST = 2.5, 1.6  # multiples of the friction torque: the amplitude, and its minimum for a clear line
+SLIDING = 2.2  # multiples of the friction torque since a reversal, above which the whole tendon slides
+SHARE = 0.1  # share of the rated torque: the amplitude for tendons without friction
+MOVED = 0.05  # rad by which a locked joint may move
+CLEAR = 0.98  # minimum share of the variance that the line explains
 
 
 def run_held(configuration: Configuration, say: Say = lambda line: None) -> tuple[dict[str, SignAndGain], Nodes]:
-    """Run the test on the rig; return what each axis showed, and the nodes that were there.
+    """Run the test on the rig; return the result of each axis, and the nodes on the bus.
 
     Raises:
         BusError: the run failed, or sign or gain is wrong.
@@ -87,10 +88,10 @@ def held_configuration(configuration: Configuration, folder: str) -> Configurati
 
 
 def amplitude(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> float:
-    """Return the torque at the motor, N*m, that shows sign and gain."""
+    """Return the amplitude of the motor torque for the test, N*m; raise UsageError if the limits are too low."""
     friction = abs(sliding(model).motor_half_loop)
     rated = axis.drive.rated_torque * axis.drive.gear_ratio
-    most = min(axis.limits.torque, 2.0 * model.pretension * model.motor_pulley_radius)  # beyond it a tendon is slack
+    most = min(axis.limits.torque, 2.0 * model.pretension * model.motor_pulley_radius)  # above it a tendon is slack
     if most < LEAST * friction:
         raise UsageError(
             f"{configuration.path}: axis '{axis.name}': the test on the held joint needs {LEAST * friction:.3g} N*m at "
@@ -112,12 +113,12 @@ def _pulling(configuration: Configuration, axis: AxisSettings, model: TendonShea
 
 
 def sign_and_gain(name: str, columns: Columns, model: TendonSheath) -> SignAndGain:
-    """Return the result of the log of one axis.
+    """Return sign and gain of one axis from its log.
 
     Args:
-        name: of the axis.
-        columns: of its log, `NAMES`.
-        model: of the axis.
+        name: name of the axis.
+        columns: columns `NAMES` of its log.
+        model: model of the axis.
 
     Raises:
         BusError: sign or gain is wrong, or the log does not show them.
@@ -164,9 +165,9 @@ def sign_and_gain(name: str, columns: Columns, model: TendonSheath) -> SignAndGa
 def _line(
     tau_m: NDArray[np.float64], measured: NDArray[np.float64], slope: NDArray[np.float64], since: float
 ) -> tuple[float, float]:
-    """Return the slope of `measured` in `tau_m`, and the share of the variance that the line explains.
+    """Return the slope of `measured` over `tau_m`, and the share of the variance that the line explains.
 
-    Only samples count at which the motor torque is `since` N*m from its last reversal.
+    Only samples are used whose motor torque is at least `since` N*m away from its last reversal.
     """
     way = np.where(slope >= 0.0, 1.0, -1.0)
     begins = np.concatenate(([0], np.flatnonzero(np.diff(way)) + 1))

@@ -1,18 +1,24 @@
 """Watch the drives in a separate process: `python -m tsa_ctrl.drills.listener CONTROLLER.toml`.
 
-It reads one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `begin`
-(another loop is started), `pull` (direction and size of the torque of its motors), `guard` (keep observations from
-now on), `quiet` (return the observations and end the guard), `armed` (the time-outs that the drives hold), `end`.
+It reads one word per line on stdin and answers each with one line of JSON:
 
-Drives report on SYNC, which ends with the loop and must not be replaced, because the RPDO timer of some drives acts on
-SYNC only. A drive that sends no TPDOs is therefore asked by SDO, which changes nothing there. A drive that still has
+- `torque`: return the last torque of each axis.
+- `begin`: another loop is started.
+- `pull`: return sign and gain of the motor torque of each axis.
+- `guard`: record observations from now on.
+- `quiet`: end the guard, and return its observations.
+- `armed`: return the time-outs stored in the drives.
+- `end`: end the process.
+
+Drives report on SYNC, which ends with the loop. It must not be replaced, because the RPDO timer of some drives acts on
+SYNC only. A drive that sends no TPDOs is therefore read by SDO, which has no effect on it. A drive that still has
 torque when the guard ends is switched off.
 
-`pull` tests sign and gain of a motor's torque while a small torque begins. The torque stretches the tendons, so that
-motor and joint move apart with its sign, whether the joint is held or free. A joint torque sensor follows by at most
-r_J/r_M. Both are straight lines through all samples of the pull. The tested loop decides with a different filter
-(`safety.polarity_check`). A joint that something else moves is not judged: its friction stretches the tendons a hundred
-times as far as a small torque does.
+`pull` tests sign and gain while a small motor torque begins. The torque stretches the tendons, so that motor and joint
+move apart with its sign, both on a locked and on a free joint. A joint torque sensor follows by at most r_J/r_M. Both
+relations are straight lines through all samples of the pull. The tested loop decides with a different filter
+(`safety.polarity_check`). A joint that something else moves is not judged, because its friction stretches the tendons a
+hundred times as far as a small torque does.
 """
 
 from __future__ import annotations
@@ -45,23 +51,23 @@ from tsa_ctrl.model.steady_sliding import wound_by_friction
 from tsa_ctrl.safety.polarity_check import CLEAR, EXCESS, FAR, RESTING, SHOWN
 from tsa_ctrl.system.process_supervisor import READY, ignore
 
-KEPT = 4000  # samples of each axis: the last seconds
-LEAST = 20  # samples
-HALF = 0.5  # of the largest torque
-MOVED = 0.03  # of rated torque that it must have moved by, to show anything
+KEPT = 4000  # maximum number of samples of each axis: the last seconds
+LEAST = 20  # minimum number of samples
+HALF = 0.5  # share of the largest torque
+MOVED = 0.03  # share of rated torque by which the torque must have changed
 
 
 class Pull(msgspec.Struct, frozen=True, kw_only=True):
-    """The observations of one axis; correlations are 1, None where there is nothing to see it by."""
+    """Observations of one axis. Correlations are dimensionless; None means that nothing can be observed."""
 
-    stretch: float | None  # of the motor's torque with how far motor and joint are apart
-    sensor: float | None  # with the joint torque sensor
-    gain: float | None  # N*m at the joint per N*m of the motor, where the sensor follows clearly
+    stretch: float | None  # correlation of the motor torque with the angle between motor and joint
+    sensor: float | None  # correlation of the motor torque with the joint torque sensor
+    gain: float | None  # N*m at the joint per N*m of the motor, if the sensor follows clearly
     geared: float  # r_J/r_M: the gain of the pulleys
 
     @property
     def wrong(self) -> str:
-        """In words; empty when nothing contradicts."""
+        """Return the contradiction in words, or an empty text."""
         shown = self.stretch if self.stretch is not None else self.sensor
         if shown is not None and shown < -SHOWN:
             return (
@@ -76,7 +82,7 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
         return ""
 
     def __str__(self) -> str:
-        """Return the cell of the table of results."""
+        """Return the text for the table of results."""
         shown = self.stretch if self.stretch is not None else self.sensor
         if self.wrong:
             return "WRONG"
@@ -86,16 +92,23 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(NamedTuple):
-    """One cycle; nan if it is missing."""
+    """Values of one cycle; a missing value is nan."""
 
-    torque: float  # N*m, the motor's
+    torque: float  # N*m, of the motor
     apart: float  # rad, q_m - (r_J/r_M) q_j
     joint: float  # N*m, of the joint torque sensor
-    angle: float  # rad, of the joint, geared to the motor; the motor's without a joint encoder
+    angle: float  # rad, r_J/r_M times the joint angle; the motor angle without a joint encoder
 
 
 def pull(rows: Sequence[Row], rated: float, geared: float, wound: float) -> Pull:
-    """`rated`: N*m; `geared`: r_J/r_M; `wound`: rad at the motor by which friction stretches the tendons."""
+    """Return the observations of one axis.
+
+    Args:
+        rows: samples in order.
+        rated: rated torque, N*m.
+        geared: r_J/r_M.
+        wound: rad at the motor by which friction stretches the tendons.
+    """
     torques = [row.torque for row in rows]
     nothing = Pull(stretch=None, sensor=None, gain=None, geared=geared)
     if len(rows) < LEAST or max(torques) - min(torques) < MOVED * rated:
@@ -105,17 +118,17 @@ def pull(rows: Sequence[Row], rated: float, geared: float, wound: float) -> Pull
         return nothing
     stretch, _ = _line(torques, [row.apart for row in rows])
     most = max(map(abs, torques))
-    upper = [row for row in rows if abs(row.torque) > HALF * most]  # below it the sheath's friction may keep all of it
+    upper = [row for row in rows if abs(row.torque) > HALF * most]  # below it the sheath's friction may absorb it all
     sensor, slope = _line([row.torque for row in upper], [row.joint for row in upper])
-    held = _range([row.angle for row in rows]) <= least  # otherwise a hand may also act
+    held = _range([row.angle for row in rows]) <= least  # otherwise a hand may act too
     clear = sensor is not None and slope is not None and sensor > CLEAR and slope < (FAR if held else EXCESS) * geared
     return Pull(stretch=stretch, sensor=sensor, gain=slope if clear else None, geared=geared)
 
 
 def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool:
-    """Return True if the joint moved `least` rad without torque (`begun`, N*m), or against the motor.
+    """Return True if the joint moved by `least` rad without torque (below `begun`, N*m), or against the motor.
 
-    A motor that moves its joint goes ahead of it; one that is drawn along stays behind.
+    A motor that moves its joint leads it. A motor that its joint drags along lags.
     """
     if _range([row.angle for row in rows if abs(row.torque) < begun]) > least:
         return True
@@ -125,13 +138,13 @@ def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool
 
 
 def _range(values: Sequence[float]) -> float:
-    """Return the range of the finite values; 0 without any."""
+    """Return the range of the finite values, or 0 without any."""
     known = [value for value in values if math.isfinite(value)]
     return max(known) - min(known) if known else 0.0
 
 
 def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float | None]:
-    """Return correlation and slope; None for a quantity that is absent or constant."""
+    """Return correlation and slope; None if a value is missing or a quantity is constant."""
     if not all(map(math.isfinite, (*x, *y))):
         return None, None
     mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
@@ -142,10 +155,10 @@ def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float |
 
 
 class Watch:
-    """Receive the frames of the nodes of one axis in parallel with its loop; `take` every frame, SYNC among them."""
+    """Observe one axis in parallel with its loop. `take` must receive every frame, including SYNC."""
 
     def __init__(self, configuration: Configuration, index: int, axis: Axis) -> None:
-        """`axis`: one of ours, which commands nothing."""
+        """`axis` is a separate object of this process that sends no commands."""
         model, drive = configuration.models[index], axis.nodes.drive
         self._axis = axis
         self._geared = model.joint_pulley_radius / model.motor_pulley_radius
@@ -157,7 +170,7 @@ class Watch:
 
     @property
     def can_ids(self) -> Iterable[int]:
-        """Return the frames that it must receive."""
+        """Return the identifiers of the frames that `take` must receive."""
         return (cia301.SYNC, *self._inboxes)
 
     def begin(self) -> None:
@@ -165,7 +178,7 @@ class Watch:
         self._rows.clear()
 
     def take(self, can_id: int, data: bytes, now: float) -> None:
-        """`now` in s."""
+        """Process a frame received at `now` (s)."""
         if can_id == cia301.SYNC:
             self._close(now)
             return
@@ -192,13 +205,13 @@ class Watch:
         return pull(tuple(self._rows), self._rated, self._geared, self._wound)
 
 
-# Hold the observed torque of each drive and the result. Pure.
+# Observed torque of each drive, and its evaluation by pure functions.
 
 Source = Literal["tpdo", "sdo"]
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
-    """`clock`: CLOCK_MONOTONIC in s on arrival; `torque`: N*m at the motor pulley, as the drive reports it."""
+    """A torque that a drive reported, N*m at the motor pulley. `clock` is the arrival in s of CLOCK_MONOTONIC."""
 
     clock: float
     node: int
@@ -207,7 +220,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Said(msgspec.Struct, frozen=True, array_like=True):
-    """An EMCY of a drive; `clock` as in a sample."""
+    """An EMCY of a drive; `clock` as in `Sample`."""
 
     clock: float
     node: int
@@ -215,18 +228,24 @@ class Said(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Timing(msgspec.Struct, frozen=True, kw_only=True):
-    """One drive in one trial; times in s since the loop was stopped, None if it was not observed."""
+    """Times of one drive in one trial, in s since the loop was stopped; None if not observed."""
 
-    torque_before: float | None  # N*m, the last before
-    last_torque: float | None  # the last time that torque was seen
-    zero_after: float | None  # the first time that none was seen, and none came back
-    source: Source | None  # how that was seen
+    torque_before: float | None  # N*m, last value before the stop
+    last_torque: float | None  # time of the last sample with torque
+    zero_after: float | None  # time of the first sample without torque after which no torque returned
+    source: Source | None  # source of that sample
 
 
 def timing(samples: Sequence[Sample], node: int, stopped: float, zero: float) -> Timing:
-    """`stopped`: when the loop was stopped, clock as in the samples; `zero`: N*m up to which the torque counts as zero.
+    """Return the times of a drive.
 
-    `zero_after` is an upper bound: the torque fell between `last_torque` and it.
+    `zero_after` is an upper bound: the torque fell between `last_torque` and `zero_after`.
+
+    Args:
+        samples: samples in order of arrival.
+        node: node id of the drive.
+        stopped: time at which the loop was stopped, on the clock of the samples, s.
+        zero: torque that counts as zero, N*m.
     """
     mine = [sample for sample in samples if sample.node == node]
     before = [sample.torque for sample in mine if sample.clock < stopped]
@@ -246,7 +265,7 @@ class Watchdog(msgspec.Struct, frozen=True, kw_only=True):
 
     acted: str | None  # "rpdo" (0x8250), "heartbeat" (0x8130); None without such an EMCY
     after: float | None  # s since the loop was stopped
-    warning: str  # about one that was armed and did not act in its time
+    warning: str  # about a watchdog that was armed and did not act in time
 
 
 _CODES = {0x8250: "rpdo", 0x8130: "heartbeat"}
@@ -255,12 +274,15 @@ _NAMES = {
     "heartbeat": "the heartbeat consumer (0x1016)",
     "guarding": "life guarding (0x100D)",
 }
-_LATE = 1.25  # times its time-out, and
-_SLACK = 0.02  # s, after which a watchdog counts as one that did not act
+_LATE = 1.25  # factor on its time-out, and
+_SLACK = 0.02  # s added to it, after which a watchdog counts as not acting
 
 
 def watchdog(said: Sequence[Said], node: int, stopped: float, armed: Mapping[str, int], loop_dead: bool) -> Watchdog:
-    """Compare the EMCYs of a drive with its time-outs (ms). While the loop runs, the RPDO timer must not act."""
+    """Return the watchdog that acted, by comparing the EMCYs of a drive with its time-outs (ms).
+
+    While the loop runs (`loop_dead` is False), the RPDO timer need not act.
+    """
     mine = [one for one in said if one.node == node and one.clock >= stopped and one.code in _CODES]
     first = mine[0] if mine else None
     acted = None if first is None else _CODES[first.code]
@@ -285,20 +307,20 @@ def _same(acted: str | None, name: str) -> bool:
     return {acted, name} == {"heartbeat", "guarding"}
 
 
-SILENT = 0.01  # s without a TPDO after which a drive is asked by SDO
-ASK = 0.002  # s between two questions, where the answer to the last has come
-UNANSWERED = 0.5  # s after which a question counts as lost
-PATIENCE = 1.0  # s until the time-outs are reported
-ZERO_SHARE = 0.02  # of rated torque, up to which torque counts as none
+SILENT = 0.01  # s without a TPDO after which a drive is read by SDO
+ASK = 0.002  # s between two requests if the last one was answered
+UNANSWERED = 0.5  # s after which a request counts as lost
+PATIENCE = 1.0  # s to wait for the answer about a time-out
+ZERO_SHARE = 0.02  # share of rated torque up to which torque counts as zero
 _UPLOAD = struct.Struct("<BHB4x")
 _ANSWER = struct.Struct("<BHB4s")
-_EXPEDITED = 0x43  # answer to an upload, with its size; bits 2 and 3 are the bytes that are not used
-_CONSUMERS = 4  # entries of 0x1016 that are looked at
+_EXPEDITED = 0x43  # answer to an upload, with its size; bits 2 and 3 hold the number of unused bytes
+_CONSUMERS = 4  # entries of 0x1016 that are read
 _DOWNLOAD_WORD = struct.Struct("<BHBH2x")
 
 
 class Drive:
-    """One drive as the listener knows it."""
+    """State of one drive in the listener."""
 
     def __init__(self, node: int, torque: float, rated: float, layout: DriveLayout, slot: int) -> None:
         self.node = node
@@ -310,13 +332,13 @@ class Drive:
         self.last: float | None = None  # N*m
         self.heard = 0.0
         self.asked = 0.0
-        self.waits = False  # for an answer
+        self.waits = False  # a request is not answered yet
         self.guard_time = 0  # ms
-        self.armed: dict[str, int] = {}  # ms of its watchdogs
+        self.armed: dict[str, int] = {}  # time-outs of its watchdogs, ms
 
 
 class Listener:
-    """Watches all drives of a configuration on `bus`; `step` is one look."""
+    """Observe all drives of a configuration on `bus`; `step` processes one frame."""
 
     def __init__(self, configuration: Configuration, bus: Bus, clock: Callable[[], float] = time.monotonic) -> None:
         self._bus = bus
@@ -350,7 +372,7 @@ class Listener:
             watch.begin()
 
     def pulls(self) -> dict[str, Pull]:
-        """Return the observations of each axis since then."""
+        """Return the observations of each axis since `begin`."""
         return {axis: watch.seen() for axis, watch in self._watches.items()}
 
     def guard(self) -> None:
@@ -358,7 +380,7 @@ class Listener:
         self.samples, self.said = [], []
 
     def quiet(self) -> tuple[list[Sample], list[Said]]:
-        """End the guard; a drive that still has torque is switched off by every means there is."""
+        """End the guard and return its observations; switch off a drive with torque by every available means."""
         self._guard = False
         for drive in self._drives.values():
             if drive.last is not None and abs(drive.last) > drive.zero:
@@ -373,7 +395,7 @@ class Listener:
         self._bus.send(cia301.NMT, cia301.nmt(NmtCommand.STOP, drive.node))
 
     def armed(self) -> dict[str, dict[str, int]]:
-        """Return the time-outs stored in the drives, ms (`rpdo`, `heartbeat`, `guarding`), if present and not 0."""
+        """Return the time-outs stored in the drives by axis, ms (`rpdo`, `heartbeat`, `guarding`), if not 0."""
         for drive in self._drives.values():
             drive.armed = {}
             timer = drive.layout.command.communication(5, objects.Type.U16, "")
@@ -386,7 +408,7 @@ class Listener:
         return {axis: drive.armed for axis, drive in self._drives.items()}
 
     def step(self, timeout: float) -> None:
-        """Take one frame, or wait for it; on guard, ask the drives that no longer report by themselves."""
+        """Wait at most `timeout` s for one frame and process it; on guard, read drives that no longer send TPDOs."""
         frame = self._bus.recv(timeout)
         now = self._clock()
         if frame is not None:
@@ -458,7 +480,7 @@ def main(argv: list[str]) -> int:
 
 
 def _serve(listener: Listener, patience: float) -> int:
-    """`patience`: s, of one look."""
+    """Answer the requests on stdin; `patience` is the longest wait for a frame, s."""
     os.write(1, READY)
     received = b""
     while True:

@@ -27,7 +27,7 @@ FADE_IN = 0.2  # s
 
 
 def under_trial(configuration: Configuration, torque: float, socket: str) -> Configuration:
-    """Return the configuration with a constant motor torque in N*m, without the monitor: the drives are on trial."""
+    """Return the configuration with a constant motor torque in N*m, without the monitor: the drives are tested."""
     replace = msgspec.structs.replace
     file = configuration.file
     axes = tuple(_pulling(axis, model, torque) for axis, model in zip(file.axes, configuration.models, strict=True))
@@ -54,7 +54,7 @@ def _pulling(axis: AxisSettings, model: TendonSheath, torque: float) -> AxisSett
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM, until its owner is gone, or until it is killed, which is its purpose."""
+    """Run until SIGTERM, until the parent has ended, or until this process is killed, which is its purpose."""
     follow()
     from tsa_ctrl.daemon.run import run
 

@@ -37,14 +37,14 @@ from tsa_ctrl.system.process_supervisor import Child, environment, terminal_bloc
 from tsa_ctrl.version import __version__
 
 STARTED = 60.0  # s until the loop delivers torque
-SETTLED = 0.4  # s of torque before anything is done
-BEYOND = 0.3  # s that are watched beyond the limit
-ENDED = 10.0  # s until a process ends that was asked to
+SETTLED = 0.4  # s of torque before the disturbance
+BEYOND = 0.3  # s of observation beyond the limit
+ENDED = 10.0  # s until a process ends after a request
 DELIVERED = 0.5  # share of the desired torque that a drive must report
 
 
 class Trial(Enum):
-    """The disturbance of the loop: its name, and in words."""
+    """Disturbances of the loop: key and description."""
 
     WITHHOLD = ("withheld", "heartbeat withheld")
     HANG = ("hang", "loop hung: SIGSTOP")
@@ -63,7 +63,7 @@ _SIGNALS = {Trial.WITHHOLD: signal.SIGUSR1, Trial.HANG: signal.SIGSTOP, Trial.KI
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """One trial on one axis."""
+    """Result of one trial on one axis."""
 
     trial: str
     axis: str
@@ -77,7 +77,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ListenerProcess:
-    """The listener at the other end of a pipe."""
+    """A listener process at the other end of a pipe."""
 
     def __init__(self, configuration: Configuration) -> None:
         """Start the listener; raise BusError if it cannot open the bus."""
@@ -110,7 +110,7 @@ def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
 
 
 def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Trial, torque: float) -> list[Outcome]:
-    """Run one trial of all axes with `torque` N*m at each motor; raises BusError if no torque is measured."""
+    """Run one trial of all axes with `torque` N*m at each motor; raise BusError if no torque is measured."""
     limit = configuration.zero_torque_within
     loop = None
     on_guard = False
@@ -144,7 +144,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
             _end(loop)
         if (
             on_guard
-        ):  # given up: on guard it would continue to query the drives, so that no other process could reset them
+        ):  # after a failure: on guard it would continue to query the drives, and no other process could reset them
             with contextlib.suppress(BusError):
                 listener.ask("quiet")
     outcomes = []
@@ -172,10 +172,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
 
 
 def _pulls(listener: ListenerProcess) -> dict[str, Pull]:
-    """Return the results of the torque by axis.
-
-    Raises BusError if one pulls the wrong way, or with another torque than it reports.
-    """
+    """Return the observations of the torque by axis; raise BusError if its sign or its gain is wrong."""
     found = msgspec.convert(listener.ask("pull"), dict[str, Pull])
     for axis, each in found.items():
         if each.wrong:
@@ -231,7 +228,7 @@ def check_alone(configuration: Configuration) -> None:
 
 
 def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> Nodes:
-    """Reset the faults that the trials left, leave the drives disabled and pre-operational; return the nodes."""
+    """Reset the faults left by the trials, leave the drives disabled and pre-operational, and return the nodes."""
     files = JointFiles(configuration, simulated=False)
     file = configuration.file
     bus = open_buses(file.buses, file.axes)
@@ -256,11 +253,11 @@ def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> 
 
 SCHEMA = 1
 DEFAULT_SHARE = 0.1  # of the smallest rated torque
-LEAST_SHARE = 0.06  # of the largest: below it torque cannot be distinguished from none
+LEAST_SHARE = 0.06  # of the largest rated torque: a smaller torque cannot be distinguished from zero
 
 
 class Verification(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold the results and the configuration that was tested."""
+    """Results of the trials, and the tested configuration."""
 
     date: str  # ISO 8601, local time with its offset
     version: str
@@ -271,14 +268,14 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
     limit: float  # s, zero_torque_within
     torque: float  # N*m at the motor
     outcomes: list[Outcome]
-    nodes: Nodes  # that were there
+    nodes: Nodes  # nodes on the bus
 
     @property
     def safe(self) -> bool:
         return bool(self.outcomes) and all(outcome.safe for outcome in self.outcomes)
 
     def as_dict(self, samples: bool) -> dict[str, Any]:
-        """Return a JSON-ready object; `samples`: with every torque that the listener saw."""
+        """Return a JSON-ready object; `samples` adds every observed torque."""
         trials = []
         for outcome in self.outcomes:
             data = msgspec.to_builtins(outcome)
@@ -315,9 +312,12 @@ def trial_torque(configuration: Configuration, asked: float | None) -> float:
 
 
 def verify(configuration: Configuration, torque: float, say: Callable[[str], None]) -> Verification:
-    """Do all trials.
+    """Run all trials and return their results.
 
-    `say` receives a line for each. Raises BusError when the rig does not come up or gives no torque.
+    `say` receives a line for each trial.
+
+    Raises:
+        BusError: the rig does not start or delivers no torque.
     """
     outcomes: list[Outcome] = []
     nodes: Nodes = {}
@@ -334,7 +334,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
         finally:
             try:
                 nodes = leave_in_order(configuration, say)
-            except TsaError as error:  # the failed trial is the one to report
+            except TsaError as error:  # only the failed trial is reported
                 if str(error) not in wrong:
                     say(f"the drives could not be left in order: {error}")
     return Verification(
@@ -352,7 +352,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
 
 
 def check_folder(folder: Path) -> None:
-    """Check before anything moves that a record can be written to the folder; raises UsageError."""
+    """Check, before anything moves, that a record can be written to the folder; raise UsageError if it cannot."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -362,7 +362,7 @@ def check_folder(folder: Path) -> None:
 
 
 def save(verification: Verification, folder: Path) -> Path:
-    """Write a dated file that is not overwritten, and return its path; raises UsageError."""
+    """Write the results to a new dated file and return its path; raise UsageError if that fails."""
     path = untaken(folder, "safety", ".json", datetime.datetime.fromisoformat(verification.date))
     write_text(path, json.dumps(verification.as_dict(samples=True), allow_nan=False) + "\n")
     return path

@@ -1,6 +1,6 @@
-"""Talk to a running daemon: requests, measurements, events, and a lease to stream set-points.
+"""Client of a running daemon: requests, measurements, events, and a lease for streaming set-points.
 
-`tsa_ctrl.Client` is the class of this module; `tsa help client` is its page.
+`tsa_ctrl.Client` is the class of this module, and `tsa help client` shows its page.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ T = TypeVar("T")
 
 
 class _Axis(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold the measurements of one axis in one cycle, one attribute for each signal of the client (`signals`).
+    """Measurements of one axis in one cycle, with one attribute for each signal of the client (`signals`).
 
     A value is a float, or None for a quantity that this rig does not measure. A code is a str, a flag is a bool.
     """
 
     name: str
-    set_point_limit: float | None = None  # N*m, largest set-point either way; None: no set-point over the socket
-    clamped: bool = False  # the newest set-point was beyond that, and was clamped to it
+    set_point_limit: float | None = None  # N*m, largest magnitude of a set-point; None: not set over the socket
+    clamped: bool = False  # True if the newest set-point exceeded the limit and was clamped
 
     if TYPE_CHECKING:
 
@@ -62,7 +62,7 @@ else:
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """Hold the measurements of one cycle; `measured["knee"]` is one axis."""
+    """Measurements of one cycle; `measured["knee"]` returns the values of one axis."""
 
     time: float  # s, CLOCK_MONOTONIC, of the cycle
     age: float | None  # s since then; None before the first cycle
@@ -71,7 +71,7 @@ class Measured(msgspec.Struct, frozen=True):
     axes: list[AxisMeasured]
 
     def __getitem__(self, name: str) -> AxisMeasured:
-        """Return the measurements of one axis; raises KeyError for an unknown axis."""
+        """Return the measurements of one axis; raise KeyError for an unknown axis."""
         for axis in self.axes:
             if axis.name == name:
                 return axis
@@ -79,7 +79,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class Client:
-    """Connect to the daemon; use the client as a context manager and in one thread only."""
+    """A connection to the daemon; use it as a context manager and in one thread only."""
 
     def __init__(
         self,
@@ -88,9 +88,16 @@ class Client:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`path`: the daemon's socket, by default this user's; `timeout`: s for an answer; `clock`, `sleep`: s.
+        """Connect to the daemon.
 
-        Raises BusError when no daemon answers there.
+        Args:
+            path: socket of the daemon; None: the default socket of this user.
+            timeout: longest time to wait for an answer, s.
+            clock: returns the monotonic time, s.
+            sleep: sleeps for a time in s.
+
+        Raises:
+            BusError: no daemon answers there.
         """
         self.clock = clock
         self._sleep = sleep
@@ -130,7 +137,7 @@ class Client:
         self.close()
 
     def _connect(self, path: str, patience: float) -> None:
-        """Connect, and wait up to `patience` s for a place in the queue of connections; raises OSError."""
+        """Connect, and wait up to `patience` s for a place in the queue of connections; raise OSError if that fails."""
         end = time.monotonic() + patience
         while True:
             try:
@@ -145,7 +152,7 @@ class Client:
         self._socket.close()
 
     def ask(self, request: AnyRequest) -> dict[str, Any]:
-        """Return the answer's object; raises UsageError if the request is rejected, BusError without an answer."""
+        """Return the object of the answer; raise UsageError if the request is rejected, BusError without an answer."""
         with contextlib.suppress(OSError):  # a refusal may wait to be read
             self._write(msgspec.json.encode(request) + b"\n", self._timeout)
         end = time.monotonic() + self._timeout
@@ -160,14 +167,17 @@ class Client:
     def measure(self) -> Measured:
         """Return the measurements of the newest cycle; before the first cycle, zeros with the age None.
 
-        Raises BusError without an answer.
+        Raises:
+            BusError: the daemon does not answer.
         """
         return self._as(self.ask(protocol.Measure()), Measured)
 
     def cycles(self, rate: float) -> Iterator[Measured]:
-        """`measure`, `rate` (Hz) times a second, from the loop's first cycle on; times that have passed are left out.
+        """Yield `measure()` at `rate` (Hz), beginning with the loop's first cycle; missed times are skipped.
 
-        Raises UsageError for a rate that no loop has, BusError when no answer comes.
+        Raises:
+            UsageError: `rate` is out of range.
+            BusError: the daemon does not answer.
         """
         if not 0.0 < rate <= MOST_RATE:
             raise UsageError(f"rate {rate:g} Hz: allowed is above 0 to {MOST_RATE:g}")
@@ -183,7 +193,7 @@ class Client:
             self._sleep(due - now)
 
     def events(self) -> list[Event]:
-        """Return the events since the last call, faults included; raises BusError without an answer."""
+        """Return the events since the last call, including faults; raise BusError without an answer."""
         found = self._as(self.ask(protocol.Events(self._next_event)).get("events"), list[Event])
         if found:
             self._next_event = found[-1].number + 1
@@ -201,28 +211,28 @@ class Client:
         return self._lease
 
     def recover(self) -> None:
-        """Request a recovery from a latched fault; raises UsageError if it is rejected, BusError without an answer."""
+        """Request a recovery from a latched fault; raise UsageError if it is rejected, BusError without an answer."""
         self.ask(protocol.Recover())
 
     def stop(self) -> dict[str, Any]:
         """Ramp the torque to 0 and end the daemon, by SIGTERM if its socket rejects the request or does not answer.
 
-        Returns the answer, or `signalled` (a process) and `reason`. Raises errors as `pid_file.stop` does.
+        Returns the answer, or `signalled` (a process id) and `reason`. Raises the errors of `server_process.stop`.
         """
         return server_process.stop(self._path, lambda: self.ask(protocol.Stop()))
 
     def stream(self, lines: bytes, patience: float) -> None:
-        """Send lines that have no answer, and process received events; for `Lease`.
+        """Send lines that have no answer, and process received events; `Lease` uses it.
 
-        Waits up to `patience` s for a server that is hundreds of values behind, then raises LeaseLostError.
+        A server that is hundreds of values behind has `patience` s to read, then LeaseLostError is raised.
         """
         try:
             self._write(lines, patience)
         except BusError:
-            self.close()  # half a line cannot be taken back
+            self.close()  # a partly sent line cannot be withdrawn
             raise self._ended("the socket's server does not read any longer; is it hanging?") from None
         except OSError:
-            pass  # the end is read next, after earlier messages
+            pass  # the next read reports the end, after earlier messages
         self._read(0.0)
         for message in self._messages():
             self._take(message)
@@ -280,16 +290,16 @@ class Client:
 
 
 class Lease:
-    """The right to send set-points, until the end of its `with`, or a LeaseLostError with the reason."""
+    """The right to send set-points. It ends with the `with` block, or with a LeaseLostError that states the reason."""
 
     def __init__(self, client: Client, seconds: float) -> None:
         self.seconds = seconds
-        self.why = ""  # it was lost
+        self.why = ""  # reason why it was lost
         self.given_back = False
         self._client = client
         self.clamped: dict[str, float] = {}  # N*m by axis: the limit to which a value was clamped
         self._refused = ""
-        self._confirmed = client.clock()  # s: of the newest value that has arrived for sure
+        self._confirmed = client.clock()  # s, time of the newest value whose arrival was confirmed
 
     def __enter__(self) -> Lease:
         return self
@@ -302,13 +312,13 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Return True unless this client has learned that the lease is lost."""
+        """Return True unless this client has received the end of the lease."""
         return not self.why
 
     def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
-        """Send the desired joint torque (N*m) by axis without an answer; a new value replaces the last of its axis.
+        """Send the desired joint torque (N*m) by axis without an answer; a new value replaces the last one of its axis.
 
-        A value beyond the axis' `set_point_limit` is clamped to it; `clamped` and the next measurement show this.
+        A value beyond the axis' `set_point_limit` is clamped to it; `clamped` and the next measurement report this.
 
         Args:
             values: N*m by axis.

@@ -1,6 +1,6 @@
 """Open the socket of the server, and handle one client: its user and role, pending requests and unread answers.
 
-The socket belongs to its owner alone, or also to groups. The socket of another running daemon is never taken.
+The socket is for its owner alone, or also for groups. The socket of another running daemon is never replaced.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from tsa_ctrl.ipc.protocol import LONGEST_LINE, is_socket, make_private, private
 
 _CREDENTIALS = struct.Struct("=3i")  # struct ucred: process, user, group
 _SO_PEERGROUPS = 59  # asm-generic/socket.h, Linux 4.13; the socket module has no name for it
-_MOST_GROUPS = 1024  # bytes: the most that getsockopt of Python takes, 256 groups
+_MOST_GROUPS = 1024  # bytes, limit of Python's getsockopt: 256 groups
 
 
 class Role(IntEnum):
-    """List the roles of a client; each role includes the permissions of the lower ones."""
+    """Roles of a client; each role includes the permissions of the lower ones."""
 
     WATCH = 1  # status, measurements, events
     COMMAND = 2  # also parameters, the lease of the set-point, stop; recovery while it holds the lease
-    OWNER = 3  # also recovery at any time: who started the daemon, and root
+    OWNER = 3  # also recovery at any time; for root and the user who started the daemon
 
 
 class Peer(NamedTuple):
-    """Identify the process that connected; `groups` includes its supplementary groups."""
+    """The process that connected; `groups` includes its supplementary groups."""
 
     process: int
     user: int
@@ -69,7 +69,7 @@ def user_of(connection: socket.socket) -> int:
 def role_of(peer: Peer, command: Collection[int], watch: Collection[int]) -> Role | None:
     """Return the role of a peer by its user and groups, or None if it has no permission.
 
-    `command` and `watch` are the groups with that role. Root and the user of this process have the role OWNER.
+    Processes in the groups `command` and `watch` have those roles. Root and the user of this process are OWNER.
     """
     if peer.user in (0, os.getuid()):
         return Role.OWNER
@@ -84,7 +84,7 @@ _encode = msgspec.json.encode
 
 
 class Connection:
-    """Hold a non-blocking socket with its requests and answers.
+    """A non-blocking socket with its requests and answers.
 
     `gone` is True if the client has disconnected or does not read its answers.
     """
@@ -93,7 +93,7 @@ class Connection:
         self.socket = connection
         self.peer = peer
         self.role = role
-        self.last = now  # s, of its last request
+        self.last = now  # s, time of its last request
         self.lines: deque[bytes] = deque()  # requests that were received and not processed yet
         self.pending: list[tuple[int, float, dict[str, Any]]] = []  # ticket, since when, answer
         self.gone = False
@@ -101,7 +101,7 @@ class Connection:
         self._unsent = b""
 
     def receive(self, now: float) -> None:
-        """Read a bounded part of what has arrived, unless earlier requests still wait for an answer."""
+        """Read a bounded part of the received data, unless earlier requests still wait for an answer."""
         if self.lines:
             return
         try:
@@ -129,12 +129,12 @@ class Connection:
         self.push({"ok": False, "error": text})
 
     def dismiss(self, text: str) -> None:
-        """Send the reason for the end of the connection, without waiting for the client."""
+        """Send the reason for closing the connection, without waiting for the client."""
         self.refuse(text)
         self.send()
 
     def settle(self, taken: Callable[[int], bool], now: float, patience: float) -> None:
-        """Answer the commands that the loop has accepted, and those that it has not accepted within `patience` s."""
+        """Answer the commands that the loop has taken, and reject those that it has not taken within `patience` s."""
         waiting = []
         for ticket, since, answer in self.pending:
             if taken(ticket):
@@ -165,15 +165,16 @@ def may(client: Connection, verb: str, role: Role) -> None:
         raise UsageError(f"{verb}: user {client.peer.user} may only watch here; see [socket] group and watch_group")
 
 
-CLIENTS = 16  # connections of one role; a further one replaces the one that has been silent longest
+CLIENTS = 16  # connections of one role; another one replaces the connection that has been silent longest
 ACCEPTED = 16  # connections that are accepted at once
 BACKLOG = 256  # connections that wait until the server accepts them
 
 
 def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
-    """Return a listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
+    """Return a listening socket for its owner alone (0600), or also for a group (0660); raise UsageError if that fails.
 
-    A file has one group: where there are two, every user may connect (0666), and `peers.role_of` decides who stays.
+    A file has only one group. With two groups, every user may connect (0666), and `role_of` rejects users without a
+    role.
     """
     place = Path(path)
     if str(place.parent) == private_folder():
@@ -200,7 +201,7 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
         listener.listen(BACKLOG)
     except OSError as error:
         listener.close()
-        if bound:  # else it is another's
+        if bound:  # otherwise the file belongs to another process
             place.unlink(missing_ok=True)
         if bound and isinstance(error, PermissionError):
             key, name = ("group", group) if group is not None else ("watch_group", watch_group)
@@ -229,7 +230,7 @@ def listening(path: str, group: str | None, watch_group: str | None = None) -> I
 def accepted(
     listener: socket.socket, command: Collection[int], watch: Collection[int], now: float
 ) -> Iterator[Connection]:
-    """Yield the clients that wait for a connection, at most ACCEPTED of them; a user without a role is rejected.
+    """Yield the clients that wait for a connection, at most ACCEPTED; a user without a role is rejected.
 
     `command` and `watch` are the groups of those roles; `now` in s.
     """
@@ -248,7 +249,7 @@ def accepted(
 
 
 def group_number(name: str, key: str) -> int:
-    """Return the number of a group. The UsageError for an unknown one names `key` of the configuration."""
+    """Return the number of a group; for an unknown group raise UsageError with `key` of the configuration."""
     try:
         return grp.getgrnam(name).gr_gid
     except KeyError:
@@ -256,7 +257,7 @@ def group_number(name: str, key: str) -> int:
 
 
 def _replace(place: Path) -> None:
-    """Remove a socket without a listening process."""
+    """Remove a socket without a listening process; raise UsageError if a daemon answers there."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             probe.connect(str(place))

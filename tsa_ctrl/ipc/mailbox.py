@@ -1,7 +1,7 @@
 """Shared memory between the loop and the socket server: commands in, status out. Neither side waits for the other.
 
-Commands are queued in a bounded number of places. Set-points, status and events keep only the newest complete value
-(see `system.shared_memory`), so a set-point never waits behind an earlier one.
+Commands wait in a queue with a fixed number of places. Set-points, status and events keep only the newest complete
+value (see `system.shared_memory`), so that a set-point never waits behind an earlier one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STAGE = 512  # bytes of the startup stage
 
 
 class General(NamedTuple):
-    """Hold the status of the loop; times in s, monotonic."""
+    """Status of the loop; times are monotonic, in s."""
 
     time: float = 0.0
     start: float = 0.0
@@ -34,10 +34,10 @@ class General(NamedTuple):
     overruns: float = 0.0
     dropped: float = 0.0
     log_lost: float = 0.0
-    log_silent: float = 0.0  # s since the log writer's last sign of life, if that is too long
+    log_silent: float = 0.0  # s since the last sign of life of the log writer, if that is too long
     phase: float = 0.0  # code
-    releases: float = 0.0  # of latches, on request
-    release_next: float = 0.0  # s, monotonic, from which on the next one is permitted
+    releases: float = 0.0  # number of requested releases of latches
+    release_next: float = 0.0  # s, monotonic, from which the next release is permitted
     recovered: float = 0.0  # recoveries that ended with torque
     failed: float = 0.0  # recoveries that ended with a latched fault
     first_fault: float = 0.0  # number of the first event since the last recovery: earlier faults are over
@@ -46,14 +46,14 @@ class General(NamedTuple):
 
 AxisStatus = row_type("AxisStatus", Place.STATUS)  # the status of one axis
 Reading = row_type("Reading", Place.CLIENT)  # the measurements of one axis in a cycle
-Row = tuple[float, ...]  # the values of one of them, in the order of its fields
-Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
+Row = tuple[float, ...]  # values of an `AxisStatus` or a `Reading`, in the order of its fields
+Parameters = tuple[float, ...]  # live parameters of an axis, in the order of the description
 
 _SINCE = struct.Struct("=d")  # s, monotonic
 _COMMAND = struct.Struct("=qqd")  # axis, parameter, value
-_WANTED = struct.Struct("=dd")  # N*m; s, monotonic, of the client that wants it
-# Words of the header. Of the loop: commands taken, stop requested. Of the server: its last sign of life (ns,
-# monotonic), how many were replaced, events printed.
+_WANTED = struct.Struct("=dd")  # set-point, N*m; its time stamp, s, monotonic
+# Byte offsets of the header's words: number of taken commands, stop request, last sign of life of the server (ns,
+# monotonic), number of replaced servers, number of printed events.
 _TAIL, _STOP, _HEARD, _REPLACED, _PRINTED = 0, 8, 16, 24, 32
 _LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
@@ -65,7 +65,7 @@ _STATUS = _STAGE + space(2, STAGE)
 
 @dataclass(frozen=True)
 class Command:
-    """Hold a command; `parameter` indexes the table of live parameters, or is one of the negative codes."""
+    """A command. `parameter` is an index in the table of live parameters, or one of the negative codes."""
 
     axis: int
     parameter: int
@@ -77,10 +77,10 @@ RELEASE = -2  # release the latch of the axis' guard
 
 
 class Mailbox:
-    """Provide both ends: the loop's process creates the memory, the server's maps it from the descriptor."""
+    """Both ends of the mailbox: the loop's process creates the memory, the server's maps it from the descriptor."""
 
     def __init__(self, axes: int, parameters: int, descriptor: int | None = None) -> None:
-        """`parameters`: live parameters per axis, whose values are part of the status."""
+        """`parameters` is the number of live parameters per axis, whose values are part of the status."""
         axis = len(AxisStatus._fields) + parameters
         self._status_format = struct.Struct(f"={len(General._fields) + axes * axis}d")
         wanted = _STATUS + space(2, self._status_format.size)
@@ -103,7 +103,7 @@ class Mailbox:
         self._measured = Newest(memory, measured, self._reading_format.size)
         self._told = Newest(memory, told, STAGE)
         self._put, _ = self._commands.newest()
-        self._seen = bytes(self._status_format.size)  # the last status that was whole
+        self._seen = bytes(self._status_format.size)  # the last complete status
         self._seen_text = (0, b"")
         self._seen_stage = b""
 
@@ -118,7 +118,7 @@ class Mailbox:
         return self._words[_REPLACED // 8]
 
     def close(self) -> None:
-        """Unmap the memory, which is released with its last user."""
+        """Unmap the memory; the kernel releases it after its last user."""
         self.lateness.release()
         self.work.release()
         self._memory.close()
@@ -164,7 +164,7 @@ class Mailbox:
             register.write(_WANTED.pack(0.0, -math.inf))
 
     def tell(self, now: float, text: str) -> None:
-        """Pass a text about the socket to the loop's events, which replaces an earlier one; `now` in s, monotonic."""
+        """Pass a text about the socket to the loop's events; it replaces an earlier text. `now` is monotonic, s."""
         self._told.write(_timed(now, text))
 
     def measured(self) -> tuple[float, int, int, list[Any]]:
@@ -185,7 +185,7 @@ class Mailbox:
         self._seen = self._status.read()[1] or self._seen
         values = self._status_format.unpack(self._seen)
         general = len(General._fields)
-        size = (len(values) - general) // max(1, self._axes)  # a daemon that starts has no axes yet
+        size = (len(values) - general) // max(1, self._axes)  # a starting daemon has no axes yet
         rows = [values[general + n * size : general + (n + 1) * size] for n in range(self._axes)]
         fields = len(AxisStatus._fields)
         return General(*values[:general]), [(AxisStatus(*row[:fields]), row[fields:]) for row in rows]
@@ -197,7 +197,7 @@ class Mailbox:
         return self._seen_text
 
     def stage(self) -> tuple[float, str]:
-        """Return the begin (s, monotonic) and the name of the startup stage; empty while the loop runs."""
+        """Return the start (s, monotonic) and the name of the startup stage; the name is empty while the loop runs."""
         found = self._stage.read()
         self._seen_stage = found[1] if found[0] else self._seen_stage
         return _of_time(self._seen_stage)
@@ -205,7 +205,7 @@ class Mailbox:
     # The loop's side
 
     def take(self) -> Command | None:
-        """Return the next command or None; one per cycle, so that no client can fill a cycle."""
+        """Return the next command or None. The loop takes one per cycle, so that no client can fill a cycle."""
         number = self._words[_TAIL // 8] + 1
         content = self._commands.read(number)
         if content is None:
@@ -214,7 +214,7 @@ class Mailbox:
         return Command(*_COMMAND.unpack(content))
 
     def wanted(self, axis: int) -> tuple[float, float] | None:
-        """Return the newest set-point of an axis and its time once, else None; a withdrawn one has the time -inf."""
+        """Return the newest set-point of an axis and its time (-inf after a withdrawal) once, otherwise None."""
         content = self._wanted[axis].take()
         return None if content is None else _WANTED.unpack(content)
 
@@ -223,7 +223,7 @@ class Mailbox:
         return self._words[_STOP // 8] != 0
 
     def told(self) -> tuple[float, str] | None:
-        """Return time and text of the last `tell` once, else None."""
+        """Return time and text of the last `tell` once, otherwise None."""
         content = self._told.take()
         return None if content is None else _of_time(content)
 
@@ -238,7 +238,7 @@ class Mailbox:
         self._status.write(self._status_format.pack(*general, *values))
 
     def publish_stage(self, now: float, text: str) -> None:
-        """Write the startup stage that begins at `now`; empty at its end."""
+        """Write the startup stage that begins at `now` (s); an empty text ends the startup."""
         self._stage.write(_timed(now, text))
 
     def publish_text(self, text: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The live page of `tsa status`: values and their recent past, lateness, faults, and keys that nudge parameters."""
+"""Live page of `tsa status`: values and their recent past, latency, faults, and keys that change parameters."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from tsa_ctrl.ipc.parameters import of_unit
 from tsa_ctrl.ipc.protocol import Set, Status
 from tsa_ctrl.signals import Kind, Place, signals_of
 
-PERIOD = 0.1  # s between two looks
+PERIOD = 0.1  # s between two updates
 HISTORY = 60  # values in a sparkline
-STEP = 0.02  # of a parameter's range per key press
-DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
+STEP = 0.02  # share of a parameter's range per key press
+DECADES = 1000.0  # ratio of its bounds from which a key press changes a parameter by `SHARE` of its value
 SHARE = 0.1
-BANDS = 72  # columns of a terminal from which there is room for bands, and for parameters next to the values
-WIDE = 100  # columns of a terminal from which there is room for the recent past
-STALE = 0.5  # s without news from the loop
+BANDS = 72  # columns of a terminal with room for bands, and for parameters next to the values
+WIDE = 100  # columns of a terminal with room for the recent past
+STALE = 0.5  # s; an older status means that the loop is silent
 VALUES = ("", "value", "unit")
 PARAMETERS = ("parameter", "set to")
 BARS = " ▁▂▃▄▅▆▇█"
@@ -50,7 +50,7 @@ Cell: TypeAlias = str | Text
 
 
 class Page:
-    """Hold the received status, and the parameter that the keys move."""
+    """The received status, and the parameter that the keys change."""
 
     def __init__(self) -> None:
         self.message = ""
@@ -76,7 +76,7 @@ class Page:
         ]
 
     def key(self, key: str) -> Set | None:
-        """Return the request of a key: j and k choose a parameter, + and - move it."""
+        """Return the request of a key, if any: j and k choose a parameter, + and - change it."""
         known = self.parameters()
         if key in "jk" and known:
             self._chosen = (self._chosen + (1 if key == "j" else -1)) % len(known)
@@ -122,7 +122,7 @@ class Page:
         return Group(*parts)
 
     def _axis(self, axis: dict[str, Any]) -> RenderableType:
-        """Return values next to parameters; below each other on a narrow terminal, so that no name is cut."""
+        """Return values next to parameters, or above them on a narrow terminal, so that no name is cut."""
         kind = f" ({axis['estimator'].partition(' (')[0]})" if axis.get("estimator") else ""
         title = (
             f"{axis['name']}: {axis['state'] or '-'}, limiter {axis['limit_reason'] or '-'}, "
@@ -171,7 +171,7 @@ def _table(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...]]) 
 
 
 def _number(value: float | None, form: str) -> str:
-    """Return a number as text, "-" while it is unknown."""
+    """Return a number as text, or "-" if it is unknown."""
     return "-" if value is None else format(value, form)
 
 
@@ -186,7 +186,7 @@ def _half(found: float | dict[str, Any] | None) -> str:
 
 
 def _times(status: dict[str, Any]) -> Table:
-    """Lateness and work: percentiles, and the histogram as bars whose height is the logarithm of the count."""
+    """Return a table of latency and execution time: percentiles, and histograms as bars with logarithmic height."""
     edges = [edge for edge, _ in status["lateness"]["bins"] if edge is not None]
     table = Table("", "p50", "p99", "p99.9", f"up to {edges[0] * 1e6:g} us ... {edges[-1] * 1e6:g} us, above")
     for name in ("lateness", "work"):
@@ -209,7 +209,7 @@ def sparkline(values: deque[float]) -> str:
 
 
 def watch(client: Client) -> None:
-    """Show the page until q or Ctrl-C; raises BusError when the daemon goes."""
+    """Show the page until q or Ctrl-C; raise BusError if the daemon ends."""
     page = Page()
     page.take(client.ask(Status()))
     page.message = "j, k: choose a parameter   +, -: move it   q: leave"
@@ -235,7 +235,7 @@ def watch(client: Client) -> None:
 
 @contextlib.contextmanager
 def _keys() -> Iterator[None]:
-    """Single keys without return or echo, while inside."""
+    """Receive single keys without return and without echo during the block."""
     before = termios.tcgetattr(sys.stdin)
     tty.setcbreak(sys.stdin)
     try:

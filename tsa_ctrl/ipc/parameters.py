@@ -1,4 +1,4 @@
-"""A parameter by its name: which command moves it, or why nothing does."""
+"""Convert a change of a parameter to a command, or report why the parameter cannot be changed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,17 @@ def change(
     """Return the command of `tsa set NAME VALUE`, and its answer once the loop has taken it.
 
     The answer's `before` is None until the loop has published its first status.
-    `owner`: the client's user started the daemon, or is root; `now` in s, monotonic. Raises UsageError.
+
+    Args:
+        mailbox: source of the status.
+        description: axes and parameters of the run.
+        name: PARAMETER or AXIS.PARAMETER.
+        value: new value, in the unit of the parameter.
+        owner: True if the client's user started the daemon or is root.
+        now: monotonic time, s.
+
+    Raises:
+        UsageError: the parameter is unknown or cannot be changed to this value now.
     """
     axis, dot, parameter = name.rpartition(".")
     if not dot and len(description.axes) > 1:
@@ -76,7 +86,7 @@ def recovery(mailbox: Mailbox, description: Description, now: float) -> Command:
 
 
 def axis_index(description: Description, name: str) -> int:
-    """Return the index of an axis; raises UsageError."""
+    """Return the index of an axis; raise UsageError for an unknown axis."""
     try:
         return description.axes.index(name)
     except ValueError:
@@ -84,19 +94,19 @@ def axis_index(description: Description, name: str) -> int:
 
 
 def check_bounds(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Raises UsageError unless the value lies between them."""
+    """Raise UsageError unless `low` <= `value` <= `high`."""
     if not low <= value <= high:
         of = of_unit(unit)
         raise UsageError(f"{name} {value:g}{of} is out of bounds; allowed is {low:g} to {high:g}{of}")
 
 
 def clamped(value: float, limit: float) -> float:
-    """Return a set-point within its range, -`limit` to `limit` in N*m; raises UsageError unless it is finite."""
+    """Return a set-point clamped to -`limit` to `limit`, N*m; raise UsageError unless it is finite."""
     if not math.isfinite(value):
         raise UsageError(f"set-point {value} N*m is not a finite number; allowed is {-limit:g} to {limit:g} N*m")
     return min(max(value, -limit), limit)
 
 
 def of_unit(unit: str) -> str:
-    """Return the suffix of a number: a space and its unit; nothing where it is a pure number ("1" in the tables)."""
+    """Return the suffix of a number: a space and its unit, or nothing for the unit "1"."""
     return "" if unit == "1" else f" {unit}"

@@ -36,29 +36,29 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, tag_field
 
 
 class Status(Request, frozen=True, tag="status"):
-    """Ask for the status."""
+    """Request the status."""
 
 
 class Set(Request, frozen=True, tag="set"):
-    """Move a parameter."""
+    """Change a parameter."""
 
     name: str  # PARAMETER or AXIS.PARAMETER
     value: float
 
 
 class SetPointValue(Request, frozen=True, tag="setpoint"):
-    """Give an axis its set-point."""
+    """Send the set-point of an axis."""
 
     axis: str
     value: float  # N*m
-    time: float | None = None  # s, CLOCK_MONOTONIC, time stamp of the set-point; None: when the server reads it
+    time: float | None = None  # s, CLOCK_MONOTONIC, time stamp; None: the time at which the server reads it
     quiet: bool = False  # without an answer
 
 
 class Lease(Request, frozen=True, tag="lease"):
-    """Take the lease of the set-points of all axes, or renew it."""
+    """Acquire or renew the lease of the set-points of all axes."""
 
-    seconds: float  # s without a set-point or a renewal, after which it is lost
+    seconds: float  # s without a set-point or a renewal after which it is lost
 
 
 class Release(Request, frozen=True, tag="release"):
@@ -66,11 +66,11 @@ class Release(Request, frozen=True, tag="release"):
 
 
 class Measure(Request, frozen=True, tag="measure"):
-    """Ask for the measurements of the last cycle."""
+    """Request the measurements of the last cycle."""
 
 
 class Events(Request, frozen=True, tag="events"):
-    """Ask for the events."""
+    """Request the events."""
 
     since: int = 0  # number of the first event to return
 
@@ -88,7 +88,7 @@ decode = msgspec.json.Decoder(AnyRequest).decode
 
 
 def is_stop(line: bytes) -> bool:
-    """Return True if a request asks for a stop."""
+    """Return True if a line is a stop request."""
     if b"stop" not in line:
         return False
     try:
@@ -98,21 +98,21 @@ def is_stop(line: bytes) -> bool:
 
 
 class Event(msgspec.Struct, frozen=True):
-    """Hold an event; `t` in s since the loop's first cycle, `axis` empty for all axes, `number` counts from 0."""
+    """An event. `t` is in s since the loop's first cycle, `axis` is empty for all axes, `number` counts from 0."""
 
     number: int
     t: float
     axis: str
     text: str
     fault: bool
-    cause_id: str = ""  # of a fault: `Cause.id`
+    cause_id: str = ""  # `Cause.id` of a fault
 
     def __str__(self) -> str:
         return f"{self.t:9.3f} s  {self.axis + ': ' if self.axis else ''}{self.text}"
 
 
 class Range(msgspec.Struct, frozen=True):
-    """Describe one live parameter; without bounds it cannot be set on this axis."""
+    """One live parameter; without bounds it cannot be set on this axis."""
 
     name: str
     unit: str
@@ -124,7 +124,7 @@ class Range(msgspec.Struct, frozen=True):
 
 
 class Description(msgspec.Struct, frozen=True):
-    """Hold the data that the daemon passes to its socket server at startup."""
+    """Data that the daemon passes to its socket server at startup."""
 
     path: str
     group: str | None
@@ -134,17 +134,17 @@ class Description(msgspec.Struct, frozen=True):
     parameters: list[list[Range]]  # per axis, in the order of the mailbox
     codes: dict[str, list[str]]  # names of the values of each coded signal
     phases: list[str]
-    set_point_limit: list[float | None]  # N*m per axis, None if the set-point does not come over the socket
+    set_point_limit: list[float | None]  # N*m per axis; None: not set over the socket
     figures: dict[str, Any]  # constant figures of the run, such as the bus load
-    remedies: dict[str, str] = {}  # of a fault, by its cause_id
+    remedies: dict[str, str] = {}  # remedy of a fault, by its cause_id
     set_point_timeout: list[float] = []  # s per axis
     watch_group: str | None = None
-    estimators: list[str] = []  # per axis: its estimator, and why it is not the one by the tendon elongation
+    estimators: list[str] = []  # per axis: its estimator, and the reason if it does not use the tendon elongation
     loose_bounds: list[str] = []  # safety bounds that are looser than the defaults, one line each
 
 
 class Opening(msgspec.Struct, frozen=True):
-    """Hold the data with which the socket server opens the socket, before the daemon has read its configuration."""
+    """Data with which the socket server opens the socket, before the daemon has read its configuration."""
 
     path: str
     group: str | None
@@ -163,7 +163,7 @@ def private_folder() -> str:
 
 
 def make_private(folder: str) -> None:
-    """Create the folder, or check that it belongs to this user with mode 0700; raises UsageError otherwise."""
+    """Create the folder, or check that it belongs to this user with mode 0700; raise UsageError otherwise."""
     try:
         Path(folder).mkdir(0o700)
     except FileExistsError:

@@ -20,12 +20,12 @@ from tsa_ctrl.signals import BANDED, SIGNALS, Kind, Place, Signal, signals_of
 from tsa_ctrl.system.histogram import coarse, distribution
 
 SCHEMA = 1
-KNOWN = 1.0  # s: an older value is unknown, because the node or the loop that gave it is silent
+KNOWN = 1.0  # s; an older value is unknown, because its node or the loop is silent
 MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring.MonitorState
 
 
 def waits_for(mailbox: Mailbox, now: float) -> tuple[float, str]:
-    """Return the begin (s) and the name of the stage that the loop waits for; empty while it runs."""
+    """Return the start (s) and the name of the stage that the loop waits for; the name is empty while the loop runs."""
     since, stage = mailbox.stage()
     if not stage and mailbox.status()[0].time == 0.0:  # nothing was published yet: the loop is not late
         return now, "the first cycle"
@@ -35,7 +35,7 @@ def waits_for(mailbox: Mailbox, now: float) -> tuple[float, str]:
 def status_report(
     mailbox: Mailbox, description: Description, now: float, lease: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Return the object of `tsa status --json`; `now` in s, monotonic; `lease`: the holder of the set-point."""
+    """Return the object of `tsa status --json`; `now` is monotonic, s; `lease` is the holder of the set-point."""
     general, axes = mailbox.status()
     _, text = mailbox.text()
     since, stage = waits_for(mailbox, now)
@@ -110,13 +110,13 @@ def measurement(mailbox: Mailbox, description: Description, now: float, clamped:
 
 
 def events_since(mailbox: Mailbox, number: int) -> list[dict[str, Any]]:
-    """Return the kept events from this number on."""
+    """Return the stored events from this number on."""
     _, text = mailbox.text()
     return [event for event in (msgspec.json.decode(text) if text else []) if event["number"] >= number]
 
 
 def _axis(description: Description, index: int, axis: Any, live: Parameters, age: float) -> dict[str, Any]:
-    """Return the status of one axis (`AxisStatus`); `age` in s, of the loop's values. Each unknown value is None."""
+    """Return the status of one axis (`AxisStatus`), with None for each unknown value; `age` of the values in s."""
     values: dict[str, Any] = {}
     ages: dict[str, float | None] = {}
     for signal, value in zip(signals_of(Place.STATUS), axis, strict=True):
@@ -147,7 +147,7 @@ def _axis(description: Description, index: int, axis: Any, live: Parameters, age
 
 
 def _told(signal: Signal, value: float, description: Description) -> float | str | bool | None:
-    """Return a value as the JSON has it: a code by its name, None for a value that is not finite."""
+    """Return a value as in the JSON: a code by its name, None for a value that is not finite."""
     if not math.isfinite(value):
         return None
     match signal.kind:
@@ -175,7 +175,7 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-WAITING = 256  # lines that wait for a terminal that is stopped; further ones are lost, the log has them
+WAITING = 256  # lines that wait for a stopped terminal; further lines are not printed, but the log has them
 
 
 class EventPrinter:
@@ -214,7 +214,7 @@ class EventPrinter:
         while True:
             number, line = self._lines.get()
             data = line.encode(errors="replace")
-            with contextlib.suppress(OSError):  # by the descriptor: no buffer that the interpreter's end would wait for
+            with contextlib.suppress(OSError):  # unbuffered: the end of the interpreter would wait for a buffer
                 while data:
                     data = data[os.write(sys.stderr.fileno(), data) :]
             with contextlib.suppress(ValueError):  # the mailbox is closed

@@ -1,16 +1,16 @@
-"""The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
+"""Run the server of the local socket: `python -m tsa_ctrl.ipc.server FD`, with its description as JSON on stdin.
 
-The daemon starts it first, with an `Opening` and then a line for each stage of its start before the description.
+The daemon starts it first. It sends an `Opening`, then a line for each stage of its startup, then the description.
 
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Clients can load only this process,
 never the loop, which takes at most one command per cycle from the mailbox. If this process hangs or dies, another one
 replaces it and listens on the same socket (`system.process_supervisor`). It ends with the daemon, because their pipe
-closes however the daemon dies.
+closes even if the daemon is killed.
 
 A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
-client; meanwhile all others together get a third of the time. Each role has its own connections, and a new connection
-replaces the one that has been silent longest, so connections cannot block a new one. The set-point has one owner at a
-time: its lease is renewed by set-points and ends after a time without any.
+client. Meanwhile all others together receive a third of the time. Each role has its own connections. A new connection
+replaces the one that has been silent longest, so that connections cannot block a new one. The set-point has one owner
+at a time: its lease is renewed by set-points and ends after a time without any.
 """
 
 from __future__ import annotations
@@ -37,29 +37,28 @@ from tsa_ctrl.ipc.protocol import AnyRequest, Description, Opening
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report, waits_for
 from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
-IDLE = 30.0  # s without a request after which a client is let go
-TICK = 0.005  # s between looks for answers while a command is on its way
-LOOK = 0.02  # s between looks at events and cycles while a client holds the lease
+IDLE = 30.0  # s without a request after which a client is disconnected
+TICK = 0.005  # s between two checks for answers while a command is pending
+LOOK = 0.02  # s between two checks of events and cycles while a client holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
-REST = (
-    2.0  # times the duration of another client's request, until the next one is handled while a client sends set-points
-)
-NICE = -10  # before what else runs on a crowded machine, so that set-points come in time; the loop is before it
-HANGS = 0.5  # s without a cycle, after which no cycle is followed
-AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
-REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
+REST = 2.0  # while set-points are sent, other requests wait for this multiple of the last one's duration
+NICE = -10  # above other processes of a loaded machine, so that set-points arrive in time; the loop is above this
+HANGS = 0.5  # s without a cycle after which the loop counts as hanging
+AHEAD = 0.1  # s; a set-point's time stamp that is further ahead is from another clock
+REPLACED = 1.5  # s without a sign of life (five per second) after which another server takes over
 ENDING = ("stopping", "ended")  # phases
 STARTING = "starting"  # the phase before the daemon has described itself
-HAND_OVER = 0.2  # s for clients that connected while the daemon started, until they have to connect again
-_ALWAYS = (protocol.Status, protocol.Measure, protocol.Events, protocol.Stop)  # requests to a daemon that starts
-SHORTEST, LONGEST = 0.02, 10.0  # s, of a lease
-CONFIRMED = 0.25  # of the time of a lease: how often its holder receives a confirmation
+HAND_OVER = 0.2  # s in which clients that connected during startup are served before they must connect again
+_ALWAYS = (protocol.Status, protocol.Measure, protocol.Events, protocol.Stop)  # requests permitted during startup
+SHORTEST, LONGEST = 0.02, 10.0  # s, bounds of a lease
+CONFIRMED = 0.25  # share of the lease between two confirmations to its holder
 
 
 class Lease:
-    """Hold the client that may send set-points.
+    """The lease of the client that may send set-points.
 
-    A client that sends one without a lease also holds it while that value acts. It receives no events about the lease.
+    A client that sends a set-point without a lease also holds the lease while that value acts. It receives no events
+    about the lease.
     """
 
     def __init__(self, withdraw: Callable[[], None], tell: Callable[[str], None]) -> None:
@@ -82,14 +81,14 @@ class Lease:
         return self._until - now
 
     def report(self, now: float) -> dict[str, Any] | None:
-        """Return the holder for the status and the time (s) that is left; None without a holder."""
+        """Return the holder and the remaining time (s) for the status, or None without a holder."""
         if self.holder is None:
             return None
         process, user, _ = self.holder.peer
         return {"process": process, "user": user, "seconds": self.seconds, "left": max(0.0, self.left(now))}
 
     def take(self, client: Connection, seconds: float, now: float) -> None:
-        """Take or renew the lease; raises UsageError if another client holds it, or for a time out of bounds."""
+        """Take or renew the lease; raise UsageError if another client holds it, or if `seconds` is out of bounds."""
         if not SHORTEST <= seconds <= LONGEST:
             raise UsageError(f"a lease of {seconds:g} s; allowed is {SHORTEST:g} to {LONGEST:g} s")
         self._refuse_others(client, now)
@@ -99,7 +98,7 @@ class Lease:
         self.holder, self.seconds, self._silently, self._until = client, seconds, False, now + seconds
 
     def use(self, client: Connection, seconds: float, now: float) -> None:
-        """Renew the lease by a set-point, which acts for `seconds`; raises UsageError if another client holds it."""
+        """Renew the lease by a set-point, which acts for `seconds`; raise UsageError if another client holds it."""
         self._refuse_others(client, now)
         if self.listener is None:
             self.holder, self.seconds = client, seconds
@@ -120,7 +119,7 @@ class Lease:
         self._withdraw()
 
     def check(self, now: float) -> None:
-        """End the lease if its time is over."""
+        """End the lease if its time has expired."""
         if self.holder is not None and now > self._until:
             self.end(f"no set-point came for {self.seconds:g} s")
 
@@ -133,7 +132,7 @@ class Lease:
 
 
 class Server:
-    """Answers requests from the mailbox; `step` is one look at everything that can happen."""
+    """Answer requests from the mailbox; `step` handles all pending events once."""
 
     def __init__(
         self,
@@ -142,7 +141,7 @@ class Server:
         description: Description,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Withdraw the set-points of an earlier server: its clients are gone. Raises UsageError."""
+        """Withdraw the set-points of an earlier server, whose clients are gone. An unknown group raises UsageError."""
         groups = (("group", description.group), ("watch_group", description.watch_group))
         self._command, self._watch = ({group_number(name, key)} if name else set() for key, name in groups)
         self._clock = clock
@@ -151,12 +150,12 @@ class Server:
         self._mailbox = mailbox
         self._description = description
         self._clients: dict[int, Connection] = {}
-        self._turn: list[Connection] = []  # whose lines are looked at next, one of each
+        self._turn: list[Connection] = []  # clients in the order in which they are served, one line each
         self._lease = Lease(self._withdraw, lambda text: mailbox.tell(self._clock(), text))
         self._told = 0  # number of the next event for the lease's holder
-        self._read = 0  # number of the events that were looked at
+        self._read = 0  # number of the last events that were read
         self._looked = -math.inf  # s
-        self._rests = -math.inf  # s, until when only the client with the lease is served
+        self._rests = -math.inf  # s, until which only the client with the lease is served
         self._withdraw()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)
@@ -166,7 +165,7 @@ class Server:
         self._selector.register(descriptor, selectors.EVENT_READ)
 
     def step(self, timeout: float) -> list[int]:
-        """Handle the pending requests within `timeout` s; returns the watched descriptors that became readable."""
+        """Handle the requests that arrive within `timeout` s; return the watched descriptors that became readable."""
         others: list[int] = []
         connecting = False
         for key, _ in self._selector.select(self._patience(timeout)):
@@ -194,7 +193,7 @@ class Server:
         return others
 
     def hand_over(self) -> None:
-        """Accept nobody any more, and serve those who are connected for `HAND_OVER` s at most."""
+        """Accept no more connections, and serve the connected clients for at most `HAND_OVER` s."""
         self._selector.unregister(self._listener)
         end = self._clock() + HAND_OVER
         while self._clients and self._clock() < end:
@@ -211,7 +210,7 @@ class Server:
         self._listener.close()
 
     def _patience(self, timeout: float) -> float:
-        """Return the time until something is due unless a client sends a request, s."""
+        """Return the longest time to wait for a request, s."""
         clients, now = self._clients.values(), self._clock()
         if any(client.lines for client in clients):
             return max(0.0, self._rests - now) if self._lease.holder is not None else 0.0
@@ -222,7 +221,7 @@ class Server:
         return timeout
 
     def _accept(self, now: float) -> None:
-        """Accept the connections that wait, a bounded number of them."""
+        """Accept waiting connections, a bounded number of them."""
         for client in accepted(self._listener, self._command, self._watch, now):
             self._make_room(client.role)
             self._clients[client.socket.fileno()] = client
@@ -230,7 +229,7 @@ class Server:
             self._selector.register(client.socket, selectors.EVENT_READ)
 
     def _make_room(self, role: Role) -> None:
-        """Close the connection of this role that has been silent longest, unless the role has a place left."""
+        """Close the connection of this role that has been silent longest, unless the role has a free place."""
         known = [client for client in self._clients.values() if client.role is role]
         if len(known) >= CLIENTS:
             silent = min((one for one in known if one is not self._lease.holder), key=lambda one: one.last)
@@ -249,7 +248,7 @@ class Server:
             self._answer(client, client.lines.popleft(), now)
 
     def _answer_next(self, now: float) -> None:
-        """Answer one request of one client, in turn."""
+        """Answer one request of one client, in rotation."""
         if self._lease.holder is not None and now < self._rests:
             return
         for place, client in enumerate(self._turn):
@@ -261,7 +260,7 @@ class Server:
                 return
 
     def _answer(self, client: Connection, line: bytes, now: float) -> None:
-        """Answer, or have the loop take a command first."""
+        """Answer a request, or pass its command to the loop first."""
         try:
             request = protocol.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -338,7 +337,7 @@ class Server:
         self._told = events[-1]["number"] + 1 if events else 0
 
     def _set_point(self, client: Connection, request: protocol.SetPointValue, now: float) -> dict[str, Any]:
-        """Take a set-point, clamped to its range; the answer, or an event for a quiet one, reports the clamping."""
+        """Take a set-point, clamped to its range. The answer, or an event for a quiet one, reports the clamping."""
         description, axis = self._description, request.axis
         index = axis_index(description, axis)
         limit, timeout = description.set_point_limit[index], description.set_point_timeout[index]
@@ -369,7 +368,7 @@ class Server:
         self._mailbox.withdraw()
 
     def _look(self, now: float) -> None:
-        """Follow the loop, and send events to the holder of the lease."""
+        """Check the loop, and send events to the holder of the lease."""
         lease = self._lease
         if lease.listener is None or now - self._looked < LOOK:
             return
@@ -394,9 +393,9 @@ class Server:
 
 
 def main(argv: list[str]) -> int:
-    """Serve until the daemon's end of stdin closes; events are printed as they come."""
-    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # they reach the whole group; the daemon decides
-    with contextlib.suppress(OSError):  # where this user may
+    """Serve until the daemon's end of stdin closes; print events as they occur."""
+    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the whole process group receives them; the daemon decides
+    with contextlib.suppress(OSError):  # if this user may
         os.setpriority(os.PRIO_PROCESS, 0, NICE)
     lines = Lines(sys.stdin.fileno())
     asked = lines.take()
@@ -405,7 +404,7 @@ def main(argv: list[str]) -> int:
     opening = msgspec.json.decode(asked, type=Opening)
     try:
         with listening(opening.path, opening.group, opening.watch_group) as listener:
-            with contextlib.suppress(BrokenPipeError):  # then stdin reports the same
+            with contextlib.suppress(BrokenPipeError):  # stdin then reports the end of the daemon
                 os.write(sys.stdout.fileno(), READY)
             asked = answer_start(listener, opening, lines)
             if not asked:
@@ -433,7 +432,7 @@ class Lines:
         self._received = b""
 
     def take(self) -> bytes:
-        """Wait for the next line and return it; empty once the daemon is gone."""
+        """Wait for the next line and return it; it is empty once the daemon has ended."""
         while b"\n" not in self._received:
             data = os.read(self.descriptor, 1 << 16)
             if not data:
@@ -444,12 +443,12 @@ class Lines:
 
     @property
     def waiting(self) -> bool:
-        """Return True if a whole line has been received and not taken."""
+        """Return True if a whole line has been received but not taken."""
         return b"\n" in self._received
 
 
 def answer_start(listener: socket.socket, opening: Opening, lines: Lines) -> bytes:
-    """Answer while the daemon starts; return its description, empty if it is gone. A stop request ends the daemon."""
+    """Answer while the daemon starts; return its description, empty if it has ended. A stop request ends the daemon."""
     mailbox = Mailbox(0, 0)
     mailbox.publish_stage(time.monotonic(), "starting")
     place = (opening.path, opening.group, opening.name)
@@ -474,7 +473,7 @@ def answer_start(listener: socket.socket, opening: Opening, lines: Lines) -> byt
 
 
 def serve(listener: socket.socket, mailbox: Mailbox, description: Description) -> int:
-    """Serve until the daemon's end of stdin closes, and print each event once, whichever server has seen it."""
+    """Serve until the daemon's end of stdin closes, and print each event once, even if the server was replaced."""
     server = Server(listener, mailbox, description)
     daemon = sys.stdin.fileno()
     server.watch(daemon)

@@ -1,8 +1,8 @@
 """Run the socket server as a child of the daemon, and record the daemon's process in `SOCKET.pid`.
 
-The server opens the socket before the daemon imports slow modules. `SOCKET.pid` allows stopping the daemon without an
-answer of the socket. It contains the process id and the start time in clock ticks since boot (proc(5), stat, field 22),
-which distinguishes the daemon from a later process with the same id.
+The server opens the socket before the daemon imports slow modules. With `SOCKET.pid`, the daemon can be stopped even if
+the socket does not answer. The file contains the process id and the start time in clock ticks since boot (proc(5),
+stat, field 22). The start time distinguishes the daemon from a later process with the same id.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.protocol import Description, Opening
 from tsa_ctrl.system.process_supervisor import Child
 
-_START = 21  # of the fields of stat, counted from 0
-_AFTER_NAME = 2  # fields between the name and the start time
+_START = 21  # index of the start time in the fields of stat, from 0
+_AFTER_NAME = 2  # number of fields up to the name, which `_fields` omits
 
 
 def place(socket: str) -> Path:
-    """Return the file that belongs to a socket."""
+    """Return the path of the file that belongs to a socket."""
     return Path(f"{socket}.pid")
 
 
 def write(socket: str, process: int) -> None:
-    """Write down the daemon's process. Where that cannot be written, only `tsa stop` with a dead server is lost."""
+    """Record the daemon's process. If the file cannot be written, only `tsa stop` with a dead server does not work."""
     path = place(socket)
     fresh = path.with_name(f"{path.name}.new")
     with contextlib.suppress(OSError):
@@ -43,13 +43,13 @@ def write(socket: str, process: int) -> None:
 
 
 def remove(socket: str, process: int) -> None:
-    """Take the file away where it names this process."""
+    """Remove the file if it contains this process."""
     if running(socket) == process:
         place(socket).unlink(missing_ok=True)
 
 
 def running(socket: str) -> int | None:
-    """Return the process of the daemon behind a socket; None if none runs or the file cannot be trusted.
+    """Return the process of the daemon behind a socket, or None if none runs or the file cannot be trusted.
 
     A file is trusted if it is plain, belongs to this user or root, and no other user may write it.
     """
@@ -70,7 +70,7 @@ def terminate(socket: str) -> int | None:
     A suspended daemon (SIGSTOP) also gets SIGCONT, because it could not act on the signal otherwise.
 
     Returns:
-        The number of the daemon's process, None if no daemon runs.
+        The process id of the daemon, or None if no daemon runs.
 
     Raises:
         BusError: This user may not send the daemon a signal.
@@ -92,14 +92,14 @@ def terminate(socket: str) -> int | None:
 
 
 def stop(socket: str, ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Stop the daemon behind a socket by a request; by a signal if that fails, or if the daemon is suspended.
+    """Stop the daemon behind a socket by a request, or by a signal if that fails or the daemon is suspended.
 
     Args:
         socket: The path of the socket.
         ask: Sends the stop request and returns its answer.
 
     Returns:
-        The answer, or `signalled` (the number of the daemon's process) and `reason`.
+        The answer, or `signalled` (the process id of the daemon) and `reason`.
 
     Raises:
         UsageError: This user may not stop the daemon.
@@ -129,7 +129,7 @@ def suspended(process: int) -> bool:
 
 
 def _started(process: int) -> int:
-    """Raises OSError if the process does not exist."""
+    """Return the start time of a process in clock ticks; raise OSError if the process does not exist."""
     fields = _fields(process)
     if fields[0] in "ZX":
         raise ProcessLookupError(process)
@@ -146,17 +146,17 @@ PATIENCE = 2.0  # s for the server to end
 
 
 class ServerProcess:
-    """Run the socket server from the start of the daemon on.
+    """Run the socket server, beginning with the start of the daemon.
 
-    Until `describe`, it answers a status request with the stage of the start, and ends the daemon at a stop request.
+    Until `describe`, a status request returns the startup stage, and a stop request ends the daemon.
 
     Attributes:
-        path: of the socket.
-        descriptor: memory in which the daemon then creates its mailbox.
+        path: path of the socket.
+        descriptor: memory in which the daemon later creates its mailbox.
     """
 
     def __init__(self, path: str, group: str | None = None, watch_group: str | None = None, name: str = "rig") -> None:
-        """Open the socket; raises UsageError if that is not possible, for example because another daemon has it."""
+        """Open the socket; raise UsageError if that is not possible, for example because another daemon has it."""
         self.path = path
         self.descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
         self._child = Child("tsa_ctrl.ipc.server", self.descriptor, fd=self.descriptor)
@@ -169,11 +169,11 @@ class ServerProcess:
             raise
 
     def stage(self, text: str) -> None:
-        """Report a stage of the start, one line."""
+        """Report a stage of the startup, one line."""
         self._child.send(" ".join(text.split()).encode())
 
     def describe(self, description: Description) -> None:
-        """End the stages: the mailbox is in its memory, and the server answers everything from now on."""
+        """End the startup stages: the mailbox is in its memory, and the server answers all requests from now on."""
         self._child.send(msgspec.json.encode(description))
         self._check()
 

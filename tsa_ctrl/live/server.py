@@ -1,8 +1,8 @@
 """Publish a running daemon on a WebSocket from a separate process, as a client of the daemon's socket.
 
-Topics: `/AXIS/signals` (each cycle, as far as the rate permits), `/AXIS/status` (`STATUS_RATE`), `/joint_states`
-(the fields of sensor_msgs/JointState) and `/events` (foxglove.Log). Messages are JSON; log times are wall-clock times.
-Layouts for Foxglove and PlotJuggler show the signals of the table in the charts of the table.
+Topics: `/AXIS/signals` (each cycle, as far as the rate permits), `/AXIS/status` (`STATUS_RATE`), `/joint_states` (the
+fields of sensor_msgs/JointState) and `/events` (foxglove.Log). Messages are JSON; log times are wall-clock times. The
+layouts for Foxglove and PlotJuggler arrange the signals by the charts of the signal table.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.outputs import beside
 from tsa_ctrl.signals import BANDED, CHARTS, SIGNALS, Kind, Place, Signal, signals_of
 
-STATUS_RATE = 10.0  # Hz: the daemon writes a new status as often
-BACKLOG = 4096  # messages for a client that reads slowly: some seconds at 1 kHz
+STATUS_RATE = 10.0  # Hz, of the status topics; the daemon publishes a new status at 50 Hz
+BACKLOG = 4096  # messages for a slow client: some seconds at 1 kHz
 EVENTS = "/events"  # topic
 RECENT = 50  # events that a new subscriber receives
 _TYPES = {Kind.CODE: "string", Kind.FLAG: "boolean", Kind.COUNT: "integer"}
@@ -49,7 +49,7 @@ JOINT_STATE = {
 
 
 def schema_of(title: str, place: Place) -> dict[str, Any]:
-    """Return the JSON schema of one axis' signals that are shown in a place."""
+    """Return the JSON schema of the signals of one axis in a place."""
     properties: dict[str, Any] = {}
     for signal in signals_of(place):
         if signal.kind is not Kind.AGE:
@@ -59,21 +59,21 @@ def schema_of(title: str, place: Place) -> dict[str, Any]:
 
 
 class Parameters(ServerListener):
-    """Answer requests for live parameters over an own connection to the daemon, whose roles decide."""
+    """Answer requests for live parameters over a separate connection to the daemon, which checks the client's role."""
 
     def __init__(self, path: str, settable: bool) -> None:
         self._client = Client(path)
         self._settable = settable
-        self._lock = threading.Lock()  # callbacks come from the threads of the WebSocket
+        self._lock = threading.Lock()  # callbacks run in the threads of the WebSocket
         self.subscribed = threading.Event()  # a client has subscribed to the events
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
-        """Note a new subscriber of the events."""
+        """Note a new subscriber to the events."""
         if channel.topic == EVENTS:
             self.subscribed.set()
 
     def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Parameter]:
-        """Return the parameters of these names, all without names."""
+        """Return the parameters with these names, or all parameters if the list is empty."""
         with self._lock:
             status = self._client.ask(protocol.Status())
         return [
@@ -112,8 +112,8 @@ class Publisher:
         """Connect to the daemon and open the server.
 
         Args:
-            path: of the daemon's socket.
-            port: of 127.0.0.1; 0 takes a free one.
+            path: path of the daemon's socket.
+            port: port of 127.0.0.1; 0 selects a free one.
             settable: True lets clients change live parameters.
 
         Raises:
@@ -152,7 +152,7 @@ class Publisher:
         self.published = 0  # cycles
 
     def run(self, rate: float, go_on: Callable[[], bool] = lambda: True) -> None:
-        """Publish until `go_on` returns False; `rate`: of the signals, Hz. Raises BusError when the daemon ends."""
+        """Publish the signals at `rate` (Hz) until `go_on` returns False. Raises BusError if the daemon ends."""
         last, due = -1, 0.0
         for measured in self._client.cycles(rate):
             if not go_on():
@@ -170,7 +170,7 @@ class Publisher:
                     self._publish_events(zero + round((now - status["age"] - status["uptime"]) * 1e9))
 
     def _publish_events(self, start: int) -> None:
-        """Publish new events, and the recent ones for a new subscriber; `start` of the loop: ns since the epoch."""
+        """Publish new events, and recent ones for a new subscriber; `start` of the loop is in ns since the epoch."""
         new = self._client.events()
         self._recent.extend(new)
         if self._listener.subscribed.is_set():
@@ -219,7 +219,7 @@ class Publisher:
 
 
 def _values(axis: AxisMeasured) -> dict[str, Any]:
-    """Return the known signals of one axis."""
+    """Return the signals of one axis that have a value."""
     found = {signal.name: getattr(axis, signal.name) for signal in signals_of(Place.CLIENT)}
     return {name: value for name, value in found.items() if value is not None}
 
@@ -233,7 +233,7 @@ def _effort(axis: AxisMeasured) -> float:
 
 
 def topic_of(axis: str, signal: Signal) -> str:
-    """Return the topic that has a signal of an axis: of each cycle, else of the status."""
+    """Return the topic of a signal of an axis: `signals` if it is sent in each cycle, otherwise `status`."""
     return f"/{axis}/{'signals' if Place.CLIENT in signal.where else 'status'}"
 
 
@@ -312,7 +312,7 @@ def plotjuggler_layout(axes: Sequence[str]) -> str:
 
 
 def write_layouts(folder: Path, axes: Sequence[str]) -> list[Path]:
-    """Write both layouts into a folder and return their paths; raises UsageError if it cannot be written."""
+    """Write both layouts into a folder and return their paths; raise UsageError if it cannot be written."""
     written = []
     for name, text in (("foxglove.json", foxglove_layout(axes)), ("plotjuggler.xml", plotjuggler_layout(axes))):
         with beside(folder / name) as path:

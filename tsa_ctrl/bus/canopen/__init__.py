@@ -1,1 +1,1 @@
-"""The standards as tables and bytes: CiA 301, 402, emergencies, objects, PDOs, EDS. No bus, no clock."""
+"""CANopen standards as tables and bytes: CiA 301, CiA 402, EMCY, objects, PDOs and EDS. Uses no bus and no clock."""

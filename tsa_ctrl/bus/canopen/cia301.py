@@ -1,6 +1,7 @@
-"""CiA 301: identifiers of the predefined connection set, NMT, SYNC, heartbeat and EMCY, as bytes.
+"""CiA 301 as bytes: identifiers of the predefined connection set, NMT, SYNC, heartbeat and EMCY.
 
-The error codes of CiA 301 and CiA 402 are a table."""
+The table of error codes covers CiA 301 and CiA 402.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +19,13 @@ SDO_ANSWER = 0x580  # + node, server to client
 SDO_REQUEST = 0x600  # + node, client to server
 HEARTBEAT = 0x700  # + node
 LSS_REQUEST, LSS_ANSWER = 0x7E5, 0x7E4
-COB_ID_INVALID = 0x80000000  # bit 31 of a PDO's COB-ID: this PDO does not exist
-PRODUCES_SYNC = 0x40000000  # bit 30 of 0x1005: this node makes SYNC
+COB_ID_INVALID = 0x80000000  # bit 31 of a PDO's COB-ID: the PDO is disabled
+PRODUCES_SYNC = 0x40000000  # bit 30 of 0x1005: the node generates SYNC
 ALL_NODES = 0
 
 
 class NmtCommand(IntEnum):
-    """Command specifier of NMT (CiA 301, 7.2.8.3.1)."""
+    """NMT command specifiers (CiA 301, 7.2.8.3.1)."""
 
     START = 0x01
     STOP = 0x02
@@ -34,7 +35,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """State byte of a heartbeat (bit 7, the toggle bit of node guarding, removed)."""
+    """NMT states in a heartbeat, without bit 7 (the toggle bit of node guarding)."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -43,7 +44,7 @@ class NmtState(IntEnum):
 
 
 class Profile(Enum):
-    """Device profile in the low word of the device type, object 0x1000."""
+    """Device profiles in the low word of the device type (object 0x1000)."""
 
     DRIVE = 0x0192  # CiA 402
     TRANSDUCER = 0x0194  # CiA 404
@@ -60,11 +61,11 @@ def heartbeat(state: NmtState) -> bytes:
     return bytes((state,))
 
 
-TOGGLE = 0x80  # bit of an answer to node guarding, which alternates from answer to answer
+TOGGLE = 0x80  # toggle bit: alternates between successive answers to node guarding
 
 
 def heartbeat_state(data: bytes) -> int | None:
-    """Return the NMT state that a heartbeat reports (`NmtState` if the standard defines it); None if malformed."""
+    """Return the NMT state in a heartbeat (`NmtState` if the standard defines it), or None if malformed."""
     return data[0] & 0x7F if len(data) == 1 else None
 
 
@@ -175,7 +176,7 @@ REGISTER_BITS = (  # object 0x1001, and byte 2 of an EMCY
 
 @dataclass(frozen=True, slots=True)
 class Emcy:
-    """One emergency: error code, error register 0x1001, five bytes of the vendor."""
+    """An emergency message: error code, error register (0x1001) and five vendor bytes."""
 
     code: int
     register: int
@@ -183,7 +184,7 @@ class Emcy:
 
     @property
     def is_reset(self) -> bool:
-        """Return True if the node reports the end of its errors."""
+        """Return True if the node reports an error reset (code 0)."""
         return self.code == 0
 
     def __str__(self) -> str:
@@ -192,12 +193,12 @@ class Emcy:
 
 
 def decode(data: bytes) -> Emcy | None:
-    """Return the emergency in 8 bytes; None if the length is wrong."""
+    """Return the emergency in 8 bytes, or None if the length is wrong."""
     return Emcy(*_EMCY.unpack(data)) if len(data) == _EMCY.size else None
 
 
 def text(code: int) -> str:
-    """Return the meaning of an error code: the most specific line (0x2311, else 0x2310, 0x2300, 0x2000)."""
+    """Return the meaning of an error code by its most specific entry (0x2311, else 0x2310, 0x2300, 0x2000)."""
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
         found = ERROR_CODES.get(code & mask)
         if found is not None and (code & mask or code == 0):

@@ -1,6 +1,7 @@
 """CiA 402 power state machine as tables: statusword -> state, and (state, target) -> controlword.
 
-No I/O, no time. Nothing here leaves a fault without a request: `next_controlword` never yields a fault reset.
+The module has no I/O and no clock. `next_controlword` never returns a fault reset, so a drive leaves a fault only on
+request.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from tsa_ctrl.bus.canopen.objects import Object
 
 
 class PowerState(Enum):
-    """States of the CiA 402 finite state automaton; UNKNOWN is a statusword that encodes none."""
+    """States of the CiA 402 finite state automaton. UNKNOWN means that the statusword encodes no state."""
 
     NOT_READY_TO_SWITCH_ON = "not_ready_to_switch_on"
     SWITCH_ON_DISABLED = "switch_on_disabled"
@@ -27,7 +28,7 @@ class PowerState(Enum):
 
 
 class Controlword(IntEnum):
-    """Commands of object 0x6040."""
+    """Commands in the controlword (object 0x6040)."""
 
     DISABLE_VOLTAGE = 0x00
     QUICK_STOP = 0x02
@@ -45,11 +46,11 @@ class Mode(IntEnum):
 
 CST_SUPPORTED = 1 << 9  # bit of object 0x6502
 
-VOLTAGE_ENABLED = 1 << 4  # bit of the statusword: there is voltage for the motor
-WARNING = 1 << 7  # a warning is present, as of temperature; the state stays
+VOLTAGE_ENABLED = 1 << 4  # bit of the statusword: the motor supply voltage is present
+WARNING = 1 << 7  # a warning is active, e.g. of temperature; the state does not change
 REMOTE = 1 << 9  # the controlword is processed
-INTERNAL_LIMIT = 1 << 11  # a limit of the drive's own is active: it may give less than the command
-FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
+INTERNAL_LIMIT = 1 << 11  # an internal limit of the drive is active: the torque may be below the command
+FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes only; 0: the drive ignores the command
 
 
 class Effect(Enum):
@@ -66,9 +67,9 @@ class Influence:
     """An object that acts on the torque of a cyclic mode.
 
     Attributes:
-        unit: of one digit, for people.
-        restored: the value that the bring-up writes and reads back; None: the drive's own value stays.
-        watched: a change while the loop runs is a fault, because it adds to the torque or turns it.
+        unit: unit of one digit, for display.
+        restored: value that the bring-up writes and reads back; None keeps the drive's own value.
+        watched: True if a change while the loop runs is a fault, because it scales or reverses the torque.
     """
 
     entry: Object
@@ -80,8 +81,8 @@ class Influence:
 
 _PER_MILLE = "per mille of the rated torque"
 # Source: CiA 402-2 (IEC 61800-7-201), cyclic synchronous torque mode. The position and velocity offsets act in the
-# other cyclic modes. The slope (0x6087) and its profile (0x6088) act in the profile torque mode, on some drives also
-# in this one. The max torque (0x6072) and the max motor speed (0x6080) come from the configuration and are written.
+# other cyclic modes. The slope (0x6087) and its profile (0x6088) act in profile torque mode, and on some drives also
+# in this mode. The max torque (0x6072) and the max motor speed (0x6080) come from the configuration and are written.
 TORQUE_PATH: tuple[Influence, ...] = (
     Influence(objects.POSITION_OFFSET, Effect.ADDS, restored=0),
     Influence(objects.VELOCITY_OFFSET, Effect.ADDS, restored=0),
@@ -107,7 +108,7 @@ STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value,
     (0x4F, 0x0F, PowerState.FAULT_REACTION_ACTIVE),
     (0x4F, 0x08, PowerState.FAULT),
 )
-STATE_BITS = 0x6F  # all that any pattern looks at
+STATE_BITS = 0x6F  # union of all masks above
 
 
 def _match(statusword: int) -> PowerState:
@@ -148,6 +149,6 @@ def decode(statusword: int) -> PowerState:
 def next_controlword(state: PowerState, target: PowerState) -> Controlword:
     """Return the command that leads from `state` one step towards `target` (a key of `WALK`).
 
-    A state from which no step leads there (fault, fault reaction, not ready, unknown) gives DISABLE_VOLTAGE.
+    The result is DISABLE_VOLTAGE if no step leads there (from fault, fault reaction, not ready or unknown).
     """
     return WALK[target].get(state, Controlword.DISABLE_VOLTAGE)

@@ -1,8 +1,8 @@
-"""A vendor's EDS file, where there is one: its values for the objects that we write are compared before writing.
+"""Read a vendor's EDS file, and compare its entries with the planned writes before anything is written.
 
-EDS files are often broken. Slips are corrected (`eds_mending`), and canopen judges the rest; when it cannot read one,
-the
-section that it stumbles over is named.
+EDS files are often broken. `read` corrects errors whose meaning is clear (formats of numbers and headings, repeated
+and stray lines) and adds a note for each. canopen parses the result. A section that canopen cannot read is left out,
+unless this controller uses its object: then the error names the section.
 """
 
 from __future__ import annotations
@@ -21,10 +21,6 @@ from canopen.objectdictionary.eds import import_eds
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.objects import Type, Write
 from tsa_ctrl.errors import UsageError
-
-# Errors of vendors' EDS files that leave the meaning clear: format of numbers and headings, repeated and stray lines.
-#
-# Each correction gives a note. A section that cannot be corrected is removed, unless this controller uses its object.
 
 _BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
 _NUMBERS = frozenset(f"BaudRate_{rate}" for rate in _BIT_RATES) | {
@@ -65,7 +61,7 @@ def read(text: str) -> tuple[configparser.RawConfigParser, list[str]]:
     notes: list[str] = []
     lines = _lines(text, notes)
     parser = configparser.RawConfigParser(inline_comment_prefixes=(";",), strict=False)
-    parser.optionxform = str  # type: ignore[assignment, method-assign]  # keys are case sensitive, as canopen has them
+    parser.optionxform = str  # type: ignore[assignment, method-assign]  # keys are case-sensitive, as canopen requires
     parser.read_string("\n".join(lines))
     mended = configparser.RawConfigParser(strict=False)
     mended.optionxform = str  # type: ignore[assignment, method-assign]
@@ -82,7 +78,7 @@ def is_used(section: str) -> bool:
 
 
 def _lines(text: str, notes: list[str]) -> list[str]:
-    """Return the sections and assignments without other lines; add a note for each repeated section and stray line."""
+    """Return only the headings and assignments; add a note for each repeated section and each stray line."""
     kept: list[str] = []
     seen: set[str] = set()
     for number, line in enumerate(text.splitlines(), 1):
@@ -103,7 +99,7 @@ def _lines(text: str, notes: list[str]) -> list[str]:
 
 
 def _name(section: str) -> str:
-    """`[0x1018Sub1]` and `[1018sub1]` are one object."""
+    """Return the normal form of a section name: `[0x1018Sub1]` and `[1018sub1]` are the same object."""
     match = _OBJECT.match(section.strip())
     if match is None:
         return section.strip()
@@ -133,7 +129,7 @@ def _values(section: str, values: dict[str, str], notes: list[str]) -> dict[str,
 
 
 def _number(text: str) -> str | None:
-    """Return a number as canopen reads it, or None. Leading zeros, comments of C and identifiers are accepted."""
+    """Return a number in the form that canopen reads, or None. Accepts leading zeros, // comments and $NODEID."""
     plain = text.split("//", 1)[0].strip().replace(" ", "")
     if "$NODEID" in plain.upper():
         return plain.upper()
@@ -149,26 +145,29 @@ def _number(text: str) -> str | None:
 
 
 def _comments(parser: configparser.RawConfigParser) -> None:
-    """Remove the comments: a wrong count of comment lines must not make the file unreadable."""
+    """Remove the section of comments, because a wrong count of its lines would make the file unreadable."""
     if parser.has_section("Comments"):
         parser.remove_section("Comments")
 
 
 _BYTES = {kind.number: kind.size for kind in Type}
-_MOST_NOTES = 200  # a file with more slips is another kind of file
+_MOST_NOTES = 200  # a file with more errors is probably no EDS file
 
-logging.getLogger("canopen").addHandler(logging.NullHandler())  # its remarks on an EDS are not for the user
+logging.getLogger("canopen").addHandler(logging.NullHandler())  # its log messages on an EDS are not for the user
 
 
 def load_eds(path: str | Path) -> ObjectDictionary:
-    """Read an EDS file; raises UsageError that names the broken section."""
+    """Return the dictionary of an EDS file; raise UsageError with the name of the broken section."""
     return read_eds(path)[0]
 
 
 def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
-    """Read an EDS file; return it with its corrections and omissions; raises UsageError that names the broken section.
+    """Return the dictionary of an EDS file, and notes on its corrections and omissions.
 
-    A section is left out when it cannot be read and this controller has no use for its object.
+    A section that canopen cannot read is left out if this controller does not use its object.
+
+    Raises:
+        UsageError: the file, or a section that this controller uses, cannot be read; the message names it.
     """
     path = Path(path)
     try:
@@ -178,7 +177,7 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
-        text = data.decode("latin-1")  # the text of the vendors' editors
+        text = data.decode("latin-1")  # the encoding of vendors' editors
     try:
         parser, notes = read(text)
     except configparser.Error as error:
@@ -197,7 +196,11 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
 
 
 def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Write]) -> list[str]:
-    """Compare what will be written with the EDS: type, access, limits. Raises UsageError, returns what it lacks."""
+    """Compare the planned writes with the EDS (type, access, limits) and return notes on tolerated deviations.
+
+    Raises:
+        UsageError: a write contradicts the EDS.
+    """
     notes: dict[str, None] = {}
     for write in plan:
         entry = write.entry
@@ -223,9 +226,9 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
                 )
             notes[f"its EDS states that {entry} cannot be written"] = None
             continue
-        low, high = (None, None) if entry.type.real else (variable.min, variable.max)  # of the bits they mean nothing
+        low, high = (None, None) if entry.type.real else (variable.min, variable.max)  # raw bits have no limits
         if low is not None and high is not None and low > high:
-            continue  # empty limits are not limits
+            continue  # an empty range is not a limit
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):
             raise UsageError(
                 f"{path}: section {section}: {entry} shall be {write.value}, allowed is {low} to {high}; "
@@ -246,7 +249,7 @@ def _variable(dictionary: ObjectDictionary, index: int, subindex: int) -> ODVari
 
 
 def _try(parser: configparser.RawConfigParser, sections: list[str]) -> tuple[ObjectDictionary | None, str]:
-    """canopen's opinion of an EDS with these sections: the dictionary, or the error."""
+    """Parse these sections with canopen; return the dictionary, or None and the error text."""
     part = configparser.RawConfigParser()
     part.optionxform = str  # type: ignore[assignment, method-assign]
     for section in sections:
@@ -256,7 +259,7 @@ def _try(parser: configparser.RawConfigParser, sections: list[str]) -> tuple[Obj
     text.seek(0)
     try:
         return import_eds(text, None), ""
-    except Exception as error:  # canopen passes on exceptions of any type
+    except Exception as error:  # canopen raises exceptions of any type
         return None, _one_line(error)
 
 

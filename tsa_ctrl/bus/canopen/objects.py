@@ -1,6 +1,6 @@
-"""The CANopen objects that this master reads and writes: the built-in dictionary, one line each, used both ways.
+"""Object dictionary of this master: one line for each CANopen object that it reads or writes.
 
-Works without an EDS. Types and numbers are from CiA 301, 402, 404 and 406.
+No EDS is needed. Types and numbers are from CiA 301, 402, 404 and 406.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ _PROFILE = range(0x6000, 0xA000)  # objects of the device profile
 
 
 class Type(Enum):
-    """Basic data types: struct format of those that PDOs of this controller carry, CiA 301 code, bytes, and kind.
+    """Basic data types: struct format (empty if struct has none), CiA 301 code, bytes and kind.
 
-    Values are handled as raw integers. Those of a real type are its bits (IEEE 754), so they compare exactly.
+    Values are raw integers. A real number is represented by its IEEE 754 bits, so that it compares exactly.
     Source: CiA 301, 7.4.4 and table 44.
     """
 
@@ -54,10 +54,10 @@ class Type(Enum):
         self.high = (1 << bits - 1) - 1 if self.signed else (1 << bits) - 1
 
     def raw(self, value: float) -> int:
-        """Return the raw integer of a value as a person writes it; raise ValueError with the allowed range."""
+        """Return the raw integer of a number; raise ValueError with the allowed range if the type cannot hold it."""
         if self.real:
             most = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0] if self.size == 4 else sys.float_info.max
-            if not -most <= value <= most:  # neither is nan
+            if not -most <= value <= most:  # false for nan too
                 raise ValueError(f"{self.name.lower()} ({-most:g} to {most:g})")
             return int.from_bytes(struct.pack(f"<{self.code}", value), "little")
         if value != int(value) or not self.low <= value <= self.high:
@@ -65,7 +65,7 @@ class Type(Enum):
         return int(value)
 
     def number_of(self, raw: int) -> int | float:
-        """Return the value of a raw integer as a person writes it."""
+        """Return the number that a raw integer represents."""
         if not self.real:
             return raw
         return float(struct.unpack(f"<{self.code}", raw.to_bytes(self.size, "little"))[0])
@@ -88,18 +88,18 @@ class Object:
         return self.index, self.subindex
 
     def of(self, slot: int) -> Object:
-        """Return the same object of another axis; objects of the device profile are 0x800 apart (CiA 301)."""
+        """Return this object for the axis in a slot; profile objects of two axes are 0x800 apart (CiA 301)."""
         if slot == 1 or self.index not in _PROFILE:
             return self
         return replace(self, index=self.index + AXIS_OFFSET * (slot - 1))
 
     @property
     def mapping(self) -> int:
-        """Return the entry of a PDO mapping (0x1600.., 0x1A00..): index, subindex and length in bits."""
+        """Return the PDO mapping entry (0x1600.., 0x1A00..) of this object: index, subindex and length in bits."""
         return self.index << 16 | self.subindex << 8 | self.type.size * 8
 
     def encode(self, value: int) -> bytes:
-        """Return the SDO data; raises UsageError if the value does not fit the type."""
+        """Return a value as SDO data; raise UsageError if it does not fit the type."""
         if not self.type.low <= value <= self.type.high:
             raise UsageError(
                 f"{self}: value {value} does not fit {self.type.name.lower()} "
@@ -108,25 +108,25 @@ class Object:
         return value.to_bytes(self.type.size, "little", signed=self.type.signed)
 
     def decode(self, data: bytes) -> int:
-        """Return the value in SDO data; short data is extended and long data truncated, as devices pad differently."""
+        """Return the value in SDO data. Short data is extended, long data truncated: devices pad differently."""
         return int.from_bytes(data[: self.type.size], "little", signed=self.type.signed)
 
     def shown(self, raw: int) -> str:
-        """Return a raw value for people: hexadecimal, or the number of a real type."""
+        """Return a raw value as text: hexadecimal, or the number of a real type."""
         return f"{self.type.number_of(raw):.{7 if self.type.size == 4 else 15}g}" if self.type.real else f"{raw:#x}"
 
 
 @dataclass(frozen=True)
 class Write:
-    """One object and the value that it must have. `kept`: bits that stay as the node has them."""
+    """An object and its required value. `kept` masks the bits that keep the node's value."""
 
     entry: Object
     value: int
-    optional: bool = False  # a node that does not have it is fine
+    optional: bool = False  # the node may lack the object
     kept: int = 0
-    rated: Object | None = None  # then `value` is per mille of the value of this object
+    rated: Object | None = None  # if set, `value` is in per mille of the value of this object
     watchdog: bool = False  # makes the drive stop if this computer fails
-    fine: frozenset[int] = frozenset()  # values that do as well, where the node does not take this one
+    fine: frozenset[int] = frozenset()  # equivalent values that the node may keep instead
 
 
 # CiA 301
@@ -148,7 +148,7 @@ VENDOR_ID = Object(0x1018, 1, Type.U32, "vendor")
 PRODUCT_CODE = Object(0x1018, 2, Type.U32, "product code")
 REVISION = Object(0x1018, 3, Type.U32, "revision")
 SERIAL_NUMBER = Object(0x1018, 4, Type.U32, "serial number")
-SYNC_COUNTER = Object(0x1019, 0, Type.U8, "SYNC counter")  # where it wraps; 0: SYNC carries none
+SYNC_COUNTER = Object(0x1019, 0, Type.U8, "SYNC counter")  # value at which it wraps; 0: SYNC without a counter
 ERROR_BEHAVIOUR = Object(0x1029, 1, Type.U8, "reaction to communication errors")  # 0 pre-operational, 1 none, 2 stopped
 RPDO_EVENT_TIMER = Object(0x1400, 5, Type.U16, "RPDO event timer")  # ms
 

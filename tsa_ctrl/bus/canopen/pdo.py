@@ -1,4 +1,4 @@
-"""The PDO plan as a table: which object travels where. Layout, mapping entries and COB-IDs come from these lines."""
+"""PDO plan as a table of the objects in each PDO. Byte layout, mapping entries and COB-IDs are derived from it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ class Transmission(IntEnum):
 
 @dataclass(frozen=True)
 class Pdo:
-    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and its content in order.
+    """A PDO and its objects.
 
-    `place` of its identifier in the predefined connection set, 1 to 4; 0: that of its number. `every`: SYNCs from one
-    to the next, the transmission type of a TPDO.
+    Attributes:
+        number: from 1.
+        received: True if the node receives it (RPDO), False if the node sends it (TPDO).
+        objects: mapped objects in order.
+        place: place of its identifier in the predefined connection set, 1 to 4; 0 means `number`.
+        every: number of SYNCs from one transmission to the next (transmission type of a TPDO).
     """
 
     number: int
@@ -43,16 +47,16 @@ class Pdo:
 
     @property
     def length(self) -> int:
-        """Bytes."""
+        """Return the length in bytes."""
         return self.struct.size
 
     def cob_id(self, node_id: int) -> int:
-        """COB-ID of the predefined connection set."""
+        """Return the COB-ID of the predefined connection set."""
         bases = cia301.RPDO if self.received else cia301.TPDO
         return bases[(self.place or self.number) - 1] + node_id
 
     def of(self, slot: int, place: int = 0) -> Pdo:
-        """Return the same PDO of another axis: 64 further (CiA 402-3), with the identifier of `place`."""
+        """Return this PDO for another axis: its number is 64 per slot higher (CiA 402-3), `place` its identifier."""
         entries = tuple(entry.of(slot) for entry in self.objects)
         return replace(self, number=self.number + PDO_OFFSET * (slot - 1), objects=entries, place=place or self.place)
 
@@ -71,8 +75,8 @@ class Pdo:
 COMMAND = Pdo(1, True, (objects.CONTROLWORD, objects.TARGET_TORQUE))
 MOTION = Pdo(1, False, (objects.STATUSWORD, objects.TORQUE_ACTUAL, objects.VELOCITY_ACTUAL))
 POSITION = Pdo(2, False, (objects.POSITION_ACTUAL, objects.MODE_DISPLAY, objects.ERROR_CODE))
-# One frame of 8 bytes instead of two every SYNC. The mode and the error code change with the state only, and bits 3 and
-# 12 of 0x6041 report on every SYNC that the drive has a fault or ignores the command.
+# The lean layout sends one frame of 8 bytes per SYNC instead of two. The mode and the error code change only with the
+# state. Bits 3 and 12 of 0x6041 report a fault or an ignored command on every SYNC.
 LEAN_MOTION = Pdo(1, False, (objects.STATUSWORD, objects.TORQUE_ACTUAL, objects.POSITION_ACTUAL))
 LEAN_STATE = Pdo(2, False, (objects.MODE_DISPLAY, objects.ERROR_CODE), every=50)
 ENCODER = Pdo(1, False, (objects.ENCODER_POSITION,))
@@ -81,9 +85,9 @@ TORQUE_SENSOR = Pdo(1, False, (objects.PROCESS_VALUE,))
 
 @dataclass(frozen=True)
 class DriveLayout:
-    """The three PDOs of one drive, and the node id that their identifiers are made of.
+    """The three PDOs of one drive, and the node id in their identifiers.
 
-    `position` of a lean layout carries mode and error code only: the position is in `motion`.
+    In a lean layout, `position` carries only the mode and the error code, and `motion` carries the position.
     """
 
     command: Pdo
@@ -100,7 +104,7 @@ class DriveLayout:
         return self.motion.cob_id(self.node_id), self.position.cob_id(self.node_id)
 
     def without(self, entry: Object) -> DriveLayout:
-        """Return the same PDOs without an object that the drive lacks."""
+        """Return this layout with `entry` removed from `position`, because the drive lacks the object."""
         left = tuple(kept for kept in self.position.objects if kept.name != entry.name)
         return replace(self, position=replace(self.position, objects=left))
 
@@ -108,8 +112,8 @@ class DriveLayout:
 def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None, lean: bool = False) -> DriveLayout:
     """Return the PDOs of the axis in this slot of a device.
 
-    A node has identifiers for two axes: the second takes its second RPDO and its third and fourth TPDO. Any axis may
-    take the identifiers of an unused node id, `identifiers_of`.
+    A node has identifiers for two axes: the second axis uses the identifiers of RPDO 2, TPDO 3 and TPDO 4. Any axis may
+    use the identifiers of an unused node id (`identifiers_of`).
     """
     motion, position = (LEAN_MOTION, LEAN_STATE) if lean else (MOTION, POSITION)
     if slot == 2 and identifiers_of is None:

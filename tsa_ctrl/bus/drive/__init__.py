@@ -1,1 +1,1 @@
-"""The nodes before the loop: their kind, the objects written to them, and their answers."""
+"""Node set-up before the loop starts: checks of each device, and the objects written to it and read back."""

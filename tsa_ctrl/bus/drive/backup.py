@@ -1,6 +1,6 @@
-"""Write the values of a drive as a file: the objects that this master writes, read, written back, and compared.
+"""Back up and restore a drive: read the objects that this master writes, write them back, and compare them.
 
-The file is TOML: which drive it was, and one `[[object]]` per entry with its type and value.
+The file is TOML. It holds the identity of the drive, and one `[[object]]` with type and value per entry.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
 
-_COMMUNICATION = (0x1400, 0x1800)  # first PDO communication parameters: received, sent
+_COMMUNICATION = (0x1400, 0x1800)  # first indices of the PDO communication parameters: RPDO, TPDO
 _MAPPING_OFFSET = 0x200
-_PDOS = 0x200  # of each direction at most
-_MAPPABLE = 8  # objects in a PDO at most, as each has a byte at least
+_PDOS = 0x200  # maximum number in each direction
+_MAPPABLE = 8  # maximum number of objects in a PDO, because each takes at least one byte
 _COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
 
 
 class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One object of a dump: its path and its content."""
+    """One object of a backup: its index, type and value."""
 
     index: Index
     subindex: Subindex
@@ -49,12 +49,12 @@ class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     @property
     def raw(self) -> int:
-        """Return the raw value; raises ValueError if the type cannot hold it."""
+        """Return the raw value; raise ValueError if the type cannot hold it."""
         return self.entry.type.raw(self.value)
 
 
 class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One drive's objects."""
+    """The identity and the objects of one drive."""
 
     format: Literal[1] = 1
     node_id: NodeId
@@ -65,7 +65,7 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     object: Annotated[list[StoredObject], Meta(min_length=1)]
 
     def text(self) -> str:
-        """Return the text of the file; values that are not negative are hexadecimal."""
+        """Return the text of the file; integers are hexadecimal unless they are negative."""
         document = tomlkit.document()
         head = "Objects of a drive, as read by `tsa drive dump`; `tsa drive restore` writes them back."
         document.add(tomlkit.comment(head))
@@ -96,7 +96,7 @@ def _hexadecimal(value: float, digits: int) -> tomlkit.items.Integer | float:
 
 @dataclass(frozen=True)
 class Difference:
-    """An object whose value is not the one of a file or a configuration; None: the drive does not have it."""
+    """An object whose value differs from the required one. `found` is None if the drive lacks the object."""
 
     entry: Object
     wanted: int
@@ -108,7 +108,7 @@ class Difference:
 
 
 def load_backup(path: str | Path) -> Backup:
-    """Read a backup; raises UsageError for anything wrong with it, values out of their type's range included."""
+    """Return the backup in a file; raise UsageError if it is invalid, for instance if a value does not fit its type."""
     backup = settings.load(path, Backup)
     for stored in backup.object:
         try:
@@ -119,10 +119,10 @@ def load_backup(path: str | Path) -> Backup:
 
 
 def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
-    """Return the objects that a plan writes, all entries of each PDO in it, and the objects of the torque path.
+    """Return the objects that a plan writes, all mapping entries of its PDOs, and the objects of the torque path.
 
     Args:
-        plan: the writes of one drive.
+        plan: writes of one drive.
         slot: place of the axis in its device.
     """
     entries: dict[tuple[int, int], Object] = {}
@@ -141,9 +141,9 @@ def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
 
 
 def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
-    """Read these objects and the identity; objects that the drive does not have are left out."""
+    """Return a backup of these objects and of the identity, without the objects that the drive lacks."""
     stored = []
-    mapped: dict[int, int] = {}  # mapping parameter -> objects in it; those beyond mean nothing
+    mapped: dict[int, int] = {}  # mapping parameter -> number of valid entries; further entries are ignored
     for entry in entries:
         index, subindex = entry.key
         if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
@@ -170,10 +170,12 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
 
 
 def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
-    """Write a backup to a drive that is not enabled, and read everything back. The drive stays pre-operational.
+    """Write a backup to a disabled drive and read each object back. The drive stays pre-operational.
 
-    Raises UsageError for the backup of another node: this drive would get its identifiers, and two drives would follow
-    one command. Raises BusError if the drive is enabled, is another model, or rejects a value.
+    Raises:
+        UsageError: the backup is of another node. This drive would get its identifiers, and two drives would follow one
+            command.
+        BusError: the drive is enabled, is another model, or rejects a value.
     """
     name = f"node {node_id}"
     if backup.node_id != node_id:
@@ -200,7 +202,7 @@ def _cure(entry: Object, code: int | None) -> str:
 
 
 def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
-    """Return the writes of a backup in an order that a drive accepts; PDOs use the mapping procedure."""
+    """Return the writes of a backup in an order that a drive accepts; PDOs follow the mapping procedure."""
     values = {(item.index, item.subindex): item for item in stored}
     plan = []
     done: set[tuple[int, int]] = set()
@@ -218,7 +220,7 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
 
 
 def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tuple[Object, int]]:
-    """Return the value of each object after a plan; of objects that the drive does not need, only those that it has."""
+    """Return the value of each object after a plan, without the optional objects that the drive lacks."""
     wanted: dict[tuple[int, int], tuple[Object, int]] = {}
     for write in plan:
         entry, value = write.entry, write.value
@@ -244,7 +246,7 @@ def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]
 
 
 def _communication_of(index: int) -> int | None:
-    """Return the index of the communication parameters of a PDO record; None for another index."""
+    """Return the index of a PDO's communication parameters for any index of its record; None for other objects."""
     for first in _COMMUNICATION:
         if first <= index < first + _PDOS:
             return index
@@ -254,7 +256,7 @@ def _communication_of(index: int) -> int | None:
 
 
 def _pdo_plan(members: Sequence[StoredObject], communication: int) -> list[Write]:
-    """Disable, empty, map, count, the other parameters, enable."""
+    """Return the writes of one PDO in order: disable, clear the mapping, map, count, other parameters, enable."""
     mapping = communication + _MAPPING_OFFSET
     cob_id = [item for item in members if (item.index, item.subindex) == (communication, 1)]
     count = [item for item in members if (item.index, item.subindex) == (mapping, 0)]

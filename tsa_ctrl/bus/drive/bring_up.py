@@ -54,11 +54,21 @@ Cure = Callable[[Object, int | None], str]
 def write_all(
     session: Session, node_id: int, name: str, plan: Sequence[Write], cure: Cure, notes: list[str] | None = None
 ) -> list[Row]:
-    """Write a plan in order, each object read before and after; one row per object.
+    """Write a plan in order, read each object before and after, and return one row per object.
 
-    Objects that must be taken out of service to be changed (PDOs, the identifier of emergencies) are not changed if
-    all of them are as required: many nodes cannot write them. `cure` is the remedy for an object that is rejected with
-    a code, or (None) does not keep its value; `notes` receives the tolerated deviations. Raises BusError.
+    PDOs and the identifier of emergencies can be changed only while disabled. If all their objects have the required
+    values already, they are not written, because many nodes reject a change.
+
+    Args:
+        session: open session.
+        node_id: node that is written to.
+        name: name of the node in messages.
+        plan: writes in order.
+        cure: returns the remedy for an object that the node rejects with an abort code, or (None) does not store.
+        notes: receives the tolerated deviations.
+
+    Raises:
+        BusError: the node rejects an object or does not store its value.
     """
     rows: dict[tuple[int, int], Row] = {}
     settled = _settled(session, node_id, plan, rows)
@@ -95,7 +105,10 @@ def write_all(
 
 
 def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[tuple[int, int], Row]) -> set[int]:
-    """Return the indices whose objects all have the planned values, and add a row for each; PDOs by both records."""
+    """Return the indices (PDOs and EMCY) whose objects all have the planned values, and add a row for each object.
+
+    The communication parameters of a PDO are included only if its mapping needs no change.
+    """
     last: dict[tuple[int, int], Write] = {write.entry.key: write for write in plan}
     settled: set[int] = set()
     for index in sorted({key[0] for key in last}):
@@ -107,12 +120,12 @@ def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[t
     for index in [index for index in settled if any(index in known for known in _COMMUNICATIONS)]:
         mapping = index + _MAPPING_OFFSET
         if mapping in {key[0] for key in last} and mapping not in settled:
-            settled.discard(index)  # it must be switched off for its mapping to be changed
+            settled.discard(index)  # the PDO must be disabled before its mapping can be changed
     return settled
 
 
 def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[Row] | None:
-    """Return rows if each object has its value or an equivalent one, or may be absent; otherwise None."""
+    """Return rows if each object has its planned or an equivalent value, or may be absent; otherwise None."""
     rows = []
     for write in writes:
         try:
@@ -128,7 +141,7 @@ def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[
 
 
 def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: int) -> list[Write]:
-    """Return the plan with a suitable entry of 0x1016: one that already has our id, otherwise an unused one."""
+    """Return the plan with a suitable entry of 0x1016: one that already holds our node id, otherwise an unused one."""
     if not any(write.entry.key == objects.HEARTBEAT_CONSUMER.key for write in plan):
         return list(plan)
     count = session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 1
@@ -143,13 +156,13 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
 
 
 def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> list[Write]:
-    """Return writes that switch off each RPDO of a drive that the plan does not list.
+    """Return writes that disable each RPDO of a drive that the plan does not cover.
 
-    Another tool may have mapped a target or an offset of the torque into one of them.
+    Another tool may have mapped a target torque or a torque offset into one of them.
 
     Args:
-        session: an open session; nothing is written here.
-        node_id: of the drive.
+        session: open session; this function only reads.
+        node_id: node id of the drive.
         slot: place of the axis in its device.
         first: number of the first RPDO that the plan does not cover.
     """
@@ -170,8 +183,8 @@ _TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 
 def check_signs(session: Session, node: Node) -> None:
     """Raise UsageError if a drive's polarity or its counts per revolution differ from the configuration.
 
-    Another tool may have changed 0x607E, 0x608F, 0x6091 or 0x6092 since the signs were measured, and a wrong sign makes
-    the joint push where it should yield. Only objects that the drive has are compared, and none is written here.
+    Another tool may have changed 0x607E, 0x608F, 0x6091 or 0x6092 since the signs were measured. A wrong sign makes the
+    joint push where it should yield. Only objects that the drive has are compared, and none is written here.
     """
     _check_polarity(session, node)
     _check_counts(session, node)
@@ -275,13 +288,13 @@ def bring_up(
     stopped: Callable[[], str | None] = lambda: None,
     identify: Identify = lambda axis, role, serial_number: None,
 ) -> Report:
-    """Configure and start all nodes of `axes`; on return they are operational, drives disabled.
+    """Configure and start all nodes of `axes`; on return they are operational and the drives are disabled.
 
     Args:
-        period: of the SYNC, s.
-        reset_faults: True resets drives found in fault; otherwise they stay in fault unless the loop `resets_later`.
+        period: SYNC period, s.
+        reset_faults: True resets drives found in fault. Otherwise they stay in fault, unless the loop `resets_later`.
         tell: receives a text for each stage of the bring-up.
-        stopped: returns the reason if the bring-up must end.
+        stopped: returns a reason if the bring-up must end, otherwise None.
         identify: called for each node before anything is written to it; it may reject the node.
 
     Raises:
@@ -289,7 +302,7 @@ def bring_up(
         UsageError: the configuration is wrong (load, contradictions, rated torque).
         BusError: the bus or a node failed; the message ends with the emergencies of the nodes.
     """
-    budget.check(settings, axes_of(settings, axes), 1.0 / period)  # of several buses the first one's
+    budget.check(settings, axes_of(settings, axes), 1.0 / period)  # checks the first bus if there are several
     check_node_ids(settings, axes)
     nodes = list(_nodes(axes, profiles))
     plans = [_plan(node, settings, period) for node in nodes]
@@ -323,7 +336,7 @@ def bring_up(
         except BaseException as error:
             if isinstance(error, TsaError) and not isinstance(error, StoppedError):
                 error.args = (f"{error}{_what_they_said(session, nodes)}",)
-            with contextlib.suppress(TsaError):  # the first cause is the one to report
+            with contextlib.suppress(TsaError):  # only the first error is reported
                 _leave(session, nodes, settings)
             raise
     return Report(tuple(reports))
@@ -346,7 +359,7 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
 
 
 def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
-    """Raise an error if another master is active; stop the SYNC of a drive if its profile permits that."""
+    """Raise BusError if another master is active; stop the SYNC of a drive if its profile permits that."""
     rpdos = [layout_of(node.axis.drive).rpdo_id for node in nodes if node.role is Role.DRIVE]
     heard = session.listen(rpdos)
     if heard != {cia301.SYNC}:
@@ -362,9 +375,9 @@ def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
 
 
 def _look_at(session: Session, nodes: Sequence[Node], tell: Tell, identify: Identify) -> set[int]:
-    """Ask who is there already, and refuse a wrong device while nothing but questions was sent; returns their ids.
+    """Return the ids of the nodes that already answer; reject a wrong device before anything is written.
 
-    A drive that is found enabled is switched off: a reset would take its watchdogs and leave it so.
+    An enabled drive is switched off first, because a reset would disarm its watchdogs and leave it enabled.
     """
     there: set[int] = set()
     silent: set[int] = set()
@@ -374,7 +387,7 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell, identify: Iden
             continue
         tell(f"asking {node.name} who it is")
         if session.ask(node.node_id, objects.DEVICE_TYPE) is None:
-            silent.add(node.node_id)  # off, booting, or stopped: it is looked at after its reset
+            silent.add(node.node_id)  # off, booting or stopped: checked after its reset
             continue
         there.add(node.node_id)
         report = NodeReport(node.name)
@@ -473,14 +486,14 @@ def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> Non
 
 
 def _what_they_said(session: Session, nodes: Sequence[Node]) -> str:
-    """Return the last emergency of each node since the session began, as the end of a message."""
+    """Return the last emergency of each node in this session, as the end of an error message."""
     names = {node.node_id: node.name for node in nodes}
     last = [f"{name} sent {session.emcys(node_id)[-1]}" for node_id, name in names.items() if session.emcys(node_id)]
     return f"; meanwhile {', and '.join(last)}" if last else ""
 
 
 def _leave(session: Session, nodes: Sequence[Node], settings: BusSettings) -> None:
-    """Disarm the nodes that were addressed and set them pre-operational; a drive that is on is set to stopped."""
+    """Disarm the addressed nodes and set them pre-operational; a drive that is still on gets NMT stop instead."""
     for node in nodes:
         if node.node_id not in session.touched:
             continue
@@ -488,7 +501,7 @@ def _leave(session: Session, nodes: Sequence[Node], settings: BusSettings) -> No
         if node.role is Role.DRIVE:
             try:
                 if is_on(session, node):
-                    command = NmtCommand.STOP  # which its reaction to a lost connection (0x6007) answers to
+                    command = NmtCommand.STOP  # triggers its reaction to a lost connection (0x6007)
                 else:
                     release_heartbeat(session, node.node_id, settings.host_node_id)
             except TsaError:

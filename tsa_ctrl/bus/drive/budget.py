@@ -1,7 +1,9 @@
-"""Bus load from the configured bit rate: a virtual bus has none, and a real one only fails when it is too late.
+"""Compute the bus load from the configured bit rate.
 
-A data frame with an 11-bit identifier and n bytes takes 47 + 8 n bits (CAN 2.0A with interframe space), and at worst
-floor((33 + 8 n) / 4) stuff bits more.
+A virtual bus has no bit rate, and a real bus shows an overload only while the loop runs.
+
+A data frame with an 11-bit identifier and n bytes takes 47 + 8 n bits (CAN 2.0A with interframe space). Bit stuffing
+adds at most floor((33 + 8 n) / 4) bits.
 """
 
 from __future__ import annotations
@@ -19,22 +21,22 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.errors import UsageError
 
 BITRATES = (125_000, 250_000, 500_000, 800_000, 1_000_000)  # bit/s, of CiA 301
-LOWEST_RATE = 10  # Hz, of [controller] rate
+LOWEST_RATE = 10  # Hz, lower limit of [controller] rate
 
 
 def frame_bits(length: int) -> tuple[int, int]:
-    """Bits on the wire of a frame with `length` bytes: without and with the worst bit stuffing."""
+    """Return the bits on the wire of a frame with `length` data bytes, without and with worst-case bit stuffing."""
     bits = 47 + 8 * length
     return bits, bits + (33 + 8 * length) // 4
 
 
 @dataclass(frozen=True)
 class Load:
-    """Bits per cycle and per second (heartbeats) of one bus; loads are fractions of the bit rate."""
+    """Bits per cycle and per second (heartbeats) on one bus. Loads are fractions of the bit rate."""
 
     bitrate: int  # bit/s
     rate: float  # Hz, of SYNC
-    cycle_bits: tuple[float, float]  # without, with worst stuffing; of PDOs that come seldom their share
+    cycle_bits: tuple[float, float]  # without and with worst-case stuffing; a PDO every n SYNCs counts as 1/n
     background: float  # bit/s, worst case
 
     @property
@@ -46,15 +48,15 @@ class Load:
         return (self.cycle_bits[1] * self.rate + self.background) / self.bitrate
 
     def highest_rate(self, max_load: float) -> float:
-        """Hz that stay within `max_load` in the worst case; 0 when not even the background fits."""
+        """Return the highest SYNC rate (Hz) within `max_load` in the worst case; 0 if heartbeats alone exceed it."""
         return max(0.0, (self.bitrate * max_load - self.background) / self.cycle_bits[1])
 
 
 def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
     """Return the load of these axes at `rate` (Hz): SYNC, PDOs at their own rates, and all heartbeats."""
-    frames = [(0, 1)]  # bytes, and SYNCs from one to the next
+    frames = [(0, 1)]  # data bytes, and SYNCs from one frame to the next
     background = frame_bits(1)[1] / settings.host_heartbeat_period
-    counted: set[int] = set()  # nodes that two axes share talk once
+    counted: set[int] = set()  # nodes that two axes share send one heartbeat
     for axis in axes:
         layout = layout_of(axis.drive)
         pdos = [layout.command, layout.motion, layout.position]
@@ -72,7 +74,7 @@ def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
 
 
 def fits(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> bool:
-    """Return True if the bit rate carries `rate` (Hz) with the worst bit stuffing."""
+    """Return True if the bit rate is sufficient for `rate` (Hz) with worst-case bit stuffing."""
     return load(settings, axes, rate).worst <= settings.max_load
 
 
@@ -80,7 +82,7 @@ A = TypeVar("A", bound=AxisNodes)
 
 
 def fitted(settings: BusSettings, axes: Sequence[A], rate: float) -> tuple[A, ...]:
-    """Return the axes with the torque sensors' `every`: 2 where the file leaves it open and the bit rate needs it."""
+    """Return the axes with `every` of each torque sensor set: 1, or 2 if the bit rate requires it; set values stay."""
 
     def answering(every: int) -> tuple[A, ...]:
         return tuple(
@@ -102,9 +104,9 @@ Others = Sequence[tuple[BusSettings, Sequence[AxisNodes]]]  # further buses with
 
 
 def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> list[str]:
-    """Return the changes of the file after which `check` passes for this bus; each of them is enough.
+    """Return changes to the file after which `check` passes for this bus; each one is sufficient.
 
-    `others`: buses to which an axis may be moved.
+    `others` are buses to which an axis may be moved.
     """
     found = list(_moves(settings, axes, rate, others))[:1]
     shorter, seldom = lean(axes), [_every_second(axis) for axis in axes]
@@ -128,7 +130,7 @@ def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, o
 
 
 def _moves(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others) -> Iterator[str]:
-    """Yield each axis that another bus has room for, if its own bus then carries the rest."""
+    """Yield a remedy for each axis that fits on another bus, if its own bus can then carry the rest."""
     for axis in axes:
         rest = [each for each in axes if each is not axis]
         for other, there in others:
@@ -143,9 +145,9 @@ def _every_second(axis: AxisNodes) -> AxisNodes:
 
 
 def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others: Others = ()) -> Load:
-    """Return the load; raises UsageError with the figures if the bit rate cannot carry the rate.
+    """Return the load; raise UsageError with the figures if the bit rate is too low for `rate` (Hz).
 
-    `others`: buses to which an axis may be moved.
+    `others` are buses to which an axis may be moved.
     """
     result = load(settings, axes, rate)
     if result.worst > settings.max_load:

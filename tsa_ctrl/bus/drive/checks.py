@@ -1,4 +1,4 @@
-"""Check a node before anything is written to it, and afterwards; report what limits its torque."""
+"""Check a node before and after the writes, name remedies for rejected objects, and report limits of its torque."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, SdoRefusedError, Session
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
-# Remedies: for each object that a node refuses, which line to write in which file.
+# Remedies: the line to write, and its file, for each object that a node rejects.
 
 _NO_OBJECT = frozenset({0x06020000, 0x06090011})
 _READ_ONLY = frozenset({0x06010000, 0x06010002})
 _STATE = frozenset({0x08000022, 0x08000021, 0x08000020, 0x06060000})
 _NOT_MAPPABLE = frozenset({0x06040041, 0x06040042})
-_COUNTED_RPDOS = 4  # at most by rpdo_count of a profile
+_COUNTED_RPDOS = 4  # limit of rpdo_count in a profile
 
 _REACTIONS = {
     objects.QUICK_STOP_OPTION.key: "quick_stop",
@@ -44,7 +44,7 @@ _SETTINGS = {  # key of the controller file that determines the value of an obje
     objects.POLARITY.key: "polarity in [axis.drive]",
     objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
 }
-_SPECIAL = {  # objects for which `absent` alone is not enough
+_SPECIAL = {  # objects that need more than a line in `absent`
     objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile}, if it knows node guarding alone',
     **dict.fromkeys(
         (entry.key for entry in OFFSETS),
@@ -72,7 +72,7 @@ def profile_of(drive: DriveSettings) -> str:
 
 
 def cure(entry: Object, node: NodeSettings, profile: DriveProfile, code: int | None = None) -> str:
-    """Return the remedy for an object that a node refused with this abort code; None: accepted, but not stored."""
+    """Return the remedy for an object that a node rejected with this abort code; None: accepted, but not stored."""
     if not isinstance(node, DriveSettings):
         return "check that this is the sensor that the configuration means: node_id, vendor_id, product_code"
     plain = entry.of(2 - node.slot) if node.slot > 1 else entry
@@ -131,7 +131,7 @@ def _absent(entry: Object) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """One written object with its values before and after. `after` is None for an object that the node lacks."""
+    """An object of a plan, with its values before and after. `after` is None if the node lacks the object."""
 
     entry: Object
     before: int | None
@@ -157,8 +157,8 @@ class NodeReport:
     node_id: int = 0
     identity: dict[str, int] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
-    digital_inputs: Object | None = None  # 0x60FD, of a drive that has it
-    notes: list[str] = field(default_factory=list)  # errors that the node remembers, things that could not be checked
+    digital_inputs: Object | None = None  # 0x60FD, if the drive has it
+    notes: list[str] = field(default_factory=list)  # stored errors of the node, and checks that were not possible
 
     @property
     def serial_number(self) -> int | None:
@@ -179,7 +179,7 @@ class NodeReport:
 
 @dataclass(frozen=True)
 class Report:
-    """All nodes of one bus."""
+    """The reports of all nodes."""
 
     nodes: tuple[NodeReport, ...]
 
@@ -188,11 +188,11 @@ class Report:
 
 
 BOOT_TIMEOUT = 3.0  # s, from reset communication to the boot-up message of a sensor
-_SEVERAL = 0xFFFF  # in either word of the device type: a device of several axes
+_SEVERAL = 0xFFFF  # in either word of the device type: the device has several axes
 _MODE_TIMEOUT = 1.0  # s, until 0x6061 shows the mode written to 0x6060
-_OFF_TIMEOUT = 1.0  # s, until a drive found enabled is off
-_POLL = 0.01  # s, between two looks at an object that will change
-_RATED_TOLERANCE = 0.005  # relative, of 0x6076 against the configuration
+_OFF_TIMEOUT = 1.0  # s, until a drive that was found enabled is disabled
+_POLL = 0.01  # s, between two reads of an object that is about to change
+_RATED_TOLERANCE = 0.005  # relative difference between 0x6076 and the configuration
 
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
@@ -202,7 +202,7 @@ _EXPECTED = {Role.DRIVE: Profile.DRIVE, Role.ENCODER: Profile.ENCODER, Role.TORQ
 
 @dataclass(frozen=True)
 class Node:
-    """One node of one axis, as configured."""
+    """One node of an axis, with its settings."""
 
     axis: AxisNodes
     profile: DriveProfile
@@ -222,12 +222,12 @@ class Node:
 
     @property
     def boot_timeout(self) -> float:
-        """s"""
+        """Return the time from a reset to the boot-up, s."""
         return self._patience(self.settings.boot_timeout, self.profile.boot_timeout, BOOT_TIMEOUT)
 
     @property
     def answer_timeout(self) -> float:
-        """s"""
+        """Return the longest time until an SDO answer, s."""
         return self._patience(self.settings.answer_timeout, self.profile.answer_timeout, ANSWER_TIMEOUT)
 
     def _patience(self, given: float | None, of_profile: float, default: float) -> float:
@@ -237,7 +237,7 @@ class Node:
 
     @property
     def is_guarded(self) -> bool:
-        """Asked for its state by node guarding: it has no heartbeat."""
+        """Return True if the drive is supervised by node guarding, because it has no heartbeat."""
         return self.role is Role.DRIVE and self.profile.supervision == "guarding"
 
     @property
@@ -245,11 +245,11 @@ class Node:
         return profile_of(self.axis.drive)
 
     def cure(self, entry: Object, code: int | None) -> str:
-        """Return the remedy for an object that it rejects."""
+        """Return the remedy for an object that the node rejects."""
         return cure(entry, self.settings, self.profile, code)
 
     def read(self, session: Session, entry: Object) -> int:
-        """Return the value of an object of this axis; raises BusError."""
+        """Return the value of an object of this axis; raise BusError if the node lacks it."""
         return session.read(self.node_id, entry.of(self.axis.drive.slot))
 
     def look(self, session: Session, entry: Object) -> int | None:
@@ -257,11 +257,11 @@ class Node:
         return session.read_if_there(self.node_id, entry.of(self.axis.drive.slot))
 
     def write(self, session: Session, entry: Object, value: int) -> None:
-        """Write an object of this axis; raises BusError."""
+        """Write an object of this axis; raise BusError if the node rejects it."""
         session.write(self.node_id, entry.of(self.axis.drive.slot), value)
 
     def state(self, session: Session) -> PowerState:
-        """Return the state of the drive."""
+        """Return the power state of the drive."""
         return cia402.decode(self.read(session, objects.STATUSWORD))
 
 
@@ -313,7 +313,7 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
 
 
 def read_errors(session: Session, node: Node, report: NodeReport) -> None:
-    """Note the error register (0x1001) and history (0x1003)."""
+    """Note the error register (0x1001) and the newest entry of the error history (0x1003) in the report."""
     node_id = node.settings.node_id
     register = session.read_if_there(node_id, objects.ERROR_REGISTER)
     if register:
@@ -325,12 +325,12 @@ def read_errors(session: Session, node: Node, report: NodeReport) -> None:
 
 
 def is_on(session: Session, node: Node) -> bool:
-    """Return True if a drive has power on its motor."""
+    """Return True if the motor of a drive is powered."""
     return node.state(session) in _ON
 
 
 def switch_off(session: Session, node: Node) -> None:
-    """Switch off an enabled drive, whose PDOs must not be remapped; raises BusError if it stays on."""
+    """Switch off an enabled drive, because its PDOs must not be remapped; raise BusError if it stays enabled."""
     if not is_on(session, node):
         return
     node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
@@ -339,7 +339,7 @@ def switch_off(session: Session, node: Node) -> None:
 
 
 def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
-    """Reset a drive that is in fault by a rising edge of bit 7, by SDO; raise BusError if the fault stays."""
+    """Reset a drive in fault by SDO with a rising edge of bit 7; raise BusError if the fault stays."""
     if node.state(session) not in _FAULTY:
         return
     found = _error(session, node)
@@ -357,9 +357,17 @@ def _error(session: Session, node: Node) -> str:
 
 
 def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) -> None:
-    """State, supported modes (0x6502), rated torque (0x6076) and reactions of a drive; raises BusError.
+    """Check the state, the supported modes (0x6502) and the rated torque (0x6076) of a drive.
 
-    `resets`: the loop that follows resets a drive in fault, as in a recovery.
+    Args:
+        session: open session.
+        node: the drive.
+        report: receives notes on a fault and on missing objects.
+        resets: True if the loop that follows resets a drive in fault, as in a recovery.
+
+    Raises:
+        BusError: the drive lacks cyclic synchronous torque or its rated torque.
+        UsageError: the rated torque differs from the configuration.
     """
     if node.state(session) in _FAULTY:
         what = "it is reset now" if resets else "it must be reset before it can enable: --reset-faults"
@@ -374,13 +382,13 @@ def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) 
 
 
 def find_inputs(session: Session, node: Node, report: NodeReport) -> None:
-    """Note if the drive has digital inputs (0x60FD), at one of which an emergency stop may be wired."""
+    """Store the digital inputs (0x60FD) in the report if the drive has them: an emergency stop may be wired to one."""
     if node.profile.has(objects.DIGITAL_INPUTS) and node.look(session, objects.DIGITAL_INPUTS) is not None:
         report.digital_inputs = objects.DIGITAL_INPUTS.of(node.axis.drive.slot)
 
 
 def _instead(modes: int) -> str:
-    """Return the reason why a drive without cyclic synchronous torque is rejected."""
+    """Return the reason for rejecting a drive without cyclic synchronous torque, and the remedy."""
     others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]
     has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
     return (
@@ -391,7 +399,7 @@ def _instead(modes: int) -> str:
 
 
 def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> None:
-    """0x6076 against the configuration: all torques are per mille of it."""
+    """Compare the rated torque (0x6076) with the configuration, because all torques are in per mille of it."""
     if not node.profile.has(objects.RATED_TORQUE):
         report.notes.append("has no rated torque (0x6076) to compare with the configuration")
         return
@@ -414,7 +422,7 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
 
 
 def rated_torque_hint(found: float, wanted: float) -> str:
-    """Return the typical mistake that the ratio shows, or an empty text."""
+    """Return the typical mistake that the ratio of two rated torques indicates, or an empty text."""
     if found <= 0.0:
         return ""
     ratio = found / wanted
@@ -431,7 +439,7 @@ def rated_torque_hint(found: float, wanted: float) -> str:
 
 
 def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None:
-    """Raise UsageError if resolution or range of an encoder (0x6001, 0x6002) differ from the configuration."""
+    """Raise UsageError if the resolution (0x6001) or range (0x6002) of an encoder differs from the configuration."""
     for entry, wanted, key in (
         (objects.MEASURING_UNITS, encoder.counts_per_revolution, "counts_per_revolution"),
         (objects.TOTAL_RANGE, encoder.counts_range, "counts_range"),
@@ -443,10 +451,14 @@ def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None
 
 
 def confirm_mode(session: Session, node: Node, now: str) -> None:
-    """0x6061 displays cyclic synchronous torque, where the drive shows it by `now`; raises BusError."""
+    """Wait until 0x6061 reports cyclic synchronous torque; raise BusError if it does not.
+
+    `now` is the stage reached, "written" or "operational". A drive that reports its mode only at a later stage is not
+    checked.
+    """
     when = node.profile.mode_shows
     if when == "enabled" or (when == "operational" and now == "written"):
-        return  # the supervisor holds the torque at 0 until it does
+        return  # the supervisor holds the torque at 0 until the mode is displayed
     wanted = Mode.CYCLIC_SYNC_TORQUE
     if not _poll(session, lambda: node.read(session, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
         found = node.read(session, objects.MODE_DISPLAY)
@@ -459,7 +471,7 @@ def confirm_mode(session: Session, node: Node, now: str) -> None:
 
 
 def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> None:
-    """Check that the drive stops if this computer fails; raises BusError unless the check is waived."""
+    """Check that the drive stops if this computer fails; raise BusError unless require_watchdog is false."""
     there = {row.entry.key for row in report.rows if row.after is not None}
     watched = any(write.watchdog and write.entry.key in there for write in plan)
     reacts = objects.CONNECTION_LOSS.of(node.axis.drive.slot).key in there
@@ -492,7 +504,7 @@ def _poll(session: Session, reached: Callable[[], bool], timeout: float) -> bool
     return True
 
 
-_SLOW_RAMP = 0.1  # s from zero to max_torque; a faster ramp is over before the joint has moved
+_SLOW_RAMP = 0.1  # s from zero to max_torque; a faster ramp ends before the joint has moved
 
 
 def check_torque_path(
@@ -501,9 +513,9 @@ def check_torque_path(
     """Read the objects of the torque path that the plan does not write.
 
     Args:
-        session: an open session; nothing is written.
+        session: open session; this function only reads.
         node: the drive.
-        written: keys of the objects that the plan writes; they are left out.
+        written: keys of the objects that the plan writes, which are skipped.
 
     Returns:
         Rows of the objects to watch while the loop runs, and a note for each object that limits or ramps the torque.
@@ -529,7 +541,7 @@ def check_torque_path(
 
 
 def _effect(influence: Influence, found: int, node: Node) -> str:
-    """Return the effect of a value on the torque, or an empty text if it has none."""
+    """Return the limit or the ramp that a value imposes on the torque, or an empty text."""
     drive = node.axis.drive
     most = drive_scale(drive, node.profile, f"axis '{node.axis.name}'").max_torque_digits
     rated = drive.rated_torque * drive.gear_ratio / PER_MILLE

@@ -1,4 +1,4 @@
-"""Assign a node id by LSS (CiA 305) to a drive that has none. The drive must be the only node on the bus."""
+"""Assign a node id by LSS (CiA 305) to a drive without one. The drive must be the only node on the bus."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ _WAITING, _CONFIGURING = 0, 1
 _INQUIRE = {"vendor": 0x5A, "product code": 0x5B, "revision": 0x5C, "serial number": 0x5D}
 _INQUIRE_NODE_ID = 0x5E
 _ANSWER_TIMEOUT = 0.5  # s
-_SECOND = 0.1  # s, in which a second node would also answer
+_SECOND = 0.1  # s, in which the answer of a second node would arrive
 _LISTENING = 0.5  # s, in which other nodes on the bus are detected
 _BOOT_TIMEOUT = 5.0  # s
 
 
 @dataclass(frozen=True)
 class Found:
-    """The only node that answers to LSS: its identity (0x1018), and its id, or None if it has none."""
+    """The only node that answers LSS: its identity (0x1018), and its node id or None."""
 
     identity: dict[str, int]
     node_id: int | None
 
 
 def find(bus: Bus) -> Found:
-    """Ask who is there; raises BusError for no node, or more than one. Leaves it waiting, as it was."""
+    """Return the only node on the bus, and leave it in LSS waiting state; raise BusError for no node or several."""
     _quiet(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
@@ -41,7 +41,16 @@ def find(bus: Bus) -> Found:
 
 
 def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line: None) -> Found:
-    """Give the one node on the bus an id and have it keep it; returns the earlier one. Raises BusError."""
+    """Set and store the node id of the only node on the bus, and return its earlier state.
+
+    Args:
+        bus: an open bus.
+        node_id: new node id.
+        say: receives a text if a reset or a power cycle is needed.
+
+    Raises:
+        BusError: no node or more than one answers, or the node cannot take or store the id.
+    """
     found = find(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
@@ -62,7 +71,7 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
 
 
 def _quiet(bus: Bus) -> None:
-    """Raise BusError if other traffic shows that the drive is not alone or that a master is active."""
+    """Raise BusError if traffic shows another node or an active master."""
     bus.accept(None)
     bus.flush()
     end = bus.clock() + _LISTENING
@@ -86,7 +95,7 @@ def _send(bus: Bus, *data: int) -> None:
 
 
 def _ask(bus: Bus, request: bytes) -> bytes:
-    """Return the answer to a request; raises BusError without an answer and for a second one."""
+    """Return the answer to a request; raise BusError if no node or more than one answers."""
     bus.flush()
     _send(bus, *request)
     first = _receive(bus, request[0], _ANSWER_TIMEOUT)

@@ -22,11 +22,11 @@ from tsa_ctrl.bus.wire.bus import REMOTE_FLAG, Bus, BusGroup
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.errors import UsageError
 
-_OWN_IDENTIFIERS = 2  # axes of a device for which its own PDO identifiers suffice
+_OWN_IDENTIFIERS = 2  # number of axes of a device for which its own PDO identifiers suffice
 
 
 def layout_of(drive: DriveSettings, profile: DriveProfile | None = None) -> DriveLayout:
-    """Return the PDOs of a drive by its place in its device, without the objects that its profile lists as absent."""
+    """Return the PDOs of a drive for its slot in the device, without objects that its profile lists as absent."""
     layout = drive_layout(drive.node_id, drive.slot, drive.pdo_node_id, drive.pdo == "lean")
     if profile is None or profile.has(objects.ERROR_CODE):
         return layout
@@ -39,7 +39,7 @@ def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
 
 
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
-    """Raise UsageError if two nodes have one id, except for axes of one device and an encoder of two axes."""
+    """Raise UsageError if two nodes share an id, unless they are axes of one device or one encoder of two axes."""
     owners: dict[int, tuple[str, NodeSettings | None]] = {
         settings.host_node_id: ("[bus] host_node_id", None),
     }
@@ -113,17 +113,17 @@ def _check_slots(axes: Sequence[AxisNodes]) -> None:
                 )
 
 
-OWN = frozenset({"name", "interface", "channel", "bitrate", "options", "max_load", "send_queue"})  # keys of one bus
+OWN = frozenset({"name", "interface", "channel", "bitrate", "options", "max_load", "send_queue"})  # specific to a bus
 A = TypeVar("A", bound=AxisNodes)
 
 
 def axes_of(bus: BusSettings, axes: Sequence[A]) -> tuple[A, ...]:
-    """Return the axes on a bus; an axis that names no bus is on the only one."""
+    """Return the axes on a bus; an axis without a bus name is on the only bus."""
     return tuple(axis for axis in axes if axis.bus is None or axis.bus == bus.name)
 
 
 def check_buses(buses: Sequence[BusSettings], axes: Sequence[AxisNodes]) -> None:
-    """Check that each axis is on one bus, and that one cycle can run over all buses; raises UsageError."""
+    """Check that each axis is on one bus, and that one cycle can serve all buses; raise UsageError if not."""
     names = [bus.name for bus in buses]
     if len(buses) == 1 and not names[0]:
         named = [axis for axis in axes if axis.bus is not None]
@@ -162,7 +162,7 @@ def check_buses(buses: Sequence[BusSettings], axes: Sequence[AxisNodes]) -> None
 
 
 def _check_nodes(axes: Sequence[AxisNodes]) -> None:
-    """Raise UsageError if a node of one bus has the id of a node of another bus."""
+    """Raise UsageError if two nodes on different buses have the same id."""
     owners: dict[int, AxisNodes] = {}
     for axis in axes:
         for _, node in axis.nodes():
@@ -195,7 +195,7 @@ def joined(wires: Sequence[Bus], buses: Sequence[BusSettings], axes: Sequence[Ax
 
 
 def open_buses(buses: Sequence[BusSettings], axes: Sequence[AxisNodes]) -> Bus:
-    """Open the configured buses and return them as one bus; raises BusError if one is not ready."""
+    """Open the configured buses and return them as one bus; raise BusError if one is not ready."""
     with ExitStack() as opened:
         wires = []
         for settings in buses:

@@ -1,5 +1,6 @@
-"""List the objects written to each node before it may move: pure functions from settings to a list of writes, in
-order.
+"""List the objects written to each node before it may move.
+
+Pure functions turn settings into a list of writes in order.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from tsa_ctrl.bus.settings import (
 )
 from tsa_ctrl.errors import UsageError
 
-_NO_REMOTE = 0x40000000  # bit 30 of a TPDO's COB-ID: no remote frames; drives insist on their own choice
-_COB_ID_BITS = 0x7FFFFFFF  # all but "invalid"
+_NO_REMOTE = 0x40000000  # bit 30 of a TPDO's COB-ID: no remote frames; drives do not let others change it
+_COB_ID_BITS = 0x7FFFFFFF  # all bits except "invalid"
 _CONNECTION_LOSS = {"fault": 1, "disable_voltage": 2, "quick_stop": 3}  # values of 0x6007
-_MILLISECONDS = -3  # the exponent of 0x60C2 that every drive takes, some of them no other
+_MILLISECONDS = -3  # exponent of 0x60C2 that every drive accepts; some accept no other
 _MAX_EXPONENT, _MIN_EXPONENT = 0, -9
-# Other sufficient values if a drive rejects our value: each of these ends without torque.
+# Equivalent values if a drive rejects ours: with each of them the drive ends without torque.
 _ENDS_WITHOUT_TORQUE = frozenset(range(5))  # 0x605A to 0x605E
 _REACTS = frozenset({1, 2, 3})  # 0x6007: fault, disable voltage, quick stop
 _LEAVES_OPERATIONAL = frozenset({0, 2})  # 0x1029: pre-operational, stopped
-_ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which means nothing; inhibit time of emergencies
+_ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which has no effect; inhibit time of emergencies
 
 
 def drive_plan(
     nodes: AxisNodes, profile: DriveProfile, scale: DriveScale, settings: BusSettings, period: float
 ) -> list[Write]:
-    """Return the writes of a drive at a SYNC period in s; raises UsageError when the settings contradict each other."""
+    """Return the writes of a drive at a SYNC period in s; raise UsageError if the settings contradict each other."""
     drive = nodes.drive
     where = f"axis '{nodes.name}'"
     _check_timeouts(drive, settings, period, where)
@@ -74,7 +75,8 @@ def drive_plan(
         *pdo_writes(layout.position, layout.node_id, layout.position.every),
         *spare_pdos(received=True, first=2, last=profile.rpdo_count, slot=drive.slot),
         *spare_pdos(received=False, first=3, last=profile.tpdo_count, slot=drive.slot),
-        # Without it the unit of 0x606C would only be believed: then the profile must list it as absent.
+        # Without 0x60A9 the unit of 0x606C cannot be verified. It is optional only if 0x606C is not used; otherwise the
+        # profile must list it as absent.
         *([] if si_code is None else [Write(objects.VELOCITY_UNIT, si_code, optional=drive.differentiates)]),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
@@ -93,7 +95,7 @@ def drive_plan(
 
 
 def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings) -> list[Write]:
-    """Return the writes by which the drive and this computer supervise each other."""
+    """Return the writes that set up the mutual supervision of the drive and this computer."""
     if profile.supervision == "guarding":
         guard_time = milliseconds(settings.host_heartbeat_period)
         factor = max(1, round(milliseconds(drive.host_timeout) / guard_time))
@@ -109,9 +111,10 @@ def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings
 
 
 def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
-    """Return the writes that undo SYNC settings of other tools: no counter, no window, no SYNC producer.
+    """Return the writes that undo the SYNC settings of other tools: no counter, no window, no SYNC producer.
 
-    `needs_period`: the node needs the period. The counter can be written only while it is not (CiA 301).
+    If `needs_period`, the period (s) is written last, because the counter can be changed only while 0x1006 is 0 (CiA
+    301).
     """
     writes = [
         Write(objects.SYNC_COB_ID, SYNC, optional=True, kept=COB_ID_INVALID),
@@ -125,9 +128,9 @@ def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
 
 
 def emcy_writes(node_id: int) -> list[Write]:
-    """Return the writes that let emergencies come at once, and under the identifier that is listened to.
+    """Return the writes that make a node send emergencies without delay and with the expected identifier.
 
-    Source: CiA 301, 7.5.2.17 and 7.5.2.18; an identifier changes only while it is not valid.
+    The identifier can be changed only while it is not valid. Source: CiA 301, 7.5.2.17 and 7.5.2.18.
     """
     return [
         Write(objects.EMCY_INHIBIT, 0, optional=True, fine=_ANY),
@@ -145,8 +148,8 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
     if clamp.rated_index is not None:
         rated = Object(clamp.rated_index, clamp.rated_subindex, type_, f"{clamp.name} at rated torque")
         return Write(entry, per_mille, rated=rated)
-    assert clamp.rated is not None  # load_profile sees to it
-    value = clamp.zero + int((clamp.rated - clamp.zero) * per_mille / PER_MILLE)  # towards no torque
+    assert clamp.rated is not None  # load_profile ensures this
+    value = clamp.zero + int((clamp.rated - clamp.zero) * per_mille / PER_MILLE)  # rounded towards zero torque
     if not type_.low <= value <= type_.high:
         raise UsageError(
             f"{where}: max_torque is {per_mille} per mille of the rated torque, {value} of '{clamp.name}', which takes "
@@ -177,7 +180,7 @@ def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
 
 
 def pdo_writes(layout: Pdo, node_id: int, transmission: int, *timers: Write) -> list[Write]:
-    """Return the mapping procedure of CiA 301: disable, count 0, map, count, transmission and timers, enable."""
+    """Return the mapping procedure (CiA 301) as writes: disable, count 0, map, count, transmission, timers, enable."""
     cob_id = layout.communication(1, Type.U32, "COB-ID")
     kept = 0 if layout.received else _NO_REMOTE
     writes = [
@@ -196,7 +199,7 @@ def pdo_writes(layout: Pdo, node_id: int, transmission: int, *timers: Write) -> 
 
 
 def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Write]:
-    """Switch off the unused PDOs: they would only load the bus."""
+    """Return writes that disable unused PDOs, because they would only add to the bus load."""
     return [
         Write(
             Pdo(number, received, ()).of(slot).communication(1, Type.U32, "COB-ID"),
@@ -209,7 +212,7 @@ def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Wri
 
 
 def is_rate(rate: float) -> bool:
-    """Return True if a drive accepts the period of this rate in Hz."""
+    """Return True if the period of this rate (Hz) can be written to a drive."""
     try:
         interpolation_period(1.0 / rate)
     except UsageError:
@@ -218,9 +221,9 @@ def is_rate(rate: float) -> bool:
 
 
 def interpolation_period(period: float) -> tuple[int, int]:
-    """Return `period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number.
+    """Return `period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raise UsageError if it cannot be represented.
 
-    In milliseconds if they are whole numbers, because some drives accept no other exponent.
+    Whole milliseconds use the exponent -3, because some drives accept no other.
     """
     for exponent in (_MILLISECONDS, *range(_MAX_EXPONENT, _MIN_EXPONENT - 1, -1)):
         mantissa = round(period / 10.0**exponent)
@@ -233,7 +236,7 @@ def interpolation_period(period: float) -> tuple[int, int]:
 
 
 def milliseconds(seconds: float) -> int:
-    """Return whole milliseconds, at least 1."""
+    """Return a time as whole milliseconds, at least 1."""
     return max(1, round(1e3 * seconds))
 
 
@@ -251,7 +254,7 @@ def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, 
 
 
 def check_against_eds(profile: DriveProfile, plan: Iterable[Write]) -> list[str]:
-    """Compare a plan with the EDS of the drive, if its profile names one; raises UsageError when they contradict."""
+    """Return notes on a plan from the EDS of the drive, if its profile has one; raise UsageError for contradictions."""
     if profile.eds is None:
         return []
     from tsa_ctrl.bus.canopen.eds import check_plan, read_eds  # canopen is slow to import

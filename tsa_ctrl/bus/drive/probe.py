@@ -1,6 +1,7 @@
-"""Read the capabilities of a drive by SDO uploads alone, and write them as a profile with comments for its completion.
+"""Read the capabilities of a drive by SDO uploads, and write them as a profile with comments for its completion.
 
-Nothing is written or moved, and no SYNC is sent."""
+The probe writes nothing to the drive, moves nothing, and sends no SYNC.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from tsa_ctrl.errors import BusError
 _NAME = Object(0x1008, 0, Type.U32, "device name")
 _HARDWARE = Object(0x1009, 0, Type.U32, "hardware version")
 _SOFTWARE = Object(0x100A, 0, Type.U32, "software version")
-CURRENT_NOMINAL = Object(0x3001, 1, Type.U32, "nominal current")  # of an EPOS4
+CURRENT_NOMINAL = Object(0x3001, 1, Type.U32, "nominal current")  # of an EPOS4 drive
 CURRENT_LIMIT = Object(0x3001, 2, Type.U32, "output current limit")
 
 READ: tuple[Object, ...] = (
@@ -34,7 +35,7 @@ READ: tuple[Object, ...] = (
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, CURRENT_NOMINAL,
     CURRENT_LIMIT, *(influence.entry for influence in cia402.TORQUE_PATH if influence.entry != objects.RATED_TORQUE),
 )  # fmt: skip
-PATIENCE = 2.0  # s, for an answer: four times the limit of a bring-up, because nothing moves during a probe
+PATIENCE = 2.0  # s, for an answer: four times the limit of the bring-up, because nothing moves during a probe
 _SLOTS = 8
 _PDOS = 4
 _NEEDED = (objects.STATUSWORD, objects.CONTROLWORD, objects.TARGET_TORQUE, objects.TORQUE_ACTUAL)
@@ -42,8 +43,11 @@ _NEEDED = (objects.STATUSWORD, objects.CONTROLWORD, objects.TARGET_TORQUE, objec
 
 @dataclass
 class Probe:
-    """Hold the answers of one axis of a drive. `values`: of the objects that it has; `lengths`: bytes where they are
-    unusual.
+    """The answers of one axis of a drive.
+
+    Attributes:
+        values: raw values of the objects that the drive has.
+        lengths: length in bytes of each answer that differs from the size of the object's type.
     """
 
     node_id: int
@@ -54,8 +58,8 @@ class Probe:
     slots: list[int] = field(default_factory=list)  # axes of the device
     rpdos: int = 0
     tpdos: int = 0
-    mapped: dict[str, list[int]] = field(default_factory=dict)  # entries of the first PDOs, as they are now
-    slowest: float = 0.0  # s, of the answers
+    mapped: dict[str, list[int]] = field(default_factory=dict)  # mapping entries of the first PDOs, as found
+    slowest: float = 0.0  # s, longest answer time
     emcys: list[str] = field(default_factory=list)
     sync_heard: bool = False
 
@@ -75,17 +79,24 @@ class Probe:
 
 
 def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
-    """Ask a node for all that a profile is made of; raises BusError if it is not a drive, or a master is active on the
-    bus.
+    """Return all values for a profile of a drive.
 
-    `name`: of the bus. A node that makes SYNC itself may be asked; another master's frames end it.
+    Args:
+        session: an open session.
+        name: name of the bus in messages.
+        node_id: node id of the drive.
+        slot: place of the axis in its device.
+
+    Raises:
+        BusError: the node is not a torque drive, or another master is active. SYNC alone is tolerated, because the
+            drive may generate it.
     """
     heard = session.listen()
     if heard - {cia301.SYNC}:
         raise BusError(another_master(name, heard))
     found = Probe(node_id, slot, sync_heard=bool(heard))
     session.be_patient(node_id, PATIENCE)
-    first = session.read(node_id, objects.DEVICE_TYPE)  # raises without an answer
+    first = session.read(node_id, objects.DEVICE_TYPE)  # raises BusError without an answer
     for entry in READ:
         _read(session, found, entry)
     for text in (_NAME, _HARDWARE, _SOFTWARE):
@@ -121,7 +132,7 @@ def _read(session: Session, found: Probe, entry: Object) -> None:
 
 
 def _count(session: Session, node_id: int, slot: int, received: bool) -> int:
-    """PDOs from the first on that can be configured."""
+    """Return the number of consecutive PDOs that can be configured, from the first one."""
     for number in range(1, _PDOS + 1):
         entry = Pdo(number, received, ()).of(slot).communication(1, Type.U32, "COB-ID")
         if session.read_if_there(node_id, entry) is None:
@@ -154,7 +165,7 @@ _REACTIONS = (
     (objects.FAULT_REACTION_OPTION, "fault"),
     (objects.ERROR_BEHAVIOUR, "communication_error"),
 )
-_USUAL = range(5)  # a drive may reject a change of any other value
+_USUAL = range(5)  # a drive may reject a change from any other value
 _OPTIONAL = (
     objects.SYNC_PERIOD, objects.SYNC_WINDOW, objects.SYNC_COUNTER, objects.EMCY_COB_ID, objects.CONNECTION_LOSS,
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, objects.ERROR_BEHAVIOUR,
@@ -163,9 +174,9 @@ _OPTIONAL = (
 
 
 def profile_text(found: Probe, where: str) -> str:
-    """Return the text of the file, which loads unchanged or lists the values to complete first.
+    """Return the text of a profile, which loads unchanged or lists the values to complete first.
 
-    `where` names interface and channel.
+    `where` is the interface and the channel.
     """
     return "\n".join(_lines(found, where)) + "\n"
 
@@ -217,7 +228,7 @@ def _state(found: Probe) -> Iterator[str]:
 
 
 def _absent(found: Probe) -> Iterator[str]:
-    """Yield the objects that must be declared, and, as a comment, others that are absent."""
+    """Yield the absent objects that a profile must declare, and the other absent objects as a comment."""
     needed = [
         objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.VELOCITY_UNIT, objects.RATED_TORQUE, objects.ERROR_CODE,
     ]  # fmt: skip
@@ -277,7 +288,7 @@ def _sync(found: Probe) -> Iterator[str]:
 
 
 def _torque_path(found: Probe) -> Iterator[str]:
-    """List the objects that act on the torque, because their values may explain a torque that is missing or left."""
+    """Yield the objects that act on the torque, because their values may explain missing or unwanted torque."""
     for influence in cia402.TORQUE_PATH:
         value = found.get(influence.entry)
         if value is None:
@@ -365,7 +376,7 @@ def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
-    """Yield the keys for [axis.drive] as comments, because they belong to this drive and its motor."""
+    """Yield the keys for [axis.drive] as comments, because they are specific to this drive and its motor."""
     yield "# For [axis.drive] of the controller's file:"
     yield f"#   node_id = {found.node_id}"
     if found.slot > 1:

@@ -1,6 +1,6 @@
-"""Read drive profiles: the units and objects of a drive from its public documentation, and its scales in SI units.
+"""Read drive profiles: units and objects from a drive's public documentation, and the resulting scales in SI units.
 
-A profile is a TOML file in `drives/` next to the configuration; "generic" needs none.
+A profile is a TOML file in `drives/` next to the configuration. The profile "generic" needs no file.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tsa_ctrl.errors import UsageError
 
 
 class VelocityUnit(Enum):
-    """Units of 0x606C and 0x6080 that drives use."""
+    """Units that drives use for 0x606C and 0x6080."""
 
     RPM = "rpm"
     DECI_RPM = "0.1 rpm"
@@ -36,11 +36,11 @@ class VelocityUnit(Enum):
 
     @property
     def si_code(self) -> int | None:
-        """Return the value of 0x60A9 (prefix, revolutions, per minute); None if it cannot express the unit."""
+        """Return the value of 0x60A9 (prefix, revolutions, per minute), or None if it cannot express the unit."""
         return _SI_CODES.get(self)
 
     def radians_per_second(self, counts_per_revolution: int) -> float:
-        """Return one digit in rad/s of the motor."""
+        """Return the value of one digit in rad/s of the motor."""
         if self in _RPM:
             return _RPM[self] * 2.0 * math.pi / 60.0
         return _COUNTS[self] * 2.0 * math.pi / counts_per_revolution
@@ -67,14 +67,14 @@ _SI_CODES = {  # CiA 303-2: prefix exponent in the high byte, 0xB4 revolutions, 
 
 
 class Identity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """0x1018; missing values are shown and not compared."""
+    """Identity (0x1018) of a drive model; missing values are displayed but not compared."""
 
     vendor_id: Word | None = None
     product_codes: list[Word] = []
 
 
 class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One digit of the objects whose unit vendors choose."""
+    """Values of one digit of the objects whose unit is vendor-specific."""
 
     rated_torque: Positive = 1e-3  # N*m per digit of 0x6076
     torque: Positive = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
@@ -94,9 +94,9 @@ EmcyCode = Annotated[int, Meta(ge=1, le=0xFFFF)]
 
 
 class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Option codes 0x605A-0x605E and 0x1029:1; "keep" leaves the drive's own."""
+    """Option codes 0x605A to 0x605E and 0x1029:1; "keep" leaves the drive's value unchanged."""
 
-    quick_stop: int | Keep = 0  # 0: disable the drive, the motor coasts
+    quick_stop: int | Keep = 0  # 0: the drive is disabled and the motor coasts
     shutdown: int | Keep = 0
     disable_operation: int | Keep = 0
     halt: int | Keep = "keep"
@@ -105,9 +105,10 @@ class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
 
 
 class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The object that limits torque on a drive without 0x6072, and its value at rated torque.
+    """The object that limits the torque of a drive without 0x6072, and its value at rated torque.
 
-    That is the value of another object (`rated_index`), or a number, `rated`; then `zero` is its value without torque.
+    The value at rated torque is in another object (`rated_index`) or is the number `rated`. With `rated`, `zero` is the
+    value without torque.
     """
 
     index: Index
@@ -121,7 +122,7 @@ class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A vendor's own object that must have a certain value."""
+    """A vendor-specific object that must have a certain value."""
 
     index: Index
     subindex: Subindex = 0
@@ -131,41 +132,41 @@ class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_onl
 
     @property
     def raw(self) -> int:
-        """Return the raw value; raises ValueError."""
+        """Return the raw value; raise ValueError if the type cannot hold it."""
         return objects.Type[self.type.upper()].raw(self.value)
 
 
 class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One kind of drive."""
+    """Properties of one drive model."""
 
     name: str = "generic CiA 402 drive"
-    sources: list[str] = []  # documents that the figures come from
-    unknown: list[str] = []  # missing values that the user must find out
-    eds: str | None = None  # EDS file next to the profile; default: none, the built-in dictionary is enough
+    sources: list[str] = []  # documents with these values
+    unknown: list[str] = []  # missing values that the user must determine
+    eds: str | None = None  # EDS file next to the profile; default: none, the built-in dictionary is used
     identity: Identity = Identity()
     units: Units = Units()
     reactions: Reactions = Reactions()
-    absent: list[str] = []  # names (of the object table) of missing objects
+    absent: list[str] = []  # names of missing objects, as in the object table
     torque_clamp: TorqueClamp | None = None  # if the drive lacks 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
-    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 begins to report 0x6060
-    warnings: list[EmcyCode] = []  # error codes of emergencies that are reported and stop nothing
-    supervision: Literal["heartbeat", "guarding"] = "heartbeat"  # how the drive knows that we are there, and we of it
-    needs_sync_period: bool = False  # 0x1006 must be our period; else it is 0
-    produces_sync: bool = False  # it may send SYNC at power-on, which startup disables (0x1005 bit 30)
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # stage at which 0x6061 displays 0x6060
+    warnings: list[EmcyCode] = []  # EMCY codes that are reported without a stop
+    supervision: Literal["heartbeat", "guarding"] = "heartbeat"  # how drive and controller supervise each other
+    needs_sync_period: bool = False  # True: 0x1006 must be our SYNC period, otherwise 0
+    produces_sync: bool = False  # the drive may send SYNC at power-on, which startup disables (0x1005 bit 30)
     boot_timeout: Patience = 3.0  # s, from a reset to the boot-up
     answer_timeout: Patience = 0.5  # s, of one SDO answer
-    rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # those that we do not use are switched off
+    rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # RPDOs of the drive; unused ones are disabled
     tpdo_count: Annotated[int, Meta(ge=2, le=4)] = 4
     extra: list[ExtraWrite] = []
 
     def has(self, entry: objects.Object) -> bool:
-        """Return True if the drive is expected to have an optional object."""
+        """Return True unless the profile lists the object as absent."""
         return entry.name not in self.absent
 
 
 def load_profile(name: str, folder: str | Path) -> DriveProfile:
-    """Load the profile `name`: a path to a .toml, or `drives/NAME.toml` in `folder`. Raises UsageError."""
+    """Return the profile `name`, a path to a .toml or `drives/NAME.toml` in `folder`; raise UsageError if invalid."""
     path = Path(folder) / (name if name.endswith(".toml") else f"drives/{name}.toml")
     if name == "generic" and not path.exists():
         return DriveProfile()
@@ -218,18 +219,18 @@ _I16_MAX = 32767
 
 @dataclass(frozen=True)
 class DriveScale:
-    """Hold the factors between device units and SI of each channel of a drive, at the motor pulley, with the sign."""
+    """Signed factors between device units and SI units at the motor pulley, and limits in device units."""
 
     torque: float  # N*m per digit of 0x6071 and 0x6077
     position: float  # rad per digit of 0x6064
     velocity: float  # rad/s per digit of 0x606C
     max_torque_digits: int  # per mille of rated torque, 0x6072
-    most_digits: int  # of 0x6071, the same limit
+    most_digits: int  # digits of 0x6071 at the same limit
     max_speed_digits: int  # 0x6080
 
 
 def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> DriveScale:
-    """Return the scale of a drive; raises UsageError if a limit exceeds the range of its object."""
+    """Return the scale of a drive; raise UsageError if a limit exceeds the range of its object."""
     ratio, counts = drive.gear_ratio, drive.counts_per_revolution
     rated = drive.rated_torque * ratio
     torque = rated / profile.units.torque
@@ -264,5 +265,5 @@ def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> Driv
 
 
 def encoder_scale(encoder: EncoderSettings) -> float:
-    """Return the joint angle per count, rad, with sign."""
+    """Return the signed joint angle per count, rad."""
     return encoder.sign * 2.0 * math.pi / encoder.counts_per_revolution

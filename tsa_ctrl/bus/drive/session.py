@@ -1,7 +1,7 @@
-"""A configuration session: SDO, NMT, EMCY and heartbeats through canopen, on the bus that the loop uses afterwards.
+"""Configuration session: SDO, NMT, EMCY and heartbeats through canopen, on the bus that the loop uses afterwards.
 
-Everything happens in the caller's thread and in the bus' own time: while an answer is waited for, frames are taken and
-our heartbeat is sent. canopen's own thread is never started.
+Everything runs in the caller's thread and on the clock of the bus. While the session waits for an answer, it receives
+frames and sends our heartbeat. It never starts canopen's thread.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from tsa_ctrl.errors import BusError, StoppedError
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
 
-ANSWER_TIMEOUT = 0.5  # s, for one SDO answer, unless the configuration has otherwise
-_ATTEMPTS = 3  # SDO reads and writes are repeated, as the configuration of a drive is idempotent
+ANSWER_TIMEOUT = 0.5  # s, for one SDO answer, unless the configuration has another value
+_ATTEMPTS = 3  # SDO transfers are repeated, because the configuration of a drive is idempotent
 _ANSWER_LENGTH = 8  # bytes of every SDO frame
-_LISTENING = 0.1  # s, for another master before anything is sent
-_ASK_EVERY = 0.05  # s, between two questions by node guarding
+_LISTENING = 0.1  # s, to detect another master before anything is sent
+_ASK_EVERY = 0.05  # s, between two requests of node guarding
 _PAUSE = 0.005  # s, after a frame that could not be sent
-_MOST_WAITING = 512  # frames taken before a request
-_HIGHEST = 0x7FF  # identifier of 11 bits; more has flags: error frames, remote requests
+_MOST_WAITING = 512  # maximum number of frames taken before a request
+_HIGHEST = 0x7FF  # highest 11-bit identifier; larger values carry flags: error frames, remote requests
 
-# Both libraries log errors to the root logger that an exception reports here in one line.
+# Both libraries log errors to the root logger. These errors are reported here as a one-line exception.
 for _name in ("canopen", "can"):
     logging.getLogger(_name).addHandler(logging.NullHandler())
 
@@ -49,7 +49,7 @@ class SdoRefusedError(BusError):
 
 
 class _Network(canopen.Network):  # type: ignore[misc]  # canopen is not followed by mypy
-    """canopen's network over a `Bus`; the session passes received frames to `notify`."""
+    """canopen's network on a `Bus`; the session passes received frames to `notify`."""
 
     def __init__(self, bus: Bus) -> None:
         super().__init__()
@@ -61,7 +61,7 @@ class _Network(canopen.Network):  # type: ignore[misc]  # canopen is not followe
 
 
 class _Client(SdoClient):  # type: ignore[misc]
-    """canopen's SDO client, which waits by `wait(seconds, reached)` instead of for a thread."""
+    """canopen's SDO client, with `wait(seconds, reached)` in place of a thread."""
 
     RESPONSE_TIMEOUT = 0.0
     patience = ANSWER_TIMEOUT  # s
@@ -83,19 +83,19 @@ class _Client(SdoClient):  # type: ignore[misc]
 
 
 class Session:
-    """Use as a context manager: it only listens, until it is asked for something. Raises BusError when the bus fails.
+    """A context manager that only listens until a method sends something. Its methods raise BusError if the bus fails.
 
-    `touched`: nodes that were sent a command or a value. Reading leaves a node as it is.
+    `touched` holds the nodes that were sent a command or a value. Reading does not change a node.
     """
 
     def __init__(self, bus: Bus, settings: BusSettings, stopped: Callable[[], str | None] = lambda: None) -> None:
-        """`stopped`: the reason to stop waiting, if any; raised as StoppedError, once, while it waits."""
+        """`stopped` returns a reason to stop waiting, or None. The session raises it once, as StoppedError."""
         self._bus = bus
         self._settings = settings
         self._stopped = stopped
         self._network = _Network(bus)
         self._clients: dict[int, _Client] = {}
-        self._states: dict[int, list[int]] = {}  # NMT states heard of each node, in order
+        self._states: dict[int, list[int]] = {}  # NMT states received from each node, in order
         self._heard: set[int] = set()
         self._masters: set[int] = set()
         self._emcys: dict[int, list[Emcy]] = {}
@@ -124,7 +124,7 @@ class Session:
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
 
     def listen(self, rpdos: Iterable[int] = ()) -> frozenset[int]:
-        """Return the identifiers heard within a tenth of a second that only a master sends, including `rpdos`."""
+        """Return the identifiers, received within a tenth of a second, that only a master sends, including `rpdos`."""
         for can_id in rpdos:
             self._network.subscribe(can_id, self._on_master)
         self._masters.clear()
@@ -132,21 +132,21 @@ class Session:
         return frozenset(self._masters)
 
     def alone(self, rpdos: Iterable[int] = ()) -> None:
-        """Raise BusError if another master sends frames; nothing has been sent then."""
+        """Raise BusError if another master sends frames; this method sends nothing."""
         heard = self.listen(rpdos)
         if heard:
             raise BusError(another_master(self._bus.name, heard))
 
     def begin_heartbeat(self) -> None:
-        """Send ours from now on; not in a session after which no loop goes on with it: its loss would be an error."""
+        """Send our heartbeat from now on. A loop must continue it afterwards, because its loss is an error."""
         self._heartbeat = True
 
     def guard(self, node_ids: Collection[int]) -> None:
-        """Guard these nodes, which have no heartbeat: request their state by remote frames."""
+        """Supervise these nodes, which have no heartbeat, by node guarding: remote frames request their state."""
         self._guarded = frozenset(node_ids)
 
     def be_patient(self, node_id: int, seconds: float) -> None:
-        """Wait so long for an SDO answer of this node."""
+        """Set the time to wait for an SDO answer of this node, s."""
         self._client(node_id).patience = seconds
 
     def clock(self) -> float:
@@ -154,12 +154,16 @@ class Session:
         return self._bus.clock()
 
     def wait(self, seconds: float, reached: Callable[[], bool] = lambda: False) -> bool:
-        """Take frames and send our heartbeat until `reached`, at most `seconds`; at once False when the bus fails."""
+        """Receive frames and send our heartbeat until `reached`, for at most `seconds`.
+
+        Returns:
+            True if `reached`. False after `seconds`, or immediately if the bus fails.
+        """
         end = self._bus.clock() + seconds
         while not reached():
             cause = self._stopped()
             if cause is not None:
-                self._stopped = lambda: None  # the last frames are waited for
+                self._stopped = lambda: None  # the shutdown that follows must still be able to wait
                 raise StoppedError(cause)
             now = self._bus.clock()
             self._beat(now)
@@ -174,7 +178,7 @@ class Session:
         return True
 
     def _catch_up(self) -> None:
-        """Take what waits already: a late answer does not belong to the next request."""
+        """Receive the waiting frames, because a late answer does not belong to the next request."""
         now = self._bus.clock()
         for frame in self._bus.gather(0.0, _MOST_WAITING):
             self._take(frame, now)
@@ -186,7 +190,7 @@ class Session:
 
     @property
     def heard(self) -> set[int]:
-        """Nodes that sent a heartbeat or a boot-up since the session began."""
+        """Return the nodes that sent a heartbeat or a boot-up in this session."""
         return set(self._heard)
 
     def nmt(self, command: NmtCommand, node_id: int) -> None:
@@ -196,7 +200,7 @@ class Session:
             raise self._failed()
 
     def boot(self, node_ids: Iterable[int], timeout: float) -> set[int]:
-        """Reset the communication of these nodes; the nodes that did not boot up within `timeout` s."""
+        """Reset the communication of these nodes; return those that did not boot up within `timeout` s."""
         nodes = set(node_ids)
         for node_id in nodes:
             self._states[node_id] = []
@@ -204,11 +208,11 @@ class Session:
         return self.booted(nodes, timeout)
 
     def booted(self, node_ids: Iterable[int], timeout: float) -> set[int]:
-        """Wait for the boot-up of nodes that were reset; those whose did not come within `timeout` s."""
+        """Wait for the boot-up of nodes that were reset; return those that did not boot up within `timeout` s."""
         return self._wait(set(node_ids), lambda states: NmtState.BOOT_UP in states, timeout)
 
     def start(self, node_ids: Iterable[int], timeout: float) -> set[int]:
-        """Start these nodes; the nodes whose heartbeat did not report "operational" within `timeout` s."""
+        """Start these nodes; return those whose heartbeat did not report "operational" within `timeout` s."""
         nodes = set(node_ids)
         for node_id in nodes:
             self._states[node_id] = []
@@ -216,23 +220,23 @@ class Session:
         return self._wait(nodes, lambda states: NmtState.OPERATIONAL in states, timeout)
 
     def read(self, node_id: int, entry: Object) -> int:
-        """Read an object by SDO; raises SdoRefusedError or BusError."""
+        """Return an object read by SDO; raise SdoRefusedError or BusError if that fails."""
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
     def upload_if_there(self, node_id: int, entry: Object) -> bytes | None:
-        """Return the bytes of an object; None if the node lacks the object or rejects the request."""
+        """Return the bytes of an object, or None if the node rejects the request."""
         try:
             return self._transfer(node_id, entry, lambda client: client.upload(*entry.key))
         except SdoRefusedError:
             return None
 
     def read_text(self, node_id: int, entry: Object) -> str:
-        """Return a text; empty if the node lacks it."""
+        """Return a text object, or an empty text if the node rejects the request."""
         data = self.upload_if_there(node_id, entry) or b""
         return "".join(c for c in data.decode("latin-1") if c.isprintable()).strip()
 
     def ask(self, node_id: int, entry: Object) -> int | None:
-        """Read an object once; None without an answer, or if the node rejects it."""
+        """Return an object after one attempt, or None if the node does not answer or rejects the request."""
         try:
             return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key), attempts=1))
         except BusError:
@@ -241,13 +245,13 @@ class Session:
             return None
 
     def write(self, node_id: int, entry: Object, value: int) -> None:
-        """Write an object by SDO; raises SdoRefusedError or BusError."""
+        """Write an object by SDO; raise SdoRefusedError or BusError if that fails."""
         data = entry.encode(value)
         self.touched.add(node_id)
         self._transfer(node_id, entry, lambda client: client.download(*entry.key, data) or b"")
 
     def read_if_there(self, node_id: int, entry: Object) -> int | None:
-        """Read an object; None when the node does not have it."""
+        """Return an object, or None if the node lacks it."""
         try:
             return self.read(node_id, entry)
         except SdoRefusedError as error:
@@ -256,7 +260,7 @@ class Session:
             raise
 
     def emcys(self, node_id: int) -> tuple[Emcy, ...]:
-        """Return the emergencies of a node since the session began, without those that report the end of an error."""
+        """Return the emergencies of a node in this session, without error resets."""
         return tuple(self._emcys.get(node_id, ()))
 
     def _transfer(
@@ -345,9 +349,12 @@ def another_master(name: str, heard: Collection[int]) -> str:
 
 
 def release_heartbeat(session: Session, node_id: int, host: int) -> None:
-    """Switch off the heartbeat consumer (0x1016) that names `host`, and life guarding (0x100D), and read both back.
+    """Disable the heartbeat consumer (0x1016) for `host` and life guarding (0x100D), and read both back.
 
-    While our heartbeat still goes on; raises BusError when the node does not answer or keeps watching.
+    Call it while our heartbeat is still sent.
+
+    Raises:
+        BusError: the node does not answer or stays armed.
     """
     for entry in _armed(session, node_id, host):
         session.write(node_id, entry, 0)

@@ -1,1 +1,1 @@
-"""The nodes in the loop: their answers into a process image, commands out, once per SYNC."""
+"""Nodes in the loop: once per SYNC, their answers update a process image and their commands are sent."""

@@ -1,4 +1,4 @@
-"""One axis on the bus: frames of its nodes into its process image, and its torque command into an RPDO."""
+"""One axis on the bus: converts frames of its nodes to its process image, and its torque command to an RPDO."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from tsa_ctrl.bus.wire.bus import Bus, wire_of
 
 
 class PositionTracker:
-    """Convert a position counter that wraps into an unwrapped angle and an angular velocity.
+    """Convert a position counter that wraps to an unwrapped angle and an angular velocity.
 
-    The velocity is the difference of two positions over the measured interval dt, filtered by a first-order low-pass
-    with the cutoff f_c, omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega). Its delay is 1 / (2 pi f_c), and a missed
+    The velocity is the difference of two positions over the measured interval dt. A first-order low-pass with the
+    cutoff f_c filters it: omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega). Its delay is 1 / (2 pi f_c). A missed
     sample only makes dt longer.
 
-    `radians_per_count` carries the sign. `zero`: the count at angle 0; the first angle is the one nearest to 0.
-    `cutoff`: Hz. `angle` (rad) and `velocity` (rad/s) are nan and 0 until the first sample.
+    Attributes:
+        angle: rad; nan until the first sample. The first angle is the one nearest to 0.
+        velocity: rad/s; 0 until the second sample.
     """
 
     __slots__ = ("_half", "_last", "_range", "_scale", "_time", "_total", "_w", "_zero", "angle", "velocity")
@@ -39,7 +40,7 @@ class PositionTracker:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the past: the next sample is the first."""
+        """Clear the state, so that the next sample counts as the first."""
         self._last: int | None = None
         self._total = 0
         self._time = 0.0
@@ -47,7 +48,7 @@ class PositionTracker:
         self.velocity = 0.0
 
     def follow(self, count: int) -> int:
-        """Take a position alone; returns the step in counts since the last one."""
+        """Take a position without a velocity update; return the step in counts since the last position."""
         last = self._last
         self._last = count
         if last is None:
@@ -62,7 +63,7 @@ class PositionTracker:
         return step
 
     def update(self, count: int, t: float) -> None:
-        """Take a position sampled at `t` in s, and derive the velocity."""
+        """Take a position sampled at `t` (s), and update the velocity."""
         first = self._last is None
         step = self.follow(count)
         dt = t - self._time
@@ -80,11 +81,13 @@ Handler = Callable[[bytes], None]
 
 
 class Inbox:
-    """One TPDO. A cycle takes its first well-formed frame after the SYNC; the others are counted here.
+    """One TPDO. A cycle takes its first well-formed frame after the SYNC; other frames are counted here.
 
-    The rig's loop does the taking itself: `armed` until this cycle's answer has come, `awaited` 0 when a cycle does not
-    wait for it any longer. One that comes on every n-th SYNC (`every`) is never waited for: it is taken whenever it
-    comes, but not before its turn, since that is a repetition; `gap` counts the SYNCs since it came last.
+    The rig's loop takes the frame. `armed` is True until this cycle's answer has arrived. `awaited` is 0 if cycles no
+    longer wait for the node.
+
+    A TPDO of every n-th SYNC (`every`) is never awaited. It is taken whenever it arrives, but not before it is due,
+    because then it is a repetition. `gap` counts the SYNCs since its last arrival.
     """
 
     __slots__ = ("armed", "awaited", "every", "gap", "health", "length", "seen", "store", "turn", "unpack")
@@ -95,7 +98,8 @@ class Inbox:
         self.unpack = layout.struct.unpack
         self.store = store
         self.every = layout.every
-        # SYNCs after which the next answer may come; with a long period one fewer, as the last may have been late.
+        # SYNCs after which the next answer may arrive. With a long period one fewer, because the last may have been
+        # late.
         self.turn = self.every - 1 if self.every > 2 else self.every
         self.begin()
         if self.every > 1:
@@ -106,25 +110,25 @@ class Inbox:
         self.armed = False
         self.awaited = int(self.every == 1)
         self.gap = 0
-        self.seen = False  # the first comes at any SYNC: a node counts from its own start
+        self.seen = False  # the first arrives at any SYNC, because a node counts SYNCs from its own start
 
     def _taken(self, values: tuple[Any, ...]) -> None:
         self.gap = 0
         self.seen = True
 
     def count_sync(self) -> None:
-        """Begin a cycle of an answer that does not come on each SYNC."""
+        """Begin a cycle for a TPDO that is not sent on each SYNC."""
         self.gap += 1
         self.armed = self.gap >= self.turn or not self.seen
 
     @property
     def is_overdue(self) -> bool:
-        """Return True if an answer of every n-th SYNC is missing; one SYNC more is allowed to a busy bus."""
+        """Return True if a TPDO of every n-th SYNC is missing; a busy bus is allowed one more SYNC."""
         return self.every > 1 and self.gap > self.every + 1
 
     @property
     def is_missing(self) -> bool:
-        """Return True if this cycle lacks an answer that was due."""
+        """Return True if this cycle lacks a due answer."""
         return self.armed if self.every == 1 else self.is_overdue
 
     def share(self, store: Callable[[tuple[Any, ...]], None]) -> None:
@@ -138,14 +142,14 @@ class Inbox:
         self.store = both
 
     def refuse(self, data: bytes) -> None:
-        """Count a frame that cannot be this cycle's answer: of a wrong length, or after one that was taken."""
+        """Count a frame that cannot be this cycle's answer: it has a wrong length, or an answer was already taken."""
         if len(data) != self.length:
             self.health.malformed += 1
         else:
             self.health.repeated += 1
 
     def refuse_stale(self, data: bytes) -> None:
-        """Count a frame that waited before the SYNC."""
+        """Count a frame that arrived before the SYNC; a TPDO of every n-th SYNC is taken."""
         if len(data) != self.length or not self.armed:
             self.refuse(data)
             return
@@ -155,21 +159,21 @@ class Inbox:
             return
         self.health.late += 1
         if not self.awaited:
-            self.health.misses = 0  # alive again: the next cycles wait for it
+            self.health.misses = 0  # alive again: the next cycles wait for the node
 
 
 class Guard:
-    """Heartbeat, boot-up and emergencies of one node."""
+    """Process the heartbeats, boot-ups and emergencies of one node."""
 
     __slots__ = ("_clock", "_guarded", "_health", "_image", "_toggle")
 
     def __init__(self, health: NodeHealth, image: Image, clock: Callable[[], float], guarded: bool = False) -> None:
-        """`guarded`: the node has no heartbeat and answers to node guarding."""
+        """`guarded`: the node has no heartbeat and answers node guarding."""
         self._health = health
         self._image = image
         self._clock = clock
         self._guarded = guarded
-        self._toggle: int | None = None  # bit of the last answer
+        self._toggle: int | None = None  # toggle bit of the last answer
 
     def begin(self) -> None:
         """Accept either toggle bit in the next answer, after a new bring-up."""
@@ -183,7 +187,7 @@ class Guard:
             return
         if self._guarded:
             toggle = None if state == NmtState.BOOT_UP else data[0] & cia301.TOGGLE
-            if toggle is not None and toggle == self._toggle:  # CiA 301, 7.2.8.3.2.1: as if it had not come
+            if toggle is not None and toggle == self._toggle:  # CiA 301, 7.2.8.3.2.1: treated as not received
                 health.untoggled += 1
                 return
             self._toggle = toggle
@@ -210,11 +214,13 @@ class Guard:
 
 
 class Axis:
-    """One axis: its process image and its command. SI at the motor pulley and the joint.
+    """One axis with its process image and its command, in SI units at the motor pulley and the joint.
 
-    `shared`: inboxes of other axes by identifier; an encoder that another axis reads is used from there.
-    `stands_off`: True if nothing is commanded, because ownership and mapping of the drive are not confirmed. `target`:
-    the object with the last torque command that the drive received.
+    `shared` maps identifiers to inboxes of other axes, so that two axes can use one encoder.
+
+    Attributes:
+        stands_off: True if nothing is commanded, because ownership and mapping of the drive are not confirmed.
+        target: object with the last torque command that the drive received.
     """
 
     def __init__(
@@ -231,7 +237,7 @@ class Axis:
         drive, encoder, sensor = nodes.drive, nodes.encoder, nodes.torque_sensor
         self.scale: DriveScale = drive_scale(drive, profile, f"axis '{nodes.name}'")
         self.refused = 0  # commands that were not finite, and were sent as zero
-        self.tau_m_sent = 0.0  # N*m, the last command as the drive was given it
+        self.tau_m_sent = 0.0  # N*m, the last command in whole digits of the drive
         self.stands_off = True
 
         self.target = objects.TARGET_TORQUE.of(drive.slot)
@@ -247,7 +253,7 @@ class Axis:
         elif not self._has_error_code:
             store_position = self._store_bare_position
         self.inboxes = [Inbox(layout.motion, health, store_motion), Inbox(layout.position, health, store_position)]
-        self._control_inboxes = list(self.inboxes)  # without whose answers the axis is not fresh
+        self._control_inboxes = list(self.inboxes)  # the axis is fresh only with these answers
         self._watched = [(health, tuple(self.inboxes))]  # the answers of each node
         self.tpdo_ids = list(layout.tpdo_ids)
         self._joint: PositionTracker | None = None
@@ -286,7 +292,7 @@ class Axis:
         self._motor_count = 0
         self._sampled = -math.inf
         self._look_again = -math.inf  # s, when a heartbeat may be overdue
-        self._gaps = False  # whether a node missed the last cycle
+        self._gaps = False  # True if a node missed the last cycle
         self._torque = self.scale.torque
         self._velocity = self.scale.velocity
         self._per_newton_metre = 1.0 / self.scale.torque
@@ -299,9 +305,12 @@ class Axis:
         self._note = self.hearing.sent.append
 
     def command(self, controlword: int, tau_m: float) -> bool:
-        """Send one RPDO: `controlword`, and `tau_m` (N*m at the motor pulley) clamped to the drive's limit.
+        """Send one RPDO with `controlword` and `tau_m` (N*m at the motor pulley), clamped to the drive's limit.
 
-        A value that is not finite is sent as zero and counted in `refused`. False when the frame was dropped.
+        A value that is not finite is sent as zero and counted in `refused`.
+
+        Returns:
+            False if the frame was dropped.
         """
         if self.stands_off:
             self.tau_m_sent = 0.0
@@ -324,7 +333,7 @@ class Axis:
         return False
 
     def rearm(self, now: float) -> None:
-        """Clear the latches, after the nodes of this axis have been configured again."""
+        """Clear the latches after the nodes of this axis have been configured again."""
         image = self.image
         for health in image.nodes:
             health.heard = now
@@ -337,7 +346,7 @@ class Axis:
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0
         if self._is_lean:
-            image.mode = image.error_code = 0  # of the time before; torque waits for the next
+            image.mode = image.error_code = 0  # outdated; torque waits for the next one
         self._look_again = -math.inf
         self._motor.reset()
         if self._joint is not None:
@@ -355,7 +364,7 @@ class Axis:
         self._motor_count, image.mode, image.error_code = values
 
     def _store_bare_position(self, values: tuple[Any, ...]) -> None:
-        """Store the position of a drive without 0x603F; its error code is that of its last emergency."""
+        """Store the position of a drive without 0x603F; its error code is taken from its last emergency."""
         image = self.image
         self._motor_count, image.mode = values
         said = image.nodes[0].emcy
@@ -365,7 +374,7 @@ class Axis:
         image = self.image
         image.statusword, torque, self._motor_count = values
         image.tau_m = torque * self._torque
-        if image.statusword & _FAULT and image.nodes[0].emcy is not None:  # it comes before the next error code
+        if image.statusword & _FAULT and image.nodes[0].emcy is not None:  # arrives before the next error code
             image.error_code = image.nodes[0].emcy.code
 
     def _store_lean_state(self, values: tuple[Any, ...]) -> None:
@@ -381,7 +390,7 @@ class Axis:
         self.image.tau_j = values[0] * self._sensor_scale - self._sensor_offset
 
     def settle(self, sampled: float, complete: bool) -> None:
-        """Close a cycle: mark fresh values, and derive the velocity from positions sampled at `sampled`."""
+        """End a cycle: mark fresh values, and update velocities from positions sampled at `sampled` (s)."""
         image = self.image
         image.now = sampled
         fresh = joint_fresh = True
@@ -415,7 +424,7 @@ class Axis:
             self._look_for_silence(sampled)
 
     def _look_for_silence(self, now: float) -> None:
-        """Find a node whose heartbeat is overdue, and when the next one may be."""
+        """Find a node whose heartbeat is overdue, and the time at which the next one may be."""
         image = self.image
         image.silent = None
         self._look_again = math.inf
@@ -426,7 +435,7 @@ class Axis:
                 image.silent = health
 
     def _count_misses(self) -> tuple[bool, bool]:
-        """Charge each node with the answers that did not come; returns fresh, joint_fresh."""
+        """Count a miss for each node with missing answers; return `fresh` and `joint_fresh`."""
         joint_fresh = self._gaps = True
         for health, inboxes in self._watched:
             if any(inbox.is_missing for inbox in inboxes):

@@ -1,4 +1,4 @@
-"""The process image of one axis: the last values of its nodes, in SI. Written by the rig, read by everybody else."""
+"""Process image of one axis: the latest values of its nodes in SI units. Only the rig writes it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tsa_ctrl.system.realtime import Overruns
 
 
 class NodeHealth:
-    """Network management of one node: heartbeat, boot-ups, emergencies; and how its PDOs arrive."""
+    """Health of one node: its heartbeat, boot-ups and emergencies, and the arrival of its PDOs."""
 
     __slots__ = (
         "boot_ups",
@@ -42,22 +42,22 @@ class NodeHealth:
         self.boot_ups = 0
         self.emcys = 0  # emergencies other than "error reset"
         self.emcy: Emcy | None = None  # the last of them
-        self.told: frozenset[int] = frozenset()  # codes of emergencies that are reported and stop nothing
-        self.warnings = 0  # emergencies with such a code
-        self.warning: Emcy | None = None  # the last of them
-        self.untoggled = 0  # answers to node guarding that repeated their toggle bit
+        self.told: frozenset[int] = frozenset()  # codes of emergencies that are reported without a stop
+        self.warnings = 0  # number of these emergencies
+        self.warning: Emcy | None = None  # the last of these emergencies
+        self.untoggled = 0  # answers to node guarding with a repeated toggle bit
         self.misses = 0  # cycles in a row without all its PDOs
         self.missed = 0  # cycles without all its PDOs
-        self.late = 0  # PDOs that came after their cycle's deadline
-        self.repeated = 0  # PDOs that came twice in a cycle
-        self.malformed = 0  # PDOs, heartbeats, emergencies of a wrong length
+        self.late = 0  # PDOs that arrived after their cycle's deadline
+        self.repeated = 0  # PDOs that arrived twice in a cycle
+        self.malformed = 0  # PDOs, heartbeats and emergencies of a wrong length
 
     def __str__(self) -> str:
         return f"{self.role.value} node {self.node_id}"
 
 
 class Image:
-    """Latest values of one axis; a value is nan until it was received once. Angles, speeds and torques in SI."""
+    """Latest values of one axis in SI units. A value is nan until it has been received once."""
 
     __slots__ = (
         "altered",
@@ -100,14 +100,14 @@ class Image:
         self.omega_j = math.nan  # rad/s, joint; filtered, see EncoderSettings.velocity_cutoff
         self.tau_j = math.nan  # N*m, torque sensor
         self.now = 0.0  # s, monotonic time of the last SYNC
-        self.fresh = False  # all PDOs of drive and encoder answered this cycle's SYNC
-        self.joint_fresh = False  # the encoder's did
+        self.fresh = False  # all PDOs of drive and encoder that answer this cycle's SYNC have arrived
+        self.joint_fresh = False  # the encoder's PDO has arrived
         self.misses = 0  # cycles in a row in which `fresh` was False
-        self.missed = 0  # such cycles since the start
-        self.pdo_age = math.inf  # s, how much older than the last SYNC the values are; 0 when fresh
+        self.missed = 0  # such cycles since startup
+        self.pdo_age = math.inf  # s, age of the values at the last SYNC; 0 if fresh
         self.drops = 0  # commands in a row that could not be sent
-        self.dropped = 0  # such commands since the start
-        self.skipped = 0  # periods without a cycle since the start, because the loop was late
+        self.dropped = 0  # such commands since startup
+        self.skipped = 0  # periods since startup without a cycle, because the loop was late
         self.overruns = Overruns()  # of the loop, the same for all axes
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
@@ -118,7 +118,7 @@ class Image:
 
     @property
     def repeated(self) -> int:
-        """Return the number of PDOs that came twice in a cycle, of all nodes."""
+        """Return the number of PDOs of all nodes that arrived twice in a cycle."""
         count = 0
         for node in self.nodes:
             count += node.repeated
@@ -126,15 +126,15 @@ class Image:
 
     @property
     def late(self) -> int:
-        """Return the number of PDOs that came after their cycle's deadline, of all nodes."""
+        """Return the number of PDOs of all nodes that arrived after their cycle's deadline."""
         return sum(node.late for node in self.nodes)
 
     @property
     def malformed(self) -> int:
-        """Return the number of frames of a wrong length, of all nodes."""
+        """Return the number of frames of all nodes with a wrong length."""
         return sum(node.malformed for node in self.nodes)
 
     @property
     def emcy(self) -> Emcy | None:
-        """Return the last emergency of a node; the drive has priority."""
+        """Return the last emergency of the first node that sent one; the drive comes first."""
         return next((node.emcy for node in self.nodes if node.emcy is not None), None)

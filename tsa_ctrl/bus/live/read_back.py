@@ -1,11 +1,11 @@
 """Read back one object at a time in spare bus time while the loop runs; the loop never waits for an answer.
 
-The loop sees a write by SDO on this bus at once (`Rig`). This module finds changes that the bus does not show: by a
-tool on another port, or by a node that lost its settings. This includes the watchdogs and the torque clamp.
+`Rig` detects an SDO write on this bus immediately. This module detects changes that the bus does not show: by a tool on
+another port, or by a node that lost its settings. They include the watchdogs and the torque clamp.
 
-One object is read every 20 ms, and proportionally more slowly below 1 Mbit/s: the 80 objects of an axis take 2 s.
-Equally often one of the drives is asked in turn which command it received last (`Hearing`). An emergency stop at a
-drive's inputs has priority over both (`StopInput`).
+One object is read every 20 ms, and proportionally more slowly below 1 Mbit/s: the 80 objects of an axis take 2 s. At
+the same rate, the last received command of each drive is read in rotation (`Hearing`). An emergency stop at a drive's
+inputs has priority over both (`StopInput`).
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.bus.wire.bus import Bus
 
-# Commands by which an answer may exceed the drive's usual delay, because PDOs and SDO server are often separate tasks.
-# Two periods are harmless, and a drive that receives only every fifth command exceeds them half the time.
+# Number of commands by which an answer may exceed the drive's usual delay, because PDOs and the SDO server are often
+# separate tasks. A delay of two periods is harmless. A drive that receives only every fifth command exceeds it half
+# the time.
 JITTER = 2
-HISTORY = 64  # commands that are stored: at 1 kHz more than a drive may miss before its RPDO timer expires
+HISTORY = 64  # stored commands: at 1 kHz more than a drive may miss before its RPDO timer expires
 
 
 class Hearing:
-    """Detect lost commands of one drive by comparing its 0x6071, read now and then, with the commands sent.
+    """Detect lost commands of one drive by comparing its 0x6071, read periodically, with the commands sent.
 
-    The RPDO timer of a drive detects only commands that are lost in succession. The usual delay of an answer depends on
-    the drive and is learned as the smallest delay so far. An answer older than that by more than `JITTER` commands
-    counts as a loss. A command that is constant or returns to an earlier value cannot be checked.
+    The RPDO timer of a drive detects only a sequence of lost commands. The usual delay of an answer depends on the
+    drive and is learned as the smallest delay so far. An answer with a command that is older by more than `JITTER`
+    commands counts as a loss. A command that is constant or returns to an earlier value cannot be checked.
 
     Attributes:
         sent: commands since the last request, in digits of 0x6071, newest last; the sender appends them.
-        asked: answers since the start.
-        unheard: answers since the start that held too old a command.
+        asked: answers since startup.
+        unheard: answers since startup with too old a command.
         too_many: number of such answers within a second that is a fault.
     """
 
@@ -53,7 +54,7 @@ class Hearing:
         self._usual = HISTORY
 
     def begin(self, too_many: int) -> None:
-        """Forget the usual delay after the drive was configured again, because it may be another drive.
+        """Clear the usual delay after the drive was configured again, because it may be another drive.
 
         `too_many`: number of answers with too old a command within a second that is a fault.
         """
@@ -73,31 +74,31 @@ class Hearing:
         ages = [age for age, digits in enumerate(reversed(everything)) if digits == value]
         if not ages:  # not a sent value: the drive rounds or clamps it
             return
-        if ages[-1] < len(everything) - 1:  # else it may stem from a command before the stored ones
+        if ages[-1] < len(everything) - 1:  # otherwise it may belong to a command older than the stored ones
             self._usual = min(self._usual, ages[-1])
         self.unheard += ages[0] - len(since) > self._usual + JITTER
 
 
-UNREAD = 0.25  # s without an answer, after which the state of the stop is unknown; a slow drive answers within 0.05
+UNREAD = 0.25  # s without an answer after which the stop is unknown; a slow drive answers within 0.05 s
 
 
 @dataclass(frozen=True)
 class StopBit:
-    """Describe how the emergency stop is wired."""
+    """Wiring of the emergency stop."""
 
     bit: int  # of 0x60FD
     level: int  # of that bit while the stop is pressed, 0 or 1
 
 
 class StopInput:
-    """Read the emergency stop at a drive's digital inputs (0x60FD) by SDO and write its state to the axis' image.
+    """Read the emergency stop at a drive's digital inputs (0x60FD) by SDO and store its state in the image of the axis.
 
-    Both PDOs that a drive sends are full, so 0x60FD is read by SDO. This is a second path; the first one is the drive's
+    SDO is used because both PDOs of a drive are full. This is a second path. The first one is the drive's
     safe-torque-off input, which needs no software.
     """
 
     def __init__(self, node_id: int, entry: Object, wiring: StopBit, image: Image) -> None:
-        """`entry`: 0x60FD of the axis."""
+        """`entry` is the object 0x60FD of the axis."""
         self.node_id = node_id
         self.entry = entry
         self._wiring = wiring
@@ -105,40 +106,40 @@ class StopInput:
         self._due = math.inf  # s, when the state becomes unknown
 
     def asked(self, now: float) -> None:
-        """Check at each request (`now` in s) whether answers are overdue."""
+        """Check at each request (`now` in s) if an answer is overdue."""
         self._due = min(self._due, now + UNREAD)
         if now >= self._due and self._image.pressed is None:
             self._image.pressed = f"{self._image.nodes[0]}: no answer about {self.entry} for {UNREAD:g} s"
 
     def answered(self, value: int) -> None:
-        """Take the value of 0x60FD."""
+        """Evaluate the value of 0x60FD."""
         self._due = math.inf
         pressed = value >> self._wiring.bit & 1 == self._wiring.level
         self._image.pressed = f"{self._image.nodes[0]}: bit {self._wiring.bit} of {self.entry}" if pressed else None
 
 
 INTERVAL = 0.02  # s between two requests at `BITRATE`; request and answer then take 1.3 % of the bus
-# s between two requests for a command. It is not a multiple of any cycle, so that the requests do not always meet the
-# same command of a periodic loss. The part beyond 20 ms is the golden ratio of a millisecond.
+# s between two requests for a command. It is not a multiple of any cycle, so that the requests do not always coincide
+# with the same command of a periodic loss. The part beyond 20 ms is the golden ratio of a millisecond.
 LISTEN = 0.020618
-LEAST_UNHEARD = 3  # lost commands within a second that are a fault at least; a single loss never is
+LEAST_UNHEARD = 3  # minimum number of lost commands within a second that is a fault; a single loss never is
 BITRATE = 1_000_000  # bit/s
 PATIENCE = 1.0  # s for an answer; without one, the object is read again in the next round
 STOP_PATIENCE = 0.05  # s after which the emergency stop is read although another answer is still missing
-STOP_INTERVAL = 0.05  # s at most between two requests for the emergency stop, on a slow bus as well
-BETWEEN = 4  # other objects between two requests for a torque offset, which moves the motor at command 0
+STOP_INTERVAL = 0.05  # s, maximum between two requests for the emergency stop, on a slow bus as well
+BETWEEN = 4  # other objects between two reads of a torque offset, which moves the motor at command 0
 _MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # change while running
 _QUESTION = struct.Struct("<BHB4x")
 _KEY = struct.Struct("<xHB")
 _UPLOAD = 0x40
 _FITS = 4  # bytes of an expedited answer; larger objects need several frames and are not read back here
-_EXPEDITED = 0x43  # with its data in the frame, of as many bytes as bits 2 and 3 leave
+_EXPEDITED = 0x43  # data in the frame; bits 2 and 3 hold the number of unused bytes
 _EXPEDITED_BITS = 0xE3
 
 
 @dataclass(frozen=True)
 class Held:
-    """Hold an object of a node and its value that was read back at startup."""
+    """An object of a node and its value read back at startup."""
 
     node_id: int
     entry: Object
@@ -161,7 +162,7 @@ def held_by(report: Report) -> tuple[Held, ...]:
 
 @dataclass(frozen=True)
 class Heard:
-    """Hold the object in which a drive shows the last command that it received."""
+    """The object in which a drive reports the last command that it received."""
 
     node_id: int
     entry: Object
@@ -169,7 +170,7 @@ class Heard:
 
 
 def _rotation(held: Sequence[Held]) -> Iterator[Held]:
-    """Yield all objects in turn without end, and a torque offset before every `BETWEEN` others."""
+    """Yield all objects in endless rotation, with a torque offset before every `BETWEEN` others."""
     offsets = [each for each in held if each.entry.name == objects.TORQUE_OFFSET.name]
     others = [each for each in held if each not in offsets]
     if not offsets or not others:
@@ -193,9 +194,15 @@ class ReadBack:
         lost_share: float = 1.0,
         stops: Sequence[StopInput] = (),
     ) -> None:
-        """Prepare the reading of `held`, `heard` and `stops`.
+        """Prepare to read `held`, `heard` and `stops`.
 
-        `bitrate` in bit/s; `lost_share`: share of the answers within a second, 1, that may hold too old a command.
+        Args:
+            bus: bus of the nodes.
+            bitrate: bit/s.
+            held: objects that must keep their values.
+            heard: objects with the last received command.
+            lost_share: share of the answers within a second, 1, that may hold too old a command.
+            stops: emergency stop inputs.
         """
         self.altered: dict[int, str] = {}
         self._send = bus.send
@@ -206,17 +213,17 @@ class ReadBack:
         self._stops = itertools.cycle(stops)
         self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))
         self._asked: Held | Heard | StopInput | None = None
-        self._again: Held | None = None  # differed, and is read a second time before it counts
+        self._again: Held | None = None  # differed once, and counts only if it differs again
         self._next = -math.inf
         self._next_heard = -math.inf if heard else math.inf
         self._next_stop = -math.inf if stops else math.inf
         self._asked_at = -math.inf
         for each in heard:
-            asked = 1.0 / (self._listen * len(heard))  # in a second
+            asked = 1.0 / (self._listen * len(heard))  # requests per second
             each.hearing.begin(max(LEAST_UNHEARD, math.ceil(lost_share * asked)))
 
     def update(self, now: float) -> None:
-        """Ask for the next object when it is due; `now` in s, monotonic."""
+        """Request the next object when it is due; `now` is monotonic time in s."""
         if now < self._next and now < self._next_heard and now < self._next_stop:
             return
         if now >= self._next_stop and (self._asked is None or now >= self._asked_at + STOP_PATIENCE):
@@ -234,7 +241,7 @@ class ReadBack:
             self._next = now + self._interval
             asked = self._again or next(self._round)
         else:
-            behind = now - self._next_heard  # keeps the grid of `LISTEN`, which no cycle matches
+            behind = now - self._next_heard  # keeps the grid of `LISTEN`, which matches no cycle
             self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
             asked = next(self._drives)
             asked.hearing.ask()
@@ -250,7 +257,7 @@ class ReadBack:
         if asked is None or asked.node_id != node_id or len(data) != 8 or _KEY.unpack_from(data) != asked.entry.key:
             return False
         self._asked = None
-        known = data[0] & _EXPEDITED_BITS == _EXPEDITED  # else an abort, or more than fits
+        known = data[0] & _EXPEDITED_BITS == _EXPEDITED  # otherwise an abort, or too large for one frame
         if isinstance(asked, StopInput):
             if known:
                 asked.answered(asked.entry.decode(data[4:8]))

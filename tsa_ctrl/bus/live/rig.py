@@ -1,8 +1,8 @@
-"""Run the cyclic side of all axes: SYNC out, TPDOs in, RPDOs out, with as few allocations as possible.
+"""Run the cyclic communication of all axes: SYNC out, TPDOs in, RPDOs out, with as few allocations as possible.
 
-A cycle is `rig.sync()`, `rig.collect(deadline)`, then for each axis `axis.command(controlword, tau_m)`. A TPDO counts
-as fresh only if it arrives after this cycle's SYNC. An earlier TPDO is late, a second one is repeated, and neither is
-used. `check_startup` runs such cycles without any command before the first torque.
+A cycle is `rig.sync()`, `rig.collect(deadline)`, then for each axis `axis.command(controlword, tau_m)`. A TPDO is fresh
+only if it arrives after this cycle's SYNC. An earlier TPDO is late, a second one is repeated, and neither is used.
+`check_startup` runs such cycles without commands before the first torque.
 """
 
 from __future__ import annotations
@@ -24,22 +24,32 @@ from tsa_ctrl.bus.wire.bus import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorC
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Lead
 
-_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old and new answers cannot be distinguished
-_OTHERS = 16  # emergencies and heartbeats that may lie between timely answers
-_MISJUDGED = 8  # answers in a row that came after the one that was thought to be the last
-_ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
+_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood that mixes old and new answers
+_OTHERS = 16  # emergencies and heartbeats that may arrive between the answers
+_MISJUDGED = 8  # consecutive cycles in which another answer than expected was the last
+_ABANDONED = 10  # consecutive misses after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
-_WRITES = (1, 6)  # CiA 301, client command specifiers: a download begins, a block download begins or ends
+_WRITES = (1, 6)  # CiA 301, client command specifiers: start of a download; start or end of a block download
 _HIGHEST_EMCY = cia301.EMCY + 127
 
 
 class Rig:
-    """All axes of one bus, or of several as one (`bus.wire.bus.BusGroup`).
+    """All axes of one bus, or of several buses combined (`bus.wire.bus.BusGroup`).
 
-    `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
-    the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (its
-    contents), `flooded` (cycles whose answers could not be distinguished from old ones).
+    Args:
+        bus: the bus.
+        settings: settings of the bus.
+        axes: nodes of each axis.
+        profiles: drive profile of each axis, in the same order.
+        clock: monotonic time, s; default: the clock of the bus.
+        wake_early: maximum time by which `wait` may wake up early, s.
+
+    Attributes:
+        axes: the axes.
+        error_frames: number of error frames.
+        last_error: meaning of the last error frame.
+        flooded: number of cycles whose answers could not be distinguished from old ones.
     """
 
     def __init__(
@@ -63,7 +73,7 @@ class Rig:
         self.error_frames = 0
         self.last_error = ""
         self.flooded = 0
-        self.has_commanded = False  # since it was made
+        self.has_commanded = False  # since this object was created
         self.monitor_acted: Callable[[float], bool] = lambda now: (
             False
         )  # returns True while the monitor acts: its frames are then expected
@@ -72,14 +82,14 @@ class Rig:
         self._settings = settings
         self._inboxes = tuple(inbox for inbox in self._answers.values() if inbox.every == 1)
         self._rare = tuple(inbox for inbox in self._answers.values() if inbox.every > 1)
-        self._messages: dict[int, Handler] = {}  # by identifier: what may come at any time
+        self._messages: dict[int, Handler] = {}  # by identifier: messages that may arrive at any time
         for axis in self.axes:
             for health, guard in zip(axis.image.nodes, axis.guards, strict=True):
                 self._hear(cia301.HEARTBEAT + health.node_id, guard.heartbeat)
                 self._hear(cia301.EMCY + health.node_id, guard.emergency)
         self._guarded = sorted(
             {axis.nodes.drive.node_id for axis in self.axes if axis.profile.supervision == "guarding"}
-        )  # asked for their state by remote frames
+        )  # their state is requested by remote frames
         ours = [
             cia301.NMT,
             cia301.SYNC,
@@ -97,12 +107,12 @@ class Rig:
         self._emptied = False
         self._lead = Lead(wake_early)
         self._read_back: ReadBack | None = None
-        self._patience = 0.0  # s that the last cycle would have waited for answers
-        self._last = 0  # identifier of the answer that comes last
-        self._later = 0  # ... and how often in a row another came after it
+        self._patience = 0.0  # s that the last cycle was prepared to wait for answers
+        self._last = 0  # identifier of the answer expected last
+        self._later = 0  # consecutive cycles in which another answer arrived later
 
     def _hear(self, can_id: int, handler: Handler) -> None:
-        """Add a handler of an identifier; a node of two axes has two handlers."""
+        """Add a handler for an identifier; a node of two axes has two handlers."""
         first = self._messages.get(can_id)
         if first is None:
             self._messages[can_id] = handler
@@ -120,18 +130,18 @@ class Rig:
 
     @property
     def commands(self) -> bool:
-        """Return True if any drive is commanded; see `stand_off`."""
+        """Return True if any drive receives commands; see `stand_off`."""
         return any(not axis.stands_off for axis in self.axes)
 
     @property
     def longest_turn(self) -> int:
-        """Return the number of SYNCs in which every node has sent each of its PDOs at least once."""
+        """Return the number of SYNCs within which every node sends each of its rare PDOs; 0 without rare PDOs."""
         return max((inbox.every + 1 for inbox in self._rare), default=0)
 
     def look_after(self, report: Report, stop: StopBit | None = None) -> None:
-        """Read back the objects that the bring-up wrote, from the next `start` on.
+        """Read back the objects that the bring-up wrote, beginning with the next `start`.
 
-        `stop`: input of the emergency stop at each drive that has digital inputs; None without one.
+        `stop` is the input of the emergency stop at each drive with digital inputs, or None.
         """
         held = held_by(report)
         if held:
@@ -144,7 +154,7 @@ class Rig:
                 self._messages[cia301.SDO_ANSWER + node_id] = partial(self._compare, node_id)
 
     def _stops(self, report: Report, wiring: StopBit | None) -> list[StopInput]:
-        """Return the emergency stop of each axis whose drive has digital inputs."""
+        """Return the emergency stop input of each axis whose drive has digital inputs."""
         if wiring is None:
             return []
         inputs = {(node.node_id, node.digital_inputs) for node in report.nodes if node.digital_inputs is not None}
@@ -157,20 +167,20 @@ class Rig:
         ]
 
     def read_back(self, now: float) -> None:
-        """Ask for the next object when that is due; for the end of a cycle, when its answers are here."""
+        """Request the next object if it is due. Call it at the end of a cycle, after the answers have arrived."""
         if self._read_back is not None:
             self._read_back.update(now)
 
     def stand_off(self) -> None:
-        """Command no drive any more until `start`: they are about to be configured, and may be others than we think."""
+        """Send no commands until `start`, because the drives are about to be configured and may have been exchanged."""
         self._read_back = None
         for axis in self.axes:
             axis.stands_off = True
 
     def start(self) -> None:
-        """Begin commanding once all nodes are configured: receive only their frames, and discard old answers.
+        """Begin commanding after all nodes are configured: receive only their frames, and discard old answers.
 
-        Emergencies that came since the bring-up are kept.
+        Emergencies received since the bring-up are kept.
         """
         self.bus.accept([*self._answers, *self._messages])
         now = self._clock()
@@ -189,10 +199,14 @@ class Rig:
     def wait(self, until: float) -> float:
         """Sleep until `until` (monotonic s), then process the received frames: emergencies, heartbeats, late answers.
 
-        A loop calls this instead of sleeping, so `sync` need not look for waiting frames before each SYNC. Only an old
-        answer that arrives within the microseconds between both would be accepted, once. It wakes up early by the
-        recent wake-up latency, and processes frames until `until`. Before it sleeps it sets the timer that ends the
-        wait for the next answers. Returns the time.
+        A loop calls this instead of sleeping, so that `sync` need not check for waiting frames. An old answer is
+        accepted, once, only if it arrives within the microseconds between both calls.
+
+        The call wakes up early by the recent wake-up latency, and processes frames until `until`. Before it sleeps, it
+        sets the timer that ends the wait for the next answers.
+
+        Returns:
+            The time after the wait, s.
         """
         lead = self._lead.value
         if self._patience > 0.0:
@@ -204,7 +218,7 @@ class Rig:
         return now
 
     def _empty(self, until: float) -> float:
-        """Take what has come by `until`, as no answer; returns the time."""
+        """Receive the frames until `until` without accepting them as answers; return the time."""
         frames = self.bus.gather(until, _MAX_WAITING)
         for frame in frames:
             self._take_stale(frame)
@@ -213,9 +227,10 @@ class Rig:
         return self._clock()
 
     def sync(self, now: float | None = None) -> bool:
-        """Begin a cycle at `now` (default: read the clock): take what waited, unless `wait` just did, then send SYNC.
+        """Begin a cycle at `now` (default: read the clock): take waiting frames, unless `wait` just did, and send SYNC.
 
-        False when the SYNC was dropped.
+        Returns:
+            False if the SYNC was dropped.
         """
         if not self._emptied:
             self._empty(0.0)
@@ -228,10 +243,10 @@ class Rig:
         return self.bus.send(cia301.SYNC, _NO_DATA)
 
     def collect(self, deadline: float) -> float:
-        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the SYNC's time.
+        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); return the SYNC time.
 
-        Waits for the answer that comes last and takes them all at once: to be woken by each of them costs more than a
-        cycle's arithmetic, and takes the processor from nodes that share it.
+        The call waits for the last answer and takes all at once. A wake-up for each answer would cost more than a
+        cycle's arithmetic, and would take processor time from nodes on the same processor.
         """
         answers, bus = self._answers, self.bus
         self._patience = deadline - self._synced
@@ -258,7 +273,7 @@ class Rig:
                     break
                 remaining = deadline - self._clock()
                 frame = bus.recv(remaining) if remaining > 0.0 else None
-                over = frame is None  # then only what came in time is still taken
+                over = frame is None  # afterwards only frames that arrived in time are taken
                 frames = bus.gather(deadline, pending + _OTHERS) if frame is None else (frame,)
             if rounds > 1 and pending <= 0:
                 self._learn_the_last(last)
@@ -280,7 +295,7 @@ class Rig:
         return self._synced
 
     def _expect(self) -> None:
-        """Count the answers to wait for; the one of the lowest priority is thought to come last."""
+        """Count the answers to wait for; the answer with the lowest priority is expected last."""
         awaited = [can_id for can_id, inbox in self._answers.items() if inbox.awaited]
         if len(awaited) != self._expected or self._last not in awaited:
             self._expected = len(awaited)
@@ -291,7 +306,7 @@ class Rig:
                 self._listen_for(can_id)
 
     def _learn_the_last(self, can_id: int) -> None:
-        """`can_id` completed a cycle: when it is not the one thought to, and so again and again, take it for that."""
+        """Expect `can_id` last if it has repeatedly completed a cycle in place of the identifier expected last."""
         self._later = 0 if can_id == self._last else self._later + 1
         if self._later >= _MISJUDGED:
             self._listen_for(can_id)
@@ -302,7 +317,7 @@ class Rig:
         self.bus.listen_for(can_id)
 
     def heartbeat(self, now: float) -> None:
-        """Send our heartbeat when it is due; call it every cycle, and never hand it to a timer of the kernel."""
+        """Send our heartbeat when it is due. Call it every cycle, and never delegate it to a timer of the kernel."""
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + self._settings.host_heartbeat_period
             if self.withholds_heartbeat:
@@ -316,7 +331,7 @@ class Rig:
         return self.bus.send(cia301.NMT, cia301.nmt(command, node_id))
 
     def _take_stale(self, frame: Frame) -> None:
-        """Take a frame from outside the window of a cycle: count a late answer, process a message."""
+        """Process a frame from outside a cycle's window: count a late answer, handle a message."""
         can_id, data = frame
         inbox = self._answers.get(can_id)
         if inbox is None:
@@ -351,23 +366,24 @@ class Rig:
             self._meet_intruder(can_id, data)
 
     def _meet_intruder(self, can_id: int, data: bytes) -> None:
-        """Note a frame of another master. The bus does not receive its own frames, and the monitor's are expected."""
+        """Report a frame of another master. The bus does not receive its own frames; the monitor's are expected."""
         if self.monitor_acted(self._clock()):
             return
         for axis in self.axes:
             axis.image.intruder = can_id
 
 
-_LEAST_ANSWERED = 0.8  # share of SYNCs that each node must answer before torque
-_MOST_PDOS = 4  # of a node in a cycle, the TPDOs of CiA 301's defaults: as many come late with one cycle
-_GONE = 3  # SYNCs at the end that a node did not answer
+_LEAST_ANSWERED = 0.8  # share of SYNCs that each node must answer before torque is allowed
+_MOST_PDOS = 4  # TPDOs of a node in a cycle (CiA 301 defaults); this many may arrive late with one cycle
+_GONE = 3  # unanswered SYNCs at the end after which a node counts as gone
 
 
 def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
-    """Send SYNC at the period without any command, so that the slow first cycles do not count in the loop.
+    """Send SYNC at the period (s) without commands, so that the slow first cycles do not count in the loop.
 
-    Raises BusError for a node that does not answer 80 % of `cycles` SYNCs or none of the last three, or that answers
-    more than once, as two nodes of one id do.
+    Raises:
+        BusError: a node answers less than 80 % of `cycles` SYNCs, or none of the last three. Or it answers more than
+            once, as two nodes with one id do.
     """
     nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
     cycles += rig.longest_turn  # so that rare PDOs are also received
@@ -385,7 +401,7 @@ def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
                 f"axis '{name}' {health}: answered {answered} of {cycles} SYNCs in time "
                 f"(late {health.late}, wrong length {health.malformed}){_said(health)}"
             )
-        more = health.repeated - repeated - _MOST_PDOS * (health.missed - missed)  # late ones come with the next
+        more = health.repeated - repeated - _MOST_PDOS * (health.missed - missed)  # late ones arrive with the next
         if more > (1.0 - _LEAST_ANSWERED) * cycles:
             raise BusError(
                 f"axis '{name}' {health}: sent {more} more PDOs than {cycles} SYNCs asked for; "
@@ -395,7 +411,7 @@ def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
 
 
 def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in [controller], and the cable") -> str:
-    """Return the emergencies that the node sent meanwhile."""
+    """Return the last emergency of a node as the end of a message, or `otherwise` if it sent none."""
     if health.emcy is None:
         return otherwise
     return f"; it sent {health.emcy}: remove the reported cause, power the node off and on, and start again"

@@ -1,7 +1,7 @@
-"""The interface of a CAN bus for the rest of the package, and several buses behind this interface.
+"""Interface of a CAN bus for the rest of the package, and a group of several buses behind the same interface.
 
-A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` set in its
-identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `ErrorClass`).
+A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` in its identifier,
+its class in the bits below and its details in the data (see `ErrorClass` and Linux `can/error.h`).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ ERROR_FLAG = 0x20000000  # CAN_ERR_FLAG
 EXTENDED_FLAG = 0x80000000  # CAN_EFF_FLAG
 REMOTE_FLAG = 0x40000000  # CAN_RTR_FLAG
 
-FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
+FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so that a flood cannot keep flush() busy forever
 
 Frame = tuple[int, bytes]
 
 
 class BusFault(Enum):
-    """Why a bus cannot carry torque any longer; latched until `Bus.clear_fault`."""
+    """Reason why a bus can no longer carry torque; latched until `Bus.clear_fault`."""
 
     INTERFACE_DOWN = "the interface is down"
     INTERFACE_GONE = "the interface is gone"
@@ -33,7 +33,7 @@ class BusFault(Enum):
 
 @dataclass(slots=True)
 class Counters:
-    """Frames since the bus was opened; `dropped` were given to `send` and never reached the wire."""
+    """Numbers of frames since the bus was opened. `dropped` frames were passed to `send` and never reached the wire."""
 
     sent: int = 0
     dropped: int = 0
@@ -41,7 +41,7 @@ class Counters:
 
 
 class Bus(Protocol):
-    """A CAN bus. Never blocks in `send`, never queues stale frames, never receives its own frames."""
+    """A CAN bus. It never blocks in `send`, never queues stale frames, and never receives its own frames."""
 
     name: str
     counters: Counters
@@ -52,41 +52,42 @@ class Bus(Protocol):
         ...
 
     def send(self, can_id: int, data: bytes) -> bool:
-        """Send one frame; False when it was dropped (queue full, interface down), which is counted."""
+        """Send one frame; return False if it was dropped (queue full, interface down), which is counted."""
         ...
 
     def recv(self, timeout: float) -> Frame | None:
-        """Return the next frame within `timeout` s; None without one or if the bus has failed (see `fault`)."""
+        """Return the next frame within `timeout` s, or None if none arrives or the bus has failed (see `fault`)."""
         ...
 
     def gather(self, until: float, most: int) -> Sequence[Frame]:
-        """Sleep until `until` (monotonic s; not at all when it is over), then take what has come, `most` at most."""
+        """Sleep until `until` (monotonic s, may be past), then return the received frames, at most `most`."""
         ...
 
     def listen_for(self, can_id: int) -> None:
-        """Name the identifier that `answers` waits for: the last one of a cycle."""
+        """Set the identifier that `answers` waits for: the last one of a cycle."""
         ...
 
     def answers(self, timeout: float, most: int) -> Sequence[Frame]:
-        """Wait for the frame named to `listen_for`, `timeout` s at most, then take what has come, `most` at most.
+        """Wait at most `timeout` s for the frame set by `listen_for`, then return the received frames, at most `most`.
 
-        Spares a cycle to be woken by each answer. It may be woken early, so the caller waits for the rest.
+        This avoids a wake-up of the cycle by each answer. The call may return early, so the caller waits for the rest.
         """
         ...
 
     def expect(self, until: float) -> None:
-        """Announce before the sleep that the next `answers` need not wait longer than `until` (monotonic s).
+        """Announce before a sleep that the next `answers` need not wait beyond `until` (monotonic s).
 
-        A timer that is set before the sleep takes no time of the cycle. `timeout` still applies, to a kernel tick.
+        A timer that is set before the sleep takes no time in the cycle. `timeout` still applies, within one kernel
+        tick.
         """
         ...
 
     def accept(self, can_ids: Iterable[int] | None) -> None:
-        """Receive these identifiers (and error frames) only; None receives all."""
+        """Receive only these identifiers and error frames; None receives all."""
         ...
 
     def flush(self) -> int:
-        """Throw away what waits to be received; the number of frames thrown away."""
+        """Discard the waiting frames, and return their number."""
         ...
 
     def clear_fault(self) -> None:
@@ -94,7 +95,7 @@ class Bus(Protocol):
         ...
 
     def fileno(self) -> int:
-        """Return the descriptor that becomes readable with a frame, or -1."""
+        """Return the descriptor that becomes readable when a frame arrives, or -1."""
         ...
 
     def close(self) -> None:
@@ -103,7 +104,7 @@ class Bus(Protocol):
 
 
 class BusInProcess:
-    """Implement the parts of `Bus` that need no support by the kernel."""
+    """Implement the parts of `Bus` that need no kernel support."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -117,7 +118,7 @@ class BusInProcess:
         raise NotImplementedError
 
     def expect(self, until: float) -> None:
-        """Do nothing: waiting sets its own timer."""
+        """Do nothing, because a wait sets its own timer."""
 
     def flush(self) -> int:
         return len(self.gather(0.0, FLUSH_LIMIT))
@@ -172,11 +173,11 @@ def describe(can_id: int, data: bytes) -> str:
 
 
 _NMT = 0x000  # CiA 301: its second byte is the node, 0 means all
-_SLICE = 1e-3  # s between two looks at the other buses, where a bus has no descriptor to wait for
+_SLICE = 1e-3  # s between two polls of the other buses if a bus has no descriptor
 
 
 class BusGroup(BusInProcess):
-    """Implement `Bus` over several buses: a frame goes to the bus of its node, or to all buses.
+    """Implement `Bus` for several buses: a frame is sent on the bus of its node, or on all buses.
 
     Node ids, and therefore all identifiers, are unique over the buses of a group. SYNC, the host's heartbeat and NMT
     commands to all nodes go to every bus.
@@ -190,8 +191,8 @@ class BusGroup(BusInProcess):
 
         Args:
             wires: at least one bus.
-            by_id: place of the bus in `wires` for each identifier that is sent to one node.
-            by_node: place of the bus for each node.
+            by_id: index in `wires` for each identifier that is sent to one node.
+            by_node: index in `wires` for each node.
         """
         self.wires = tuple(wires)
         super().__init__(" and ".join(wire.name for wire in wires))
@@ -199,7 +200,7 @@ class BusGroup(BusInProcess):
         self._by_node = {node_id: (self.wires[place],) for node_id, place in by_node.items()}
 
     def of(self, node_id: int) -> Bus:
-        """Return the bus of a node; of an unknown one the first."""
+        """Return the bus of a node; an unknown node is on the first bus."""
         return self._by_node.get(node_id, self.wires)[0]
 
     @property
@@ -244,7 +245,7 @@ class BusGroup(BusInProcess):
         return found
 
     def listen_for(self, can_id: int) -> None:
-        """Name the identifier that comes last on the bus of its node; the last ones of other buses stay."""
+        """Set the last identifier on the bus of its node; the last ones of the other buses stay."""
         for wire in self._by_id.get(can_id, ()):
             wire.listen_for(can_id)
 
@@ -269,7 +270,7 @@ class BusGroup(BusInProcess):
             wire.clear_fault()
 
     def fileno(self) -> int:
-        """Return -1: no descriptor becomes readable for several buses."""
+        """Return -1, because one descriptor cannot represent several buses."""
         return -1
 
     def close(self) -> None:
@@ -285,7 +286,7 @@ class BusGroup(BusInProcess):
 
 
 def next_frame(wires: Sequence[Bus], timeout: float) -> tuple[int, Frame | None]:
-    """Wait at most `timeout` s for a frame on any bus; return the place of its bus, and None without a frame."""
+    """Wait at most `timeout` s for a frame on any bus; return the index of its bus, and the frame or None."""
     if len(wires) == 1:
         return 0, wires[0].recv(timeout)
     clock = wires[0].clock

@@ -1,12 +1,12 @@
-"""Carry frames between processes over local sockets: a substitute for a CAN interface that needs no rights.
+"""Carry frames between processes over local sockets: a substitute for a CAN interface that needs no privileges.
 
-It is for demos and benches; a test of the kernel's CAN requires a vcan. Each participant sends to every other one over
-a connection that keeps frames apart (SOCK_SEQPACKET). SOCK_DGRAM without connection would hold only
+It is meant for demos and benches; a test of the kernel's CAN requires a vcan. Each participant sends to every other one
+over a connection that preserves frame boundaries (SOCK_SEQPACKET). A SOCK_DGRAM socket would hold only
 net.unix.max_dgram_qlen frames, often 10. The names are abstract, so that no files remain.
 
-Limits: it has no arbitration, bit rate, error frame, bus-off, acknowledgement or filter in the kernel.
-Each sender's frames keep their order; frames of several senders mix. A frame without a receiver counts as sent. A
-participant that does not read loses frames. All participants are processes of one user in one network namespace.
+Limits: the bus has no arbitration, bit rate, error frame, bus-off, acknowledgement or kernel filter. The frames of each
+sender keep their order, and frames of several senders mix. A frame without a receiver counts as sent. A participant
+that does not read loses frames. All participants are processes of one user in one network namespace.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from tsa_ctrl.system.sleep import sleep_until
 
 _KIND = (socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 MOST_PARTICIPANTS = 16  # each costs a sender one system call per frame
-_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")  # a socket's name has 107 bytes, and also contains user and number
+_NAME = re.compile(r"[A-Za-z0-9._-]{1,64}")  # a socket name has 107 bytes, including the user and a number
 
 
 class DatagramBus(BusInProcess):
-    """Implement `Bus` over local sockets; `send_queue` frames may wait per receiver. Raises BusError in one line."""
+    """Implement `Bus` over local sockets; `send_queue` frames may wait per receiver. Raises BusError."""
 
     def __init__(self, channel: str, send_queue: int = 32) -> None:
         where = f"[bus] channel '{channel}'"
@@ -41,13 +41,13 @@ class DatagramBus(BusInProcess):
         self._received: deque[Frame] = deque()
         self._accepted: frozenset[int] | None = None
         self._last = -1  # identifier that `answers` waits for
-        self._send_buffer = send_queue * 512  # bytes; the kernel doubles it and charges a waiting frame with 1 kB
+        self._send_buffer = send_queue * 512  # bytes; the kernel doubles it and charges 1 kB for a waiting frame
         self._poll = select.epoll()
         self.fileno = self._poll.fileno
-        self._senders: dict[int, socket.socket] = {}  # by descriptor: where frames arrive
+        self._senders: dict[int, socket.socket] = {}  # by descriptor: sockets that receive frames
         self._receivers: dict[str, socket.socket | None] = {
             f"\0tsa-can/{os.geteuid()}/{channel}/{number}": None for number in range(MOST_PARTICIPANTS)
-        }  # by name: where frames are sent
+        }  # by name: sockets that send frames
         self._listener = socket.socket(*_KIND)
         for own in self._receivers:
             with suppress(OSError):  # another participant has this name
@@ -62,7 +62,7 @@ class DatagramBus(BusInProcess):
         self._connect()
 
     def _connect(self) -> None:
-        """Connect to the participants without a connection."""
+        """Connect to each participant that is not connected yet."""
         for name, receiver in self._receivers.items():
             with suppress(BlockingIOError):
                 if receiver is not None:
@@ -77,7 +77,7 @@ class DatagramBus(BusInProcess):
                     new.close()
 
     def _admit(self) -> None:
-        """Take the connections of participants that have joined, and connect to them."""
+        """Accept connections from new participants, and connect to them."""
         with suppress(BlockingIOError):
             while True:
                 sender, _ = self._listener.accept()
@@ -119,7 +119,7 @@ class DatagramBus(BusInProcess):
                 self._senders.pop(descriptor).close()  # the participant has ended
 
     def _wait(self, timeout: float, wanted: int | None) -> None:
-        """Wait at most `timeout` s for a frame with this identifier; None waits for any frame."""
+        """Wait at most `timeout` s for a frame with this identifier, or for any frame if it is None."""
         end = time.monotonic() + timeout
         while timeout >= 0.0 and not any(wanted in (None, can_id) for can_id, _ in self._received):
             self._take(timeout)

@@ -1,7 +1,7 @@
-"""Read, create, remove and switch the CAN links of this machine over route netlink (rtnetlink(7)), and open a bus.
+"""Read, create, delete and switch the CAN links of this machine over route netlink (rtnetlink(7)), and open a bus.
 
-The netlink part is our own: the library for it (pyroute2 0.9.7) takes 630 ms to import and 4 ms to read a link, and
-this module takes 4 ms and 0.5 ms, in every command that opens a bus. Both report the kernel's reason for a failure.
+The netlink part is our own, because every command that opens a bus uses it. The library pyroute2 0.9.7 takes 630 ms to
+import and 4 ms to read a link. This module takes 4 ms and 0.5 ms. Both report the kernel's reason for a failure.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, UsageError
 
-if TYPE_CHECKING:  # the first process of the guest of tools/vcan imports this module with the standard library alone
+if TYPE_CHECKING:  # the first process in the guest of tools/vcan imports this module with only the standard library
     from tsa_ctrl.bus.settings import BusSettings
 
 
@@ -28,7 +28,7 @@ RTM_NEWLINK, RTM_DELLINK, RTM_GETLINK, RTM_NEWROUTE = 16, 17, 18, 24  # linux/rt
 CREATE, EXCLUSIVE, DUMP = 0x400, 0x200, 0x300  # NLM_F_... of linux/netlink.h
 LINK = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change
 _REQUEST, _ACK = 1, 4
-_ERROR, _DONE = 2, 3  # NLMSG_...: an acknowledgement, negative or not; the end of a dump
+_ERROR, _DONE = 2, 3  # NLMSG_...: an acknowledgement, positive or negative; the end of a dump
 _HEADER = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
 _ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
 _TYPE_MASK = 0x3FFF  # without NLA_F_NESTED
@@ -37,9 +37,10 @@ _TIMEOUT = 1.0  # s
 
 
 def request(kind: int, flags: int, body: bytes) -> list[bytes]:
-    """Ask, and wait for the acknowledgement; the bodies of the answers before it.
+    """Send a request, and return the bodies of the answers before its acknowledgement.
 
-    Raises OSError with the kernel's reason, or without netlink.
+    Raises:
+        OSError: with the kernel's reason, or without netlink.
     """
     if not hasattr(socket, "AF_NETLINK"):
         raise OSError("this system has no netlink")
@@ -53,7 +54,7 @@ def request(kind: int, flags: int, body: bytes) -> list[bytes]:
 
 
 def answer(data: bytes, bodies: list[bytes]) -> bool:
-    """Add the messages of one datagram to `bodies`; whether the answer ends with it. Raises OSError for a refusal."""
+    """Add the messages of a datagram to `bodies`; return True at the end of the answer. Raises OSError on rejection."""
     while len(data) >= _HEADER.size:
         length, kind, *_ = _HEADER.unpack_from(data)
         body, data = data[_HEADER.size : length], data[max(_HEADER.size, (length + 3) & ~3) :]
@@ -67,13 +68,13 @@ def answer(data: bytes, bodies: list[bytes]) -> bool:
 
 
 def attribute(kind: int, value: bytes) -> bytes:
-    """Return one attribute of a message."""
+    """Return one attribute of a message as bytes."""
     length = _ATTRIBUTE.size + len(value)
     return _ATTRIBUTE.pack(length, kind) + value + bytes(-length % 4)
 
 
 def attributes(data: bytes) -> dict[int, bytes]:
-    """Return attributes by type, up to the first invalid one."""
+    """Return the attributes by type, up to the first invalid one."""
     found = {}
     while len(data) >= _ATTRIBUTE.size:
         length, kind = _ATTRIBUTE.unpack_from(data)
@@ -93,7 +94,7 @@ _STATS = struct.Struct("=32x4Q")  # rtnl_link_stats64 from rx_errors on: errors 
 
 
 class CanState(IntEnum):
-    """enum can_state of linux/can/netlink.h."""
+    """CAN controller states: enum can_state of linux/can/netlink.h."""
 
     ERROR_ACTIVE = 0
     ERROR_WARNING = 1
@@ -105,7 +106,7 @@ class CanState(IntEnum):
 
 @dataclass(frozen=True)
 class Interface:
-    """One link; a missing value (a vcan has no bit rate) is None."""
+    """One link. A value that the link lacks is None, for instance the bit rate of a vcan."""
 
     up: bool
     kind: str | None = None  # "can", "vcan", "slcan", ...
@@ -113,14 +114,14 @@ class Interface:
     bitrate: int | None = None  # bit/s
     state: CanState | None = None
     errors: tuple[int, int] | None = None  # transmit and receive error counters
-    is_can: bool = False  # of whatever kind
-    restart_ms: int | None = None  # after which the kernel leaves bus-off; 0: never
-    lost: int = 0  # frames since it is up: errors and drops, both ways
+    is_can: bool = False  # of any kind
+    restart_ms: int | None = None  # ms until the kernel leaves bus-off; 0: never
+    lost: int = 0  # frames since the link is up: errors and drops in both directions
     name: str = ""
 
 
 def read(channel: str) -> Interface | None:
-    """Read a link from the kernel; None without an answer (no such link, no netlink)."""
+    """Return a link read from the kernel, or None without an answer (no such link, no netlink)."""
     try:
         found = request(RTM_GETLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), 0, 0))
     except OSError:
@@ -133,7 +134,7 @@ _VIRTUAL_LINKS = ("vcan", "vxcan")
 
 
 def is_simulated(interface: str, channel: str) -> bool:
-    """Return True if no real drive can be on this bus: it does not leave the machine."""
+    """Return True if no real drive can be on this bus, because it does not leave the machine."""
     if interface != "socketcan":
         return interface in IN_ONE_MACHINE
     link = read(channel)
@@ -141,7 +142,7 @@ def is_simulated(interface: str, channel: str) -> bool:
 
 
 def can_interfaces() -> dict[str, Interface]:
-    """Return the CAN links of this machine by name, up or down; none if the kernel denies netlink."""
+    """Return the CAN links of this machine by name, up or down; empty if the kernel denies netlink."""
     try:
         found = [parse(body) for body in request(RTM_GETLINK, DUMP, LINK.pack(0, 0, 0, 0, 0))]
     except OSError:
@@ -150,12 +151,12 @@ def can_interfaces() -> dict[str, Interface]:
 
 
 def set_up(channel: str, up: bool) -> None:
-    """Switch a link up or down, as `ip link set CHANNEL up`; raises OSError with the kernel's reason."""
+    """Switch a link up or down, like `ip link set CHANNEL up`; raise OSError with the kernel's reason."""
     request(RTM_NEWLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), int(up), _IFF_UP))
 
 
 def make_vcan(name: str) -> None:
-    """Make a vcan and set it up, as `ip link add dev NAME type vcan`; after an OSError there is none."""
+    """Create a vcan and set it up, like `ip link add dev NAME type vcan`; after an OSError it does not exist."""
     info = attribute(_IFLA_LINKINFO, attribute(_INFO_KIND, b"vcan"))
     body = LINK.pack(0, 0, 0, 0, 0) + attribute(_IFLA_IFNAME, name.encode() + b"\0") + info
     request(RTM_NEWLINK, CREATE | EXCLUSIVE, body)
@@ -168,12 +169,12 @@ def make_vcan(name: str) -> None:
 
 
 def delete(name: str) -> None:
-    """Delete a link, as `ip link del NAME`; raises OSError with the kernel's reason."""
+    """Delete a link, like `ip link del NAME`; raise OSError with the kernel's reason."""
     request(RTM_DELLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(name), 0, 0))
 
 
 def parse(body: bytes) -> Interface:
-    """Decode the kernel's message on one link (RTM_NEWLINK without its header)."""
+    """Return the link in a message of the kernel (RTM_NEWLINK without its header)."""
     _, link_type, _, flags, _ = LINK.unpack_from(body)
     of = attributes(body[LINK.size :])
     info = attributes(of.get(_IFLA_LINKINFO, b""))
@@ -195,7 +196,7 @@ def parse(body: bytes) -> Interface:
 
 
 def check(channel: str, bitrate: int) -> None:
-    """Raise BusError when a real CAN interface has another bit rate, is not error-active, or has counted errors."""
+    """Raise BusError if a real CAN interface has another bit rate, is not error-active, or has counted errors."""
     found = read(channel)
     if found is None:
         return
@@ -238,9 +239,9 @@ def _state(value: int | None) -> CanState | None:
 
 
 def open_bus(settings: BusSettings) -> Bus:
-    """Open the configured bus and return it; raises BusError if it is not ready.
+    """Open the configured bus and return it; raise BusError if it is not ready.
 
-    "socketcan" uses a raw socket, "datagram" local sockets, and every other interface python-can.
+    "socketcan" uses a raw socket, "datagram" uses local sockets, and every other interface uses python-can.
     """
     if settings.interface in ("socketcan", "datagram") and settings.options:
         raise UsageError(
@@ -257,6 +258,6 @@ def open_bus(settings: BusSettings) -> Bus:
             bus.close()
             raise
         return bus
-    from tsa_ctrl.bus.wire.python_can import PythonCan  # python-can is slow to import, and not needed on a raw socket
+    from tsa_ctrl.bus.wire.python_can import PythonCan  # slow to import, and not needed for a raw socket
 
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)

@@ -1,4 +1,4 @@
-"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) as a `Bus`: adapters without SocketCAN."""
+"""Any bus of python-can (virtual, udp_multicast, slcan, ...) as a `Bus`, for adapters without SocketCAN support."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from tsa_ctrl.errors import BusError
 Option = str | int | float | bool
 
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
-_ECHOING = frozenset({"udp_multicast"})  # interfaces that cannot leave out the own frames
+_ECHOING = frozenset({"udp_multicast"})  # interfaces that cannot suppress their own frames
 # Options for a loop at a fixed rate, unless [bus] options contain them. A read of slcan without frames blocks for its
-# `timeout`, 1 ms by default, which is a whole period. Without `tcp_tune` the kernel delays small frames of socketcand
+# `timeout`. Its default of 1 ms is a whole period. Without `tcp_tune` the kernel delays small frames of socketcand
 # until the last one is acknowledged. The frames of udp_multicast never leave this machine.
 _DEFAULTS: dict[str, dict[str, Option]] = {
     "slcan": {"timeout": 1e-4},
     "socketcand": {"tcp_tune": True},
     "udp_multicast": {"fd": False, "hop_limit": 0},
 }
-_MAX_ECHOES = 64  # frames sent whose echo may be on its way
+_MAX_ECHOES = 64  # sent frames whose echo may still arrive
 
 
 class PythonCan(BusInProcess):
-    """A `Bus` over `can.Bus(interface=..., channel=..., **options)`; raises BusError when it cannot be opened."""
+    """A `Bus` over `can.Bus(interface=..., channel=..., **options)`; raises BusError if it cannot be opened."""
 
     def __init__(self, interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> None:
         super().__init__(f"{interface}:{channel}")
@@ -71,7 +71,7 @@ class PythonCan(BusInProcess):
         return frames
 
     def listen_for(self, can_id: int) -> None:
-        """Do nothing: python-can cannot wait for one identifier, so `answers` waits for any."""
+        """Do nothing: python-can cannot wait for one identifier, so `answers` waits for any frame."""
 
     def answers(self, timeout: float, most: int) -> list[Frame]:
         frame = self.recv(timeout)
@@ -113,7 +113,7 @@ class PythonCan(BusInProcess):
 
 
 def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> can.BusABC:
-    """Return an open bus with the options that suit a fixed rate; raises BusError in one line."""
+    """Return an open bus with options for a fixed rate; raise BusError with a one-line message if that fails."""
     arguments: dict[str, Option] = {} if interface == "udp_multicast" else {"bitrate": bitrate}
     arguments |= {**_DEFAULTS.get(interface, {}), **(options or {})}
     try:
@@ -130,9 +130,9 @@ def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Opt
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """Receive the socket's own group only. By default, Linux delivers all groups that any process has joined.
+    """Receive only the socket's own group. By default, Linux delivers all groups that any process has joined.
 
-    Frames that came between opening and this option may be of any group. They are discarded.
+    Frames that arrived before this option was set may be of any group and are discarded.
     """
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:

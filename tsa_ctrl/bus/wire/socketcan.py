@@ -1,4 +1,4 @@
-"""Access raw SocketCAN (Linux, AF_CAN) with one precompiled struct, and without threads or a user-space queue."""
+"""Access raw SocketCAN (Linux, AF_CAN) with one precompiled struct, without threads and without a user-space queue."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Alarm, sleep_until
 
 FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
-_MOST = 64  # frames taken by one call
+_MOST = 64  # maximum number of frames taken by one call
 
 
 class _Vector(ctypes.Structure):
@@ -47,7 +47,7 @@ _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int
 class Batch:
     """Receive many frames of one raw CAN socket with one kernel call (recvmmsg(2)), without waiting.
 
-    Python's socket module does not offer this call.
+    Python's socket module does not provide this call.
     """
 
     def __init__(self, raw: socket.socket) -> None:
@@ -62,7 +62,7 @@ class Batch:
         self._address = ctypes.addressof(self._messages)
 
     def take(self, most: int) -> tuple[list[tuple[int, bytes]], int]:
-        """Return at most `most` frames and the kernel's error number, 0 without an error or for EAGAIN."""
+        """Return at most `most` frames and the kernel's error number; it is 0 without an error and for EAGAIN."""
         frames: list[tuple[int, bytes]] = []
         while most > 0:
             wanted = most if most < _MOST else _MOST
@@ -80,14 +80,14 @@ class Batch:
 
 _pack, _unpack = FRAME.pack, FRAME.unpack
 FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
-_ID_MASK = 0xC00007FF  # standard data frames of exactly this identifier
+_ID_MASK = 0xC00007FF  # only standard data frames with exactly this identifier
 _CAN_RAW_ERR_FILTER = 2  # of linux/can/raw.h
 _ALL_ERRORS = 0x1FFFFFFF  # CAN_ERR_MASK
 _MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
-_TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
-_TICK = 0.01  # s; with a time-out so much later than the next event, the kernel sets no timer
+_TRUESIZE = 1024  # bytes charged to the socket for one queued CAN frame, rounded up
+_TICK = 0.01  # s; if the time-out is this much later than the next event, the kernel sets no timer
 
 _NOTHING: list[int] = []
 _DROPPED = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK})
@@ -101,8 +101,11 @@ _FAULTS = {
 class SocketCan:
     """Implement `Bus` on a SocketCAN interface.
 
-    `channel`: interface name. `send_queue`: frames that may wait in the kernel. Further frames are dropped and counted,
-    so that no stale torque is sent after a bus has recovered. Raises BusError if the interface is missing or down.
+    At most `send_queue` frames wait in the kernel. Further frames are dropped and counted, so that no stale torque is
+    sent after a bus has recovered.
+
+    Raises:
+        BusError: the interface is missing or down.
     """
 
     def __init__(self, channel: str, send_queue: int = 32) -> None:
@@ -127,10 +130,10 @@ class SocketCan:
         self._recv_into = self._socket.recv_into
         self._readers = [self._fd]
         self._batch = Batch(self._socket)
-        self._bell: socket.socket | None = None  # hears one identifier only: the last answer of a cycle
+        self._bell: socket.socket | None = None  # receives only the last answer of a cycle
         self._heard: Batch | None = None
         self._bells = self._readers
-        self._alarm: Alarm | None = None  # readable when a cycle need not wait any longer, if it is set
+        self._alarm: Alarm | None = None  # becomes readable when a cycle need not wait longer
         self._alarmed = False
 
     def _open(self, channel: str, send_queue: int) -> None:
@@ -169,7 +172,7 @@ class SocketCan:
 
     def recv(self, timeout: float) -> Frame | None:
         try:
-            # select() waits with microseconds, poll() only with milliseconds
+            # select() has a resolution of microseconds, poll() only of milliseconds
             if timeout > 0.0 and not select(self._readers, _NOTHING, _NOTHING, timeout)[0]:
                 return None
             self._recv_into(self._buffer)
@@ -181,7 +184,7 @@ class SocketCan:
 
     def gather(self, until: float, most: int) -> list[Frame]:
         if self._heard is not None:
-            self._heard.take(most)  # and forgotten, errors too: the other socket has them all
+            self._heard.take(most)  # discarded, errors too, because the other socket has received them as well
         sleep_until(round(until * 1e9))
         return self._take(most)
 
@@ -218,7 +221,7 @@ class SocketCan:
         return frames
 
     def _note(self, number: int | None) -> None:
-        """Latch a fault of the bus; a full queue (send) or an empty one (recv) is not a fault."""
+        """Latch a fault of the bus; a full queue (send) or an empty queue (recv) is not a fault."""
         if number not in _DROPPED and self.fault is None:
             self.fault = _FAULTS.get(number or 0, BusFault.ADAPTER)
 
