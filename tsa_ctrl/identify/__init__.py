@@ -1,4 +1,4 @@
-"""Off-line work with logs: datasets, simulation, calibration, diagnosis.
+"""Process logs offline: datasets, simulation, calibration and diagnosis.
 
 from tsa_ctrl.identify import diagnose
 result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
@@ -16,7 +16,7 @@ __all__ = ["Diagnosis", "diagnose"]
 
 
 def __getattr__(name: str) -> Any:
-    """Loads the diagnosis on first use: `tsa simulate` and `tsa calibrate` do not need it."""
+    """Load the diagnosis on first use, because `tsa simulate` and `tsa calibrate` do not need it."""
     if name in __all__:
         from tsa_ctrl.identify import diagnosis
 

@@ -28,9 +28,9 @@ def provenance(
     Args:
         logs: datasets, or hash by name.
         found: quantities whose 95 % intervals are kept as [low, high] in SI units.
-        origin: the joint of the measurements. Without it they are from logs, which may be of any joint, and the file
-            keeps the joint of the nominal file.
-        more: further values.
+        origin: the measured joint. Without it, the source is logs, which may be of any joint, and the joint of the
+            nominal file is kept.
+        more: further entries of the table.
     """
     if origin is None:
         origin = Origin("logs", _nodes_of(Path(nominal)))

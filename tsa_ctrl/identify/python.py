@@ -24,7 +24,7 @@ from tsa_ctrl.model.parameters import Model, TendonSheath, load_model
 
 
 def dataset(log: Any, name: str = "log") -> Dataset:
-    """Return one log as a Dataset; raise UsageError if it is not one or lacks a column."""
+    """Return one log as a Dataset; raise UsageError if `log` has no usable form or lacks a column."""
     if isinstance(log, Dataset):
         return log
     if isinstance(log, (str, Path)):
@@ -39,7 +39,7 @@ def dataset(log: Any, name: str = "log") -> Dataset:
 
 
 def predict(model: Model | str | Path, log: Any) -> NDArray[np.float64]:
-    """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive its motor torque."""
+    """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive, the motor torque."""
     return simulate(dataset(log), _model(model)).predicted
 
 
