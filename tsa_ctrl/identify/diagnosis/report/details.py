@@ -1,4 +1,4 @@
-"""The results of all stages of a diagnosis, and the curves and tables for the pictures and the page."""
+"""Collect the results of all stages of a diagnosis, and the curves and tables for the pictures and the page."""
 
 from __future__ import annotations
 
@@ -105,7 +105,10 @@ class Details:
 def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -> Details:
     """Return the curves and tables of an outcome.
 
-    grouped: groups in the order of the report. lost: share of the gain that is lost without the cause of each group.
+    Args:
+        outcome: results of all stages.
+        grouped: groups in the order of the report.
+        lost: share of the gain that is lost without the cause of each group.
     """
     data, found, reported = outcome.data, outcome.audit, outcome.reported
     base, selection, findings = outcome.base, outcome.selection, outcome.findings
@@ -175,7 +178,7 @@ def _curves(run: Run, models: tuple[Model, Model, Model], formula: Formula | Non
 def _causes(grouped: Sequence[Group], lost: Sequence[float]) -> tuple[Ranked, ...]:
     """Return the bars of the causes in the order of the report.
 
-    Each cause is followed by the competing hypotheses to which it was compared on data outside the fit.
+    Each cause is followed by the competing hypotheses that were compared with it on data outside the fit.
     """
     out = []
     for number, (group, share) in enumerate(zip(grouped, lost, strict=True)):
