@@ -100,7 +100,7 @@ def _presliding(frame: Frame) -> list[PreslidingHysteresis]:
 
 
 def _friction(frame: Frame, effect: PreslidingHysteresis) -> tuple[Array, Array]:
-    """Return the friction terms of (3.55): the state z, and z times the motor torque, as friction may depend on both."""
+    """Return the friction terms of (3.55): the state z, and z times the motor torque, on which friction may depend."""
     states = []
     for run in frame.runs:
         path = effect.path(run.signals)
