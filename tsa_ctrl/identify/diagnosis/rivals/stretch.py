@@ -1,5 +1,7 @@
 """Compute the tendon elongation from the angles of both pulleys, and the compliances that the model file implies.
 
+The elongation is
+
     s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
 """
 
