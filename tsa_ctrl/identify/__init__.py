@@ -1,8 +1,10 @@
 """Process logs offline: datasets, simulation, calibration and diagnosis.
 
-from tsa_ctrl.identify import diagnose
-result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
-print(result.verdict, result.sentence)
+Example:
+
+    from tsa_ctrl.identify import diagnose
+    result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
+    print(result.verdict, result.sentence)
 """
 
 from __future__ import annotations

@@ -236,9 +236,9 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
     returned.
 
     Args:
-        path: file, with the axis if there are several.
-        strict: repair at most jitter of 20 % of the period.
-        cutoff: Hz, of the smoother that derives velocities and accelerations; default: chosen from the data.
+        path: the file, with `:AXIS` if it has several axes.
+        strict: True to repair only jitter of up to 20 % of the period.
+        cutoff: cut-off in Hz of the smoother that derives velocities and accelerations; by default the data set it.
 
     Raises:
         UsageError: a column is missing, a value is nan, the time runs backwards, the file is empty or damaged, or a

@@ -1,10 +1,10 @@
 """Detect torques that are too large for this model, and list the units that would explain the factor.
 
-While the tendons slide, (3.55) gives an upper bound of the joint torque:
+While the tendons slide, the joint torque has an upper bound by (3.55):
 
     |tau_J| <= R cosh(x) |tau_M| + F,    R = r_J / r_M,    F = 2 T_p r_J sinh x
 
-with friction angle and pretension at the upper end of [uncertainty]. The part of the torque that is proportional to the
+Friction angle and pretension are at the upper end of [uncertainty]. The part of the torque that is proportional to the
 joint's acceleration is due to inertia and does not count. A model cannot distinguish units whose factors differ by less
 than its uncertainty, so all matching units are listed.
 """

@@ -64,7 +64,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a quantity (`unit`) from `before` to `after`, since the run `since`."""
+    """A change of a quantity from `before` to `after` (in `unit`), beginning with the run `since`."""
 
     quantity: str
     since: str

@@ -231,9 +231,10 @@ class _Investigator:
 
 
 def unexplained_while_sliding(result: Diagnosis) -> bool:
-    """Return True if the error while sliding and the error on held-out data both exceed the sensor noise.
+    """Return True if the sliding error and the held-out error both exceed MORE_THAN_NOISE times the sensor noise.
 
-    Errors at reversals do not count, because no model reproduces these moments exactly.
+    The result is also True if the verdict leaves an error but the errors or the noise are unknown. Errors at reversals
+    do not count, because no model reproduces these moments exactly.
     """
     if result.verdict not in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         return False

@@ -1,4 +1,4 @@
-"""Download a published data set, convert it, and keep it only if its bytes are those that were tested."""
+"""Download a published data set, convert it, and keep it only if its bytes equal the tested ones."""
 
 from __future__ import annotations
 

@@ -6,8 +6,8 @@ parameters are therefore estimated separately only in one of these cases:
 
 * The bending angle or the pretension varied and is known.
 * The motor-side tensions were measured.
-* The gain is certified, or known within a few percent, and the resulting interval is narrower than the interval of the
-  nominal file.
+* The gain is certified, or known within a few per cent, and the resulting interval is narrower than that of the nominal
+  file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.steady_sliding import pretension_level
 
-# x and T_p0 from several known configurations: Gauss-Newton on the instrumented normal equations.
+# x and T_p0 follow from several known configurations by Gauss-Newton steps on the instrumented normal equations.
 
 FloatArray = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def joint_fit(
     Args:
         lag: delay of the instrumental variables in samples.
         certified_gain: True to keep the gain at its start value.
-        gain: true motor torque over measured one, 1; start value.
+        gain: start value of the ratio of the true to the measured motor torque.
     """
     gain_free = not certified_gain
     p = np.array([math.log(model.friction_angle), math.log(model.pretension), math.log(gain), *np.zeros(len(logs))])
@@ -306,7 +306,7 @@ def calibrate(
     estimated as well. They are in the [routing] of the result's model.
 
     Args:
-        certified_gain: True if the gain of the torque channels is certified, so that the slope counts.
+        certified_gain: True if the gain of the torque channels is certified, so that the slope determines x.
         tensioner: known change of the pretension in N by log name (patterns allowed).
         hold_out: pattern of the logs on which the errors are measured. The default is every third log by name, or
             blocks of each log if there are fewer than three logs.

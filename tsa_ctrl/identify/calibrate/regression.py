@@ -4,7 +4,7 @@ Ordinary least squares of tau_J on tau_M is biased if tau_M is noisy (the slope 
 intervals are wrong if the errors are coloured. Here the instrument of tau_M is the mean of tau_M one lag earlier and
 one lag later. The lag exceeds the correlation time of the noise, so the noise cancels and the (slow) signal remains.
 Intervals follow from the scatter of whole blocks of time. The residuals of each block are scaled by
-(1 - leverage)^(-1/2), and the interval is by Student's t with the degrees of freedom of that variance (CR2: Bell and
+(1 - leverage)^(-1/2). The interval uses Student's t with the degrees of freedom of that variance (CR2: Bell and
 McCaffrey 2002; Imbens and Kolesar 2016). A jackknife over blocks (CR3) would scale by (1 - leverage)^(-1), which is too
 much if a result depends on few blocks.
 """

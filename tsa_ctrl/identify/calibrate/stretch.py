@@ -63,8 +63,8 @@ class StretchFit:
     friction_angle: Quantity  # 1, at the model's pretension
     half_loop_torque: Quantity  # N*m at the joint: the product of friction angle and pretension
     motor_inertia: Quantity  # kg*m^2
-    zeros: dict[str, Quantity]  # m of r_M q_M - r_J q_J, by log
-    rms: float  # m, of the predicted elongation
+    zeros: dict[str, Quantity]  # m, zero of r_M q_M - r_J q_J, by log
+    rms: float  # m, RMS error of the predicted elongation
     notes: tuple[str, ...]
     model: TendonSheath
 
@@ -96,7 +96,7 @@ _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # regressors, residual
 
 
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
-    """Fit the parameters to all logs together.
+    """Return the parameters fitted to all logs together.
 
     Raises:
         UsageError: the model has no friction or no pretension, columns contradict each other, or the logs do not

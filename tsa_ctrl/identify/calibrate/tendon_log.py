@@ -106,7 +106,7 @@ def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> T
 
     Args:
         stiffer: logarithm of the factor of the stiffness.
-        centre: of the bends, 1.
+        centre: centre of the bends, as a share of the length.
         more: logarithm of the factor of the friction angle.
     """
     factor = math.exp(stiffer)

@@ -165,14 +165,14 @@ def _at_ends(y: Array, smooth: Array, period: float, cutoff: float) -> Array:
 def _averaged(y: Array, period: float, cutoff: float) -> float:
     """Return the noise after a low-pass at `cutoff` Hz if the drive has averaged the signal, and 0 otherwise.
 
-    Such a signal has more noise below the cut-off than its higher frequencies indicate.
+    An averaged signal has more noise below the cut-off than its higher frequencies indicate.
     """
     measured, _ = band_densities(y, period)
     level, shape = plateau(measured, len(y), period, TOP)
     if float(shape.min()) == 1.0:
         return 0.0
     edges = bands(len(y), period)
-    gain = 1.0 / (1.0 + (np.sqrt(edges[1:] * edges[:-1]) / cutoff) ** 4)  # of model.signals.low_pass
+    gain = 1.0 / (1.0 + (np.sqrt(edges[1:] * edges[:-1]) / cutoff) ** 4)  # gain of model.signals.low_pass
     return float(np.sqrt(level * np.sum(shape * gain**2 * np.diff(edges))))
 
 

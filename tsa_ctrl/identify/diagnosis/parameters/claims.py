@@ -251,7 +251,7 @@ def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:
     return [name for name in before if name not in after] if len(after) < len(before) else []
 
 
-# The alternatives of each cause, and the causes that these logs do not support.
+# Determine the alternatives of each cause, and drop the causes that these logs do not support.
 
 CLEARLY_BETTER = 0.9  # ratio of the mean squares: 5 % of the RMS, which is visible in a plot of both
 
@@ -304,7 +304,7 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
 def _less_than_structure(
     problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
 ) -> list[int]:
-    """Return the indices of the causes without alternatives that explain less than the unexplained structure.
+    """Return the indices of those causes without alternatives that explain less than the unexplained structure.
 
     A cause is listed only if it explains less of the white residual and also less of the simulation error, because
     structure distorts the noise model.

@@ -1,7 +1,7 @@
 """Describe the residual by a formula of the log's signals, for `[effects.custom]` of a model file.
 
 The method is sparse regression by forward selection of terms (Brunton, Proctor, Kutz, PNAS 2016, use it for a whole
-model). The causes stay as they are. Each term (`terms`; `memory_terms`) must remove a minimum share of the simulation
+model). The causes are kept. Each term (`terms`; `memory_terms`) must remove a minimum share of the simulation
 error on logs or blocks that it was not fitted on. The selected terms are fitted with their inner constants, such as the
 position of a bump, the width of a dead zone or the time constant of a lag. A formula describes the residual but does
 not identify a cause.
@@ -63,7 +63,7 @@ DAMPINGS = (0.03, 0.1, 0.3)
 FEWEST = 4.0  # score samples in a period of an oscillation
 # Shares of the RMS torque for a hysteresis: a wider one is a straight line, a narrower one a dead zone
 WIDTHS = (0.05, 1.6, 6)
-# Share of a column's square: a column of which less remains after projection on the others duplicates them
+# Least share of a column's square that remains after projection on the others: with less, the column duplicates them
 TWINS = 1e-6
 HALVINGS = 6  # halvings of the distance between two grid points: the best point is then known to a hundredth of it
 
@@ -395,8 +395,8 @@ def _selected(
 ) -> list[int]:
     """Return the numbers of the parts of the selected terms, the best term first.
 
-    Terms are added as long as the next one removes LEAST_PART of the remaining squares on folds that it was not fitted
-    on, up to MOST_TERMS.
+    Up to MOST_TERMS terms are added. Each must remove LEAST_PART of the remaining squares on folds that it was not
+    fitted on.
 
     Args:
         columns: responses of the parts, (m, parts).

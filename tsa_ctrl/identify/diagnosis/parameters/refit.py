@@ -147,8 +147,8 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
 def _told(found: Quantity, parameter: Parameter) -> bool:
     """Return True if the interval excludes a possible value of the parameter.
 
-    The interval must be narrower than a full turn for a phase, than the range of the parameter, and than the widest
-    ratio WIDEST_RATIO for a positive value.
+    The interval of a phase must be narrower than a full turn. Any other interval must be narrower than the range of the
+    parameter, and for a positive value also narrower than the ratio WIDEST_RATIO.
     """
     if parameter.name == "phase":
         return found.high - found.low < 2.0 * math.pi
@@ -212,9 +212,9 @@ def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, fl
     return {name: (*central[name], gradients[name]) for name in central}
 
 
-# Intervals with a structured residual: a model error repeats in every pass over the same state of motion.
+# If the residual is structured, a model error repeats in every pass over the same state of motion.
 #
-# Stretches of time contain the same motion, so such an error does not scatter between them. Resampling by stretches
+# Blocks of time contain the same motion, so this error does not scatter between them. Resampling blocks of time
 # therefore widens no interval, even in a long log. For this reason samples at the same velocity and angle are one
 # cluster as well (clusters in several directions: Cameron, Gelbach, Miller, J. Bus. Econ. Stat. 29, 2011). The interval
 # has as many degrees of freedom as clusters that determine the parameter (Bell, McCaffrey, Surv. Methodol. 28, 2002).
@@ -225,8 +225,8 @@ def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, fl
 # over 16 cells in 87 %, over 24 in 80 to 83 %, and in 12 % without cells. 6 cells are not better than 8.
 VELOCITIES, ANGLES = 2, 4
 LEAST_FREEDOM = 2.0  # degrees of freedom: t with one cluster is 12.7, which is of no use; with two it is 4.3
-# Share of the largest variance, in units of each coordinate's standard deviation: rounding leaves this of a zero
-# variance
+# Share of the largest variance, in units of each coordinate's standard deviation: a zero variance becomes this large by
+# rounding
 SINGULAR = 1e-12
 
 

@@ -117,7 +117,7 @@ STEP = "(1 + tanh((t - {{0}})/{0:g}))"
 WIDTH = 0.05  # s, width of a step: shorter than a reversal, and long enough to find the time of the step by its slope
 # Times in a log at which a step is tried: in a log of 20 s every tenth of a second, twice the width of the step
 MOMENTS = 200
-END = 0.1  # share of a log at either end: a step with less data on one side fits only that stretch
+END = 0.1  # share of a log at either end: a step with less data on one side fits only that part of the log
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
 CYCLES = 3.0  # least number of periods of a wave in a log: fewer are drift
 FASTEST = 3.0  # Hz: faster oscillations are ripple and ringing, which have separate terms

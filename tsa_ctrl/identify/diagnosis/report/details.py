@@ -31,7 +31,7 @@ LAGS = 60  # lags of the autocorrelation: as many as the picture shows clearly
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of the stages of a diagnosis, one field for each stage."""
+    """Hold the results of the stages of a diagnosis, one field for each stage."""
 
     data: Split
     audit: Audit
@@ -73,7 +73,7 @@ class Curves:
     as_given: Array
     recalibrated: Array
     extended: Array
-    described: Array | None  # by the model with the formula; None without a formula
+    described: Array | None  # prediction of the model with the formula; None without a formula
     omega: Array
     sigma: Array
     angle: Array
@@ -85,7 +85,7 @@ class Curves:
 
 @dataclass(frozen=True)
 class Details:
-    """Data of the pictures."""
+    """Hold the data of the pictures."""
 
     target: str
     curves: tuple[Curves, ...]

@@ -122,7 +122,7 @@ class Diagnosis(Displayed):
     formula: Formula | None = None  # of the residual; None if no formula describes it
     stretch: StretchRms | None = None  # None if the elongation could not be tested, for example without an angle
     errors: ThreeErrors = field(default_factory=ThreeErrors)  # of `model` over all samples, as `tsa simulate` prints
-    gain_all: float = 0.0  # as `gain`, on all held-out samples
+    gain_all: float = 0.0  # same as `gain`, but on all held-out samples
     details: Details | None = field(default=None, compare=False, repr=False)  # curves for `report.pictures.plot`
 
     @property

@@ -15,7 +15,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
 RANDOM = 90  # random features: a dozen for each of the signals that they combine
-# s, time constants of a memory in the torque, a factor of 2.5 apart: neighbours together reproduce the values between
+# s, time constants of a memory in the torque, a factor of 2.5 apart: two neighbours reproduce the values between them
 HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)
 ECHO = 0.4  # s, longest delay of the torque in single steps: it covers delays of a bus and waves in a tendon
 DRIVER_CUTOFF = 5.0  # Hz, low-pass filter of the load: it removes the fast noise of the torque

@@ -112,7 +112,7 @@ class Stretch:
     def of(cls, chosen: Selection) -> Stretch | None:
         """Return the elongation in the logs of a selection, under its causes.
 
-        Returns None if a log lacks an angle or if the drive has no tendons.
+        The result is None if a log lacks an angle or if the drive has no tendons.
         """
         problem, fitted = chosen.problem, chosen.fitted
         seen = seen_of(problem)
@@ -198,7 +198,7 @@ class Stretch:
     def best(self, found: StretchFit, terms: Sequence[Term]) -> Term | None:
         """Return the term that reduces the cost of `found` most, with its shape coordinate refined.
 
-        Returns None if no term reduces the cost.
+        The result is None if no term reduces the cost.
         """
         gains = [self._gain(found, term) for term in terms]
         number = int(np.argmax(gains)) if gains else -1
@@ -221,7 +221,7 @@ class Stretch:
         return refined if self._gain(found, refined) > gains[number] else best
 
     def _gain(self, found: StretchFit, term: Term) -> float:
-        """Return the decrease of the cost that the term brings.
+        """Return the decrease of the cost due to the term.
 
         The result is 0 if its amplitude would be out of bounds, or if the columns of `found` already reproduce it.
         """

@@ -9,8 +9,8 @@ ripple, motor friction) or in the tendons (slack, curvature profile, presliding)
 tendons (joint, load, delay of the torque sensor).
 
 A hypothesis must fit both the torque and the elongation. The fit to the elongation may vary the stiffness and the
-curvature profile within the uncertainty of the model file. It may also vary the coordinates of the hypothesis as far as
-the torque does not determine them.
+curvature profile within the uncertainty of the model file. It may also vary the coordinates of the hypothesis to the
+extent that the torque does not determine them.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
 def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
     """Return the residual of the elongation, (m,) in m, with free stiffness and curvature profile.
 
-    Returns None if the tensions under the hypothesis cannot be computed.
+    The result is None if the tensions under the hypothesis cannot be computed.
     """
     try:
         columns = np.hstack([ends_of(problem, fitted, fitted.point)[0], seen.slow])

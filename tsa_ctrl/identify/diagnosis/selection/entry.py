@@ -38,12 +38,12 @@ LEAST_CROSS_VALIDATED = 0.4
 # Least share of the gain without the best block: a gain spread evenly over 24 blocks keeps 0.96, a single burst keeps
 # nothing
 LEAST_OUTSIDE = 0.12
-# Least ratio of the gain outside the best block to the threshold: the cause would enter without that block by a factor
-# of two
+# Least ratio of the gain outside the best block to the threshold: without that block, the gain is still twice the
+# threshold
 TIMES_OUTSIDE = 2.0
 SMALLEST = 0.2  # share of the noise RMS: a smaller effect changes the error by 2 %, which is not visible
-# Least reduction of the simulation error as a share of the noise RMS at the score rate: a sixth of the noise's mean
-# square
+# Least reduction of the simulation error as a share of the noise RMS at the score rate: a sixth of the mean square of
+# the noise
 LEAST_ERROR_REDUCTION = 0.4
 # A cause fitted only on the other logs must remove more than half of the error of each log. A meaningless cause
 # improves a log about as often as it makes it worse, and hardly ever halves the error of four logs. With fewer logs,

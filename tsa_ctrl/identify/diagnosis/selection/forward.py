@@ -63,7 +63,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Selection:
-    """Causes in the order of their entry, with their evidence; `rounds` records the rounds of the selection."""
+    """Hold the causes in the order of their entry, with their evidence; `rounds` records the rounds of selection."""
 
     problem: Problem
     fitted: Fit
@@ -171,8 +171,8 @@ def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
 def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
     """Yield fits with one more effect without parameters, started from the nominal base.
 
-    Recalibration may have compensated for such an effect. These fits are tried if no other effect enters and
-    the residual is more than noise.
+    Recalibration may have compensated for the effect. These fits are tried if no other effect enters and the residual
+    is more than noise.
     """
     if leaves_more_than_noise(problem, fitted):
         variants = all_but(fitted.names, catalogue)

@@ -1,4 +1,4 @@
-"""Add or remove one effect in a step of the selection, with start values from which the effect is not missed."""
+"""Add or remove one effect in a step of the selection, with start values from which the fit finds the effect."""
 
 from __future__ import annotations
 
