@@ -28,7 +28,7 @@ BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would
 # of this size first
 BURST_ENERGY = 0.12
 DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
-REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here to lower frequencies, as in noise.autoregressive
+REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here downwards; noise.autoregressive begins at 0.7 Hz
 STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
 DRIFT_SHARE = 0.55  # least drift relative to the noise RMS: a user does not notice less than a third of the noise power
 # Least ratio of the slow power to the extrapolated noise: an exponent that is off by 0.3 may cause a factor of 2
