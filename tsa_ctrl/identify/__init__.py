@@ -1,8 +1,10 @@
-"""Off-line work with logs: datasets, simulation, calibration, diagnosis.
+"""Process logs offline: datasets, simulation, calibration and diagnosis.
 
-from tsa_ctrl.identify import diagnose
-result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
-print(result.verdict, result.sentence)
+Example:
+
+    from tsa_ctrl.identify import diagnose
+    result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
+    print(result.verdict, result.sentence)
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ __all__ = ["Diagnosis", "diagnose"]
 
 
 def __getattr__(name: str) -> Any:
-    """Loads the diagnosis on first use: `tsa simulate` and `tsa calibrate` do not need it."""
+    """Load the diagnosis on first use, because `tsa simulate` and `tsa calibrate` do not need it."""
     if name in __all__:
         from tsa_ctrl.identify import diagnosis
 

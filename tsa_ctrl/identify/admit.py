@@ -12,8 +12,9 @@ from tsa_ctrl.model.parameters import Model, TendonSheath
 def admit(dataset: Dataset, model: Model, *columns: str) -> None:
     """Raise UsageError, with the names of file and column, if `dataset` cannot be used with `model`.
 
-    The log must have the columns that every simulation needs, and `columns`. These logs are rejected: torques or angles
-    of the two ends disagree by the factor of a unit, or the sign of a channel makes the transmission create energy.
+    The log must have the columns that every simulation needs, and those in `columns`. For tendon-sheaths, it is also
+    rejected if torques or angles of the two ends disagree by the factor of a unit. It is rejected as well if the sign
+    of a channel makes the transmission create energy.
     """
     dataset.require(model, *columns)
     if isinstance(model, TendonSheath):

@@ -1,7 +1,7 @@
-"""Prepare a log for simulation and diagnosis: checked, on a uniform grid, with its velocity, in SI units.
+"""Prepare a log for simulation and diagnosis: check it, resample it to a uniform grid, and derive missing velocities.
 
-Each defect of a log is reported in one line with file, column and row. Each repair and each derived column is listed in
-`notes`.
+All columns are in SI units. Each defect is reported in one line with file, column and row. Each repair and each derived
+column is listed in `notes`.
 """
 
 from __future__ import annotations
@@ -36,23 +36,25 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_JITTER = 0.20  # of the period; a row with more jitter counts as late and is an error with `strict`
-UNIFORM = 1e-3  # of the period: smaller jitter is rounding, and the samples are not changed
-FEWEST_LOGS = 3  # least number of logs to hold out whole logs: with two, the fit would use only one
+MOST_JITTER = 0.20  # fraction of the period; a row with more jitter counts as late, which is an error in strict mode
+UNIFORM = 1e-3  # fraction of the period; smaller jitter is rounding, so the samples are not changed
+FEWEST_LOGS = 3  # fewest logs for which whole logs are held out: with two, the fit would use only one
 MOTOR_AND_JOINT = (("q_m", "q_j"), ("omega_m", "omega_j"))
 UNUSED_TORQUE = (
     "column tau_j is not used: a rigid_drive predicts tau_m; for a joint torque sensor behind a gear give [actuator] "
     'kind = "geared_drive"'
 )
-FEWEST = 10  # least number of rows of a log; a table with fewer has hardly more than its heading
+FEWEST = 10  # fewest rows of a log; a table with fewer is little more than a heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
-BURST = 3  # least number of successive rows without a number that count as a hole; fewer are reported as an error
-MOST_SPIKES = 0.01  # of the rows; a column with more deviations has another error
-SPIKE = 1.0  # times the range of 99 % of the samples: this far from both neighbours, five deviations of plain noise
-TOGETHER = 0.25  # of that distance: largest difference of the two neighbours of a spike
+BURST = 3  # fewest consecutive rows without a number that count as a hole; fewer are reported as an error
+MOST_SPIKES = 0.01  # largest fraction of rows with spikes; a column with more has a different fault
+# Least distance of a spike from both neighbours, in units of the range of 99 % of the samples: five standard deviations
+# of plain noise
+SPIKE = 1.0
+TOGETHER = 0.25  # largest difference between the two neighbours of a spike, as a fraction of that distance
 TURN = 2.0 * np.pi  # rad, the range of a wrapped angle
-WRAPS = 0.1  # of a turn: largest difference of a jump of a wrapped angle from one turn
-LEAST_PRESENT = 0.5  # of the rows: an optional signal with values in fewer rows is not used
+WRAPS = 0.1  # turns, largest deviation of a jump of a wrapped angle from one turn
+LEAST_PRESENT = 0.5  # fraction of rows; an optional signal with values in fewer rows is not used
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,9 +63,9 @@ class Dataset(Displayed):
 
     Attributes:
         columns: float64 arrays of shape (n,), SI units, without nan.
-        derived: names of the columns that the file did not have.
+        derived: names of the columns that were not in the file.
         motion: the smoother that derives them.
-        read: sentences on the repairs made while the file was read.
+        read: one sentence for each repair made while the file was read.
         left_out: columns of the file that are not used.
         jitter: largest deviation from the uniform grid in the file, as a fraction of the period.
     """
@@ -87,7 +89,7 @@ class Dataset(Displayed):
 
         Args:
             columns: arrays by the name of the column.
-            name: of the dataset, for messages.
+            name: name of the dataset in messages.
             recorded: True for the daemon's own log, in which single cycles may be missing.
             cutoff: as in `load_log`.
 
@@ -132,7 +134,7 @@ class Dataset(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on the repairs and on the derived columns so far; accelerations are derived when needed."""
+        """Return one sentence for each repair and each column derived so far; accelerations are derived on demand."""
         return notes_of([self])
 
     @property
@@ -146,7 +148,7 @@ class Dataset(Displayed):
         return float(self.columns["t"][-1] - self.columns["t"][0])
 
     def require(self, model: Model, *more: str) -> None:
-        """Raise UsageError if a column is missing that every simulation with `model` needs, or one of `more`."""
+        """Raise UsageError if the log lacks a column of `more`, or one that every simulation with `model` needs."""
         motions = {Kind.RIGID_DRIVE: ("omega_m", "q_m"), Kind.GEARED_DRIVE: ("omega_j", "q_j", "q_m", "omega_m")}
         wanted = motions.get(model.kind, ("omega_j", "q_j"))
         if not any(name in self.columns for name in wanted):
@@ -156,11 +158,12 @@ class Dataset(Displayed):
             self[column]
 
     def completed_for(self, model: Model) -> Dataset:
-        """Return this log with the columns that follow from others by `model`.
+        """Return this log with the columns that `model` derives from other columns.
 
-        The `[routing]` of tendon-sheaths gives the wrap angle theta from the angles q_j.NAME; a log that lacks an angle
-        keeps its column theta, and UsageError is raised if it has neither. The ratio of a geared drive converts between
-        the motion of motor and joint. A plain drive does not use the joint torque, and a note states this.
+        For tendon-sheaths, `[routing]` determines the wrap angle theta from the angles q_j.NAME. A log that lacks one
+        of these angles keeps its column theta; if it has no such column either, UsageError is raised. For a geared
+        drive, the ratio converts between the motions of motor and joint. A plain drive ignores the joint torque, and a
+        note states this.
         """
         if isinstance(model, GearedDrive):
             return self._turned_by(model.ratio)
@@ -221,7 +224,7 @@ class Dataset(Displayed):
         )
 
     def signals(self) -> Signals:
-        """Return the columns as signals for a model; for a log of a plain drive omega_j is the motor velocity."""
+        """Return the columns as signals for a model; for a plain drive, omega_j is the motor velocity."""
         return self._signals
 
 
@@ -229,12 +232,13 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
     The log needs t, tau_m and one velocity or angle; `Dataset.require` checks the other columns of a model. Late rows,
-    lost samples, duplicate times and holes are repaired and listed in `notes`. Only the longest piece is read.
+    lost samples, duplicate times and holes are repaired and listed in `notes`. Only the longest piece between holes is
+    returned.
 
     Args:
-        path: file, with the axis if there are several.
-        strict: repair at most jitter of 20 % of the period.
-        cutoff: Hz, of the smoother that derives velocities and accelerations; default: chosen from the data.
+        path: the file, with `:AXIS` if it has several axes.
+        strict: True to repair only jitter of up to 20 % of the period.
+        cutoff: cut-off in Hz of the smoother that derives velocities and accelerations; by default the data set it.
 
     Raises:
         UsageError: a column is missing, a value is nan, the time runs backwards, the file is empty or damaged, or a
@@ -244,7 +248,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
 
 
 def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
-    """Read logs like `load_log`, with all pieces between their holes: the parts of run.csv are run.csv#1, run.csv#2."""
+    """Read logs like `load_log`, but return every piece between holes; run.csv becomes run.csv#1, run.csv#2."""
     return [
         dataset
         for path in paths
@@ -253,12 +257,15 @@ def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float |
 
 
 def matches(name: str, pattern: str) -> bool:
-    """Return True if a pattern of the command line matches this dataset; the name of a file means all of its pieces."""
+    """Return True if a command-line pattern matches this dataset; the name of a file matches all its pieces."""
     return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.partition("#")[0], pattern)
 
 
 def held_out_logs(names: Sequence[str], pattern: str | None) -> set[str]:
-    """Return the logs that match the pattern; without one, every third by name if there are FEWEST_LOGS or more.
+    """Return the names of the held-out logs.
+
+    These are the logs that match `pattern`. Without a pattern, every third log by name is held out if there are at
+    least FEWEST_LOGS logs, and none otherwise.
 
     Raises:
         UsageError: the pattern matches no log, or every log.
@@ -274,10 +281,10 @@ def held_out_logs(names: Sequence[str], pattern: str | None) -> set[str]:
 
 
 def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the samples of one log to learn from and those held out, (count,) each.
+    """Return the masks of the fitted and of the held-out samples of one log, (count,) each.
 
-    Every third of the `blocks` is held out, from number `first` on. `gap` samples on either side, fewer than a block
-    has, belong to neither.
+    The log is divided into `blocks` blocks, and every third one is held out, starting with number `first`. On either
+    side of it, `gap` samples belong to neither mask; `gap` must be less than the length of a block.
     """
     sample = np.arange(count)
     held = sample * blocks // max(count, 1) % 3 == first
@@ -301,7 +308,7 @@ def _longest(pieces: list[Dataset]) -> Dataset:
 
 
 def notes_of(logs: Sequence[Dataset]) -> tuple[str, ...]:
-    """Return the repairs of the data, once for all logs."""
+    """Return the sentences on repairs and derived columns of all logs, each sentence once."""
     read = dict.fromkeys(note for log in logs for note in log.read)
     return (*read, *in_words(made for log in logs for made in log.motion.made()))
 
@@ -348,7 +355,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
 
 
 def _without_bursts(table: Table) -> Table:
-    """Return the table without the rows of each burst of missing numbers, which then are holes."""
+    """Return the table without bursts of rows that lack a number; the gaps then count as holes."""
     inputs = [values for name, values in table.columns.items() if is_input(name) and np.isfinite(values).any()]
     bad = ~np.logical_and.reduce([np.isfinite(values) for values in inputs]) if inputs else np.zeros(0, dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], bad, [0]])))
@@ -368,7 +375,7 @@ def _without_bursts(table: Table) -> Table:
 
 
 def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
-    """Return the columns with angles that do not jump by one turn."""
+    """Return the columns after removing jumps of one turn from wrapped angles."""
     out = dict(columns)
     for name in ("q_j", "q_m"):
         if name not in columns:
@@ -385,9 +392,9 @@ def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
 
 
 def _without_spikes(table: Table, columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
-    """Return the columns with straight lines in place of single samples that are far from both neighbours.
+    """Return the columns with each spike of a single sample replaced by the mean of its two neighbours.
 
-    The neighbours of a spike agree, so neither a step nor noise nor a fast motion is one.
+    The neighbours of a spike agree with each other. A step, noise and a fast motion are therefore not spikes.
     """
     out = dict(columns)
     for name in sorted(NEEDED & set(columns)):
@@ -419,14 +426,17 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
 
 
 def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
-    """Return the usable parts of a daemon's log, if devices were silent or the loop was interrupted; its first row."""
+    """Return the columns of the longest usable part of a daemon's log, and the index of its first row.
+
+    Other parts are unusable because devices were silent or the loop was interrupted.
+    """
     present = {name: np.isfinite(values) for name, values in columns.items() if is_input(name)}
     for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
         notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
         del columns[name]
     complete = np.logical_and.reduce(list(present.values()))
     if not complete.any():
-        return columns, 0  # the nan is reported with its row
+        return columns, 0  # `_check_numbers` reports the nan with its row
     start = int(np.argmax(complete))
     if start:
         notes.append(f"the first {start} rows, before every device had reported, are left out")
@@ -442,10 +452,10 @@ def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Ar
 
 
 def stretches(t: Array) -> list[tuple[int, int]]:
-    """Return the first and the end index of the parts of a daemon's log between gaps that must not be interpolated.
+    """Return the start and end indices of the parts of a daemon's log between gaps that must not be interpolated.
 
-    Such a gap is longer than LONGEST_SKIP, or it is not a whole number of periods because the clock of the loop was
-    restarted.
+    A gap must not be interpolated if it is longer than LONGEST_SKIP. The same applies if it is not a whole number of
+    periods, because the clock of the loop was then restarted.
     """
     steps = np.diff(t)
     periods = steps / float(np.median(steps))

@@ -1,4 +1,4 @@
-"""Find a channel with a reversed sign: it makes the transmission of a log create energy.
+"""Detect a channel with a reversed sign, which makes the transmission of a log appear to create energy.
 
 While the tendons slide, the motor torque is the sum of the joint torque, stored and accelerating torques, and the
 friction, which always opposes the motion:
@@ -8,7 +8,7 @@ friction, which always opposes the motion:
 Springs, weights and inertia return the energy that they store. They are fitted as well (q, sin q, cos q, domega/dt, 1),
 so that F contains only friction, which may change with wrap angle and temperature. A reversed tau_M changes the signs
 of a and F, a reversed tau_J the sign of a, and a reversed omega the sign of F. A log is rejected only if a sign is
-certain: by the scatter of blocks of time, and compared with the residual.
+certain, judged by the scatter between blocks of time and by the size of the residual.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from tsa_ctrl.model.steady_sliding import wound_by_friction
 
 Array = NDArray[np.float64]
 
-BLOCKS = 12  # of time, the clusters of the standard errors: t of 11 degrees of freedom is 2.2
+BLOCKS = 12  # blocks of time, the clusters of the standard errors: t with 11 degrees of freedom is 2.2
 # Standard errors at which a sign is certain. A good log must not be rejected; with 12 blocks one in 2,500 exceeds this.
 CERTAIN = 5.0
-CLEAR = 0.5  # of the residual's RMS: a smaller term may be an error of the fit
-CARRIES = 0.2  # of the motor torque's deviation: the joint torque must explain this share before its sign is judged
-APART = 0.2  # of ln(ratio^2): pulleys of such different radii distinguish swapped torques from a reversed velocity
+CLEAR = 0.5  # least size of a term over the residual's RMS: a smaller one may be an error of the fit
+CARRIES = 0.2  # share of the motor torque's deviation that the joint torque must explain before its sign is judged
+APART = 0.2  # least |ln(ratio^2)|: radii that differ this much distinguish swapped torques from a reversed velocity
 MOVES = 0.01  # rad, standard deviation of an angle; the integral of velocity noise stays below it
-RELATED = 0.5  # correlation of an angle with the integral of its velocity, at least
-# Most samples of a fit: in a longer log only every second, third ... sample counts, so that 12 blocks have 50,000 each.
+RELATED = 0.5  # least correlation of an angle with the integral of its velocity
+# Most samples of a fit, 50,000 for each of 12 blocks: of a longer log, only every second, third ... sample is used.
 # A fit of all samples of an hour at 1 kHz would require 0.6 GB, more than any other part of a diagnosis.
 MOST = 600_000
 FOLLOWS = 0.5  # least correlation of measured and simulated torque; it is 0.9 or more if they belong together
-CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less belongs to a constant load
+CHANGES = 0.3  # least change relative to the simulated torque: with less, the load is constant
 FEWEST = 200  # least number of samples for a correlation
-VARIES = 0.15  # of the friction torque: friction varies by a tenth with speed, place and time
+VARIES = 0.15  # share of the friction torque: friction varies by a tenth with speed, position and time
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
-FEWEST_MEANS = 20  # least number of means; their spread is then known to a sixth
-THROUGH = 1.0  # of the joint travel in which a reversal runs through the sheath
+FEWEST_MEANS = 20  # least number of means: it determines their spread to a sixth
+THROUGH = 1.0  # joint travel after a reversal, in units of the travel in which the reversal runs through the sheath
 SURE = 3.0  # standard errors by which a friction torque must lie outside: one log in 400 does so by chance
-SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
+SLIDING = 0.1  # share of the velocity's 95th percentile; slower samples may stick
 
 
 @dataclass(frozen=True)
 class _Signs:
-    """Hold the signs of a and F, 0 where they are not certain; `carried` is a where its sign is certain.
+    """Hold the signs of a and F, or 0 if they are uncertain; `carried` is a if its sign is certain, otherwise 0.
 
     `friction_torque` is F in N*m with its standard error `doubt`.
     """
@@ -143,9 +143,10 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
 def foreign_torque(dataset: Dataset, model: Model) -> str:
     """Return the reason why the torques of a log cannot belong to its motion or to this model; empty without one.
 
-    The measured joint torque is compared with the simulated one. It must follow the simulated one where both change
-    apart from motion and weight, and the friction torque F of both must agree within FRICTION_FACTOR beyond
-    [uncertainty]; so must the size of the measured one. A value counts only if its whole interval is beyond that.
+    The measured joint torque is compared with the simulated one. Apart from motion and weight, it must follow the
+    simulated torque. Its friction torque F must not be negative, nor exceed FRICTION_FACTOR times the largest value
+    that [uncertainty] allows. A friction torque is rejected only if its whole interval is outside this range. The size
+    of the measured torque has a similar upper limit (`torque_scale`).
     """
     if not isinstance(model, TendonSheath) or "tau_j" not in dataset or model.friction_angle <= 0.0:
         return ""
@@ -186,7 +187,7 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
             f"be {in_other_units(factor / most_friction(model), factor * most_friction(model))}: convert them to N*m, "
             "or give this drive's model"
         )
-    # A joint that the torque moves shows an eighth of its friction here: only the wrong sign is foreign.
+    # A joint that the torque moves shows only an eighth of its friction here, so only a wrong sign is rejected.
     if factor + doubt < 0.0:
         return f"{found} the model's: friction does not follow the direction of the motion{other}"
     return torque_scale(dataset, model)
@@ -195,10 +196,10 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
 def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: NDArray[np.bool_]) -> float:
     """Return the correlation of the measured with the simulated joint torque, apart from direction, weight and inertia.
 
-    Both are low-passed at BAND. Only samples count at which a reversal has run through the whole sheath. The result is
-    nan if the measured torque hardly changes compared with the simulated one: the load is then constant, and the
-    simulation only shows the ripple of the motor torque. It is also nan if the simulated torque varies by less than
-    friction itself may vary beyond the model, at the friction that [uncertainty] leaves open.
+    Both are low-passed at BAND. A sample counts only if the last reversal has run through the whole sheath. The result
+    is nan if the measured torque hardly changes compared with the simulated one. The load is then constant, and the
+    simulation shows only the ripple of the motor torque. The result is also nan if the simulated torque varies by less
+    than the share VARIES of the largest friction that [uncertainty] allows.
     """
     omega, thin = dataset["omega_j"], max(1, len(expected) // MOST)
     angle = dataset["q_j"] if "q_j" in dataset else np.cumsum(omega) * dataset.period
@@ -230,7 +231,7 @@ def is_noise(column: Array) -> bool:
 
 
 def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> None:
-    """Raise UsageError: tau_m and tau_j are swapped, or the velocity is reversed; both reverse the sign of F only.
+    """Raise UsageError because tau_m and tau_j are swapped or the velocity is reversed; both reverse only F's sign.
 
     The message states the more probable cause first.
 
@@ -268,16 +269,17 @@ def _sliding(omega: Array) -> NDArray[np.bool_]:
 
 
 def _has_direction(omega: Array, period: float) -> NDArray[np.bool_]:
-    """Return True for samples whose direction the velocity shows, against its own content beyond BAND.
+    """Return a mask of the samples whose low-passed velocity clearly exceeds the velocity's own content above BAND.
 
-    Friction changes its sign with the direction. Samples with a random direction show less friction than there is.
+    Only these have a known direction. Friction changes its sign with the direction, so samples with a random direction
+    show less friction than there is.
     """
     smooth = low_pass(omega, period, BAND)
     return np.abs(smooth) > UNKNOWN * float(np.std(omega - smooth))
 
 
 def _opposed(x: Array, y: Array) -> bool:
-    """Return True if two velocities clearly are the same motion with opposite signs."""
+    """Return True if two velocities are clearly the same motion with opposite signs."""
     scale = float(np.linalg.norm(x)) * float(np.linalg.norm(y))
     return scale > 0.0 and float(x @ y) < -0.8 * scale
 
@@ -319,7 +321,7 @@ def _signs(
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:
-    """Return standard errors that hold for residuals correlated within a block (sandwich with blocks as clusters)."""
+    """Return standard errors valid for residuals that are correlated within a block (sandwich, blocks as clusters)."""
     bread = np.linalg.pinv(columns.T @ columns, rcond=1e-9)
     scores = np.stack([columns[block == b].T @ residual[block == b] for b in range(BLOCKS)])
     return np.asarray(np.sqrt(np.diag(bread @ (scores.T @ scores) @ bread)), dtype=np.float64)

@@ -1,8 +1,8 @@
 """Provide velocities and accelerations of a log, recorded or derived by one smoother for all commands.
 
 A velocity that is not recorded is derived from its angle. An acceleration is derived from the recorded velocity,
-because a late velocity can be detected only with its own derivative; without a recorded velocity it is derived from the
-angle. The cut-off follows from the data (`smoothing`), and the expected error is reported.
+because a delayed velocity can be detected only with its own derivative. Without a recorded velocity, it is derived from
+the angle. The cut-off follows from the data (`smoothing`), and the expected error is reported.
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from tsa_ctrl.model.functions import Array
 
 SHAFTS = (("q_j", "omega_j", "acceleration_j"), ("q_m", "omega_m", "acceleration_m"))
 STANDING = 0.5  # s: an angle that changes by less than one encoder count in this time has no certain direction
-SURE = 4.0  # times its error by which a velocity must differ from 0 for a certain sign: 6e-5 of Gaussian errors do so
+SURE = 4.0  # least ratio of a velocity to its error for a certain sign: 6e-5 of Gaussian errors exceed it
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The recorded `columns` of one log, each (n,) at a constant `period` in s, smoothed at the first use.
+    """The recorded `columns` of one log, each (n,) at a constant `period` in s, smoothed on first use.
 
-    `cutoff`: Hz, used instead of the bandwidth of the data; None for that bandwidth. `known`: the columns smoothed so
-    far.
+    `cutoff`: Hz, or None to use the cut-off that follows from the data. `known`: the columns smoothed so far.
     """
 
     columns: Mapping[str, Array]
@@ -80,7 +79,7 @@ class Made:
     """A column `name` derived from `source`.
 
     `error` is its expected RMS error, and `noise` the part of the noise in that error, both in the column's unit.
-    `asked`: Hz, the cut-off that the user set, or None.
+    `asked`: cut-off set by the user in Hz, or None.
     """
 
     name: str
@@ -92,7 +91,7 @@ class Made:
 
 
 def in_words(made: Iterable[Made]) -> tuple[str, ...]:
-    """Return one sentence for each kind of derived column, over all logs: the method and the expected error."""
+    """Return one sentence for each kind of derived column over all logs, with the method and the expected error."""
     kinds: dict[tuple[str, str], list[Made]] = {}
     for each in made:
         kinds.setdefault((each.name, each.source), []).append(each)
@@ -117,10 +116,10 @@ def _span(values: Sequence[float]) -> str:
 
 
 def directed(found: Smoothed) -> Array:
-    """Return the velocity of a smoothed angle, with the sign of the surrounding motion where its own is not certain.
+    """Return the velocity of a smoothed angle, with the sign of the surrounding motion where its own is uncertain.
 
-    Below one count in STANDING, the sign is noise or ringing of the filter, and the velocity is set to 0 where the
-    direction does not change.
+    Below one count in STANDING, the sign shows only noise or ringing of the filter. The velocity is set to 0 there
+    unless the direction changes.
     """
     steps = np.abs(np.diff(found.raw))
     moved = steps[steps > 0.0]
@@ -129,12 +128,12 @@ def directed(found: Smoothed) -> Array:
 
 
 def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, near: float) -> Array:
-    """Return `velocity` (n,), rad/s, with the sign of the surrounding motion where its own sign is not certain.
+    """Return `velocity` (n,), rad/s, with the sign of the surrounding motion where its own sign is uncertain.
 
-    A sign is certain if the velocity exceeds both `still` (rad/s) and SURE times `error` (rad/s). Between two motions
-    in one direction the velocity has that direction, and is 0 up to `still`. Between opposite motions it reverses once,
-    at the extremum of `angle` (n,): in the middle of the samples that are within `near` (rad) of it. Without any
-    certain sign the result is 0.
+    A sign is certain if the speed exceeds both `still` (rad/s) and SURE times `error` (rad/s). Between two motions in
+    one direction, the velocity keeps that direction, and speeds up to `still` become 0. Between opposite motions, it
+    reverses once, at the extremum of `angle` (n,). This is the middle of the samples within `near` (rad) of the
+    extremum. Without any certain sign, the result is 0.
     """
     surely = (np.abs(velocity) > max(still, SURE * error)) & (velocity != 0.0)
     moving = np.flatnonzero(surely)
@@ -143,7 +142,7 @@ def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, n
     standing = np.abs(velocity) <= still
     out = np.where(surely, velocity, 0.0)
     edges = np.flatnonzero(np.diff(moving) > 1)
-    stretches = [(int(moving[at]), int(moving[at + 1])) for at in edges]  # the samples with a certain sign around it
+    stretches = [(int(moving[at]), int(moving[at + 1])) for at in edges]  # certain samples on either side
     for before, after in [(-1, int(moving[0])), *stretches, (int(moving[-1]), len(velocity))]:
         inside = slice(before + 1, after)
         ends = [velocity[at] for at in (before, after) if 0 <= at < len(velocity)]

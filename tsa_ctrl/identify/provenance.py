@@ -23,14 +23,16 @@ def provenance(
 ) -> dict[str, object]:
     """Return the provenance for `save_model` as plain values.
 
-    It has command, date, version, nominal file, logs with their hashes, and intervals.
+    The table states command, date, version, nominal file, logs with their hashes, and intervals.
 
     Args:
+        command: name of the command that wrote the file.
+        nominal: nominal model file.
         logs: datasets, or hash by name.
         found: quantities whose 95 % intervals are kept as [low, high] in SI units.
-        origin: the joint of the measurements. Without it they are from logs, which may be of any joint, and the file
-            keeps the joint of the nominal file.
-        more: further values.
+        origin: the measured joint. Without it, the source is logs, which may be of any joint, and the joint of the
+            nominal file is kept.
+        more: further entries of the table.
     """
     if origin is None:
         origin = Origin("logs", _nodes_of(Path(nominal)))

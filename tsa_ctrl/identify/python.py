@@ -1,4 +1,4 @@
-"""The public Python functions of `tsa_ctrl`; models and logs may be objects, mappings, data frames or files.
+"""Provide the public Python functions of `tsa_ctrl`; models and logs may be objects, mappings, data frames or files.
 
 A log is a Dataset, a mapping from column to array, a pandas or polars frame, or the path of a file. Columns and units
 are those of the log table.
@@ -24,7 +24,7 @@ from tsa_ctrl.model.parameters import Model, TendonSheath, load_model
 
 
 def dataset(log: Any, name: str = "log") -> Dataset:
-    """Return one log as a Dataset; raise UsageError if it is not one or lacks a column."""
+    """Return one log as a Dataset; raise UsageError if `log` has no usable form or lacks a column."""
     if isinstance(log, Dataset):
         return log
     if isinstance(log, (str, Path)):
@@ -39,7 +39,7 @@ def dataset(log: Any, name: str = "log") -> Dataset:
 
 
 def predict(model: Model | str | Path, log: Any) -> NDArray[np.float64]:
-    """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive its motor torque."""
+    """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive, the motor torque."""
     return simulate(dataset(log), _model(model)).predicted
 
 
@@ -52,7 +52,7 @@ def calibrate(logs: Any, model: TendonSheath | str | Path) -> Calibration:
 
 
 def diagnose(logs: Any, model: Model | str | Path, *, hold_out: str | None = None, seed: int = 0) -> Diagnosis:
-    """Find and explain the errors of the model on one log or several; the same seed gives the same result."""
+    """Find and explain the errors of the model on one log or several; the same seed yields the same result."""
     return explain(_all(logs), _model(model), hold_out=hold_out, seed=seed)
 
 

@@ -1,4 +1,4 @@
-"""A value with its 95 % interval and unit, the form of every result of an identification."""
+"""Represent a value with its 95 % interval and unit, the form of every identification result."""
 
 from __future__ import annotations
 
@@ -10,21 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit  # scipy.stats is slow to import
 
-# Student's t: half widths of intervals whose variance was estimated, in units of the standard deviation.
+# Intervals whose variance was estimated have half widths by Student's t, in units of the standard deviation.
 
-LEVEL = 0.95  # of every reported interval: the usual one
-# Degrees of freedom of the noise's density where it matters: a band of its spectrum has 10 (FEWEST_WAVES pairs) or more
+LEVEL = 0.95  # level of every reported interval, as usual
+# Degrees of freedom of the noise density in the relevant bands: each band of the spectrum has at least 10 of them
+# (FEWEST_WAVES pairs)
 NOISE = 12.0
-BLOCKS = 10  # of a log, each left out once for a jackknife: t of 9 degrees of freedom is 2.3
+BLOCKS = 10  # blocks of a log, each left out once by a jackknife: t with 9 degrees of freedom is 2.3
 
 
 def half_width(freedom: float, level: float = LEVEL) -> float:
-    """Return half width over deviation of the two-sided interval at `level` with `freedom` degrees of freedom."""
+    """Return the half width of a two-sided interval at `level`, in standard deviations (Student's t).
+
+    `freedom`: degrees of freedom of the estimated variance.
+    """
     return float(stdtrit(freedom, 0.5 + 0.5 * level))
 
 
 def jackknife_half_width(without: Sequence[float] | NDArray[np.float64]) -> float:
-    """Return the half width of the interval of an estimate by the (blocks,) estimates without one block each."""
+    """Return the half width of an estimate's interval from the (blocks,) estimates that each leave out one block."""
     estimates = np.asarray(without, dtype=np.float64)
     count = estimates.size
     deviation = math.sqrt((count - 1) / count * float(np.sum(np.square(estimates - estimates.mean()))))
@@ -42,12 +46,12 @@ class Quantity:
 
     @property
     def share(self) -> float:
-        """Return half the width of the interval over the value, 1."""
+        """Return the half width of the interval relative to the value."""
         return 0.5 * (self.high - self.low) / self.value
 
     @property
     def told(self) -> bool:
-        """Return True if it has a finite interval: an infinite one marks a quantity that the logs do not determine."""
+        """Return True if the interval is finite; an infinite one marks a quantity that the logs do not determine."""
         return math.isfinite(self.high - self.low)
 
     def __str__(self) -> str:

@@ -1,9 +1,9 @@
-"""Redundant columns of a log: two columns that follow from each other must agree in scale, sign and time.
+"""Compare redundant columns of a log: two columns that follow from each other must agree in scale, sign and time.
 
-An angle and its velocity, a velocity and its acceleration, the two ends of the transmission, command and torque: one
-function compares each pair as band-limited signals. With correlation r and ratio s of the RMS values, the scale lies
-between r s (least squares with all noise in the second column) and s / r (with all noise in the first column). A factor
-counts only if this whole range lies beyond its limit, so noise alone never makes a log wrong.
+The pairs are angle and velocity, velocity and acceleration, the two ends of the transmission, and command and torque.
+One function compares each pair as band-limited signals. Let r be the correlation and s the ratio of the RMS values. The
+scale then lies between r s (least squares with all noise in the second column) and s / r (all noise in the first). A
+factor counts only if this whole range is beyond its limit, so noise alone never rejects a log.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Array = NDArray[np.float64]
 BAND = 10.0  # Hz, band in which two columns are compared: a factor of units is visible in any motion
 SAMPLES = 60_000  # most samples of a comparison; a longer log is reduced by averaging
 LEAST_CORRELATION = 0.9  # below this, two columns are not the same motion, and their scale is meaningless
-LONGEST_SHIFT = 0.5  # s, largest shift in time that is tried
+LONGEST_SHIFT = 0.5  # s, largest time shift that is tried
 NOTED = 1.02  # factor above which a difference is reported
 WRONG = 1.5  # factor above which two columns of one shaft, or a velocity and its acceleration, cannot both be right
-FAR = 3.0  # factor for two columns that the drive or the tendons separate
-NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: a filter's delay is reported, a shift longer than any filter's is rejected
+FAR = 3.0  # the same factor for two columns with the drive or the tendons between them
+NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: the delay of a filter is reported, and a shift too long for one is rejected
 FEWEST_TURNS = 4  # least number of crossings of the mean for which time shift and scale are separately identifiable
 CERTAIN = 0.99  # correlation above which a shift in time is reported
 
-UNITS = {  # factors by which a column is too large: the likely unit, for angles or velocities, and for torques
+UNITS = {  # for angles or velocities, and for torques: factor by which a column is too large, and the likely unit
     "motion": (
         (180.0 / math.pi, "degrees"),
         (30.0 / math.pi, "rpm"),
@@ -49,13 +49,13 @@ NEAR = 1.25  # factor either way within which a unit is recognised
 
 @dataclass(frozen=True)
 class Agreement:
-    """Agreement of a second column with the first: its scale is between `low` and `high`, and it is `shift` s late."""
+    """Agreement of a second column with a first one: its scale is `low` to `high`, and its delay is `shift` s."""
 
     correlation: float
     low: float
     high: float
     shift: float
-    turns: int  # times that the first column crosses its mean
+    turns: int  # number of times the first column crosses its mean
 
     @property
     def scale(self) -> float:
@@ -87,7 +87,7 @@ def compare(first: Array, second: Array, period: float) -> Agreement | None:
 
 
 def _shift(x: Array, y: Array, most: int) -> int:
-    """Return by how many samples `y` is late, at most `most` and a quarter of the log."""
+    """Return the delay of `y` in samples, of either sign, limited to `most` and to a quarter of the log."""
     most = min(len(x) // 4, most)
     size = 1 << (2 * len(x) - 1).bit_length()
     circular = np.fft.irfft(np.fft.rfft(y, size) * np.conj(np.fft.rfft(x, size)), size)
@@ -124,8 +124,8 @@ def check_columns(label: str, columns: Mapping[str, Array], period: float) -> li
 def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: float) -> list[str]:
     """Compare the motion of motor and joint and return remarks; `ratio` is r_J / r_M.
 
-    The tendons between the two ends elongate, so only a factor that no stiffness explains is an error. Another check
-    detects a reversed end by its energy.
+    The tendons between the two ends elongate, so only a factor that no stiffness explains is an error. A reversed end
+    is detected by another check, which uses the energy.
 
     Raises:
         UsageError: The two ends disagree by a factor that no stiffness explains.
@@ -149,16 +149,16 @@ def judge(
     signed: bool = True,
     noted: float = NOTED,
 ) -> list[str]:
-    """Return remarks on a pair; raise UsageError if it cannot be right.
+    """Return remarks on a pair of columns; raise UsageError if they cannot both be right.
 
     Args:
         label: The log.
-        first: The column, or what follows from it.
+        first: The first column, or the signal derived from it.
         second: The column that must agree with it.
         found: The agreement of both, or None.
         wrong: The factor above which they cannot both be right.
         signed: True if a reversed sign is an error here; otherwise another check detects it.
-        noted: The factor above which a difference is a remark.
+        noted: The factor above which a difference is remarked.
     """
     if found is None or (signed and found.turns < FEWEST_TURNS):
         return []

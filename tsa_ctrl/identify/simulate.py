@@ -1,4 +1,4 @@
-"""Predict the torque of a log by a model, and compute the error."""
+"""Predict the torque of a log with a model, and compute the error."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # columns; one of them must 
 
 @dataclass(frozen=True)
 class Simulation:
-    """The prediction of one model for one log, all samples, SI.
+    """The prediction of one model for all samples of one log, in SI units.
 
-    `quantity` is the column predicted: tau_j, or tau_m for a plain drive. `predicted` and `residual` (measured minus
-    predicted; None where the log has no such column) have shape (n,). `beyond_slack` is the fraction of samples at
-    which one tendon is slack; `slack_modelled`: True if the model has an effect for it.
+    `quantity` is the predicted column: tau_j, or tau_m for a plain drive. `predicted` and `residual` have shape (n,).
+    The residual is measured minus predicted torque, or None if the log lacks the column. `beyond_slack` is the fraction
+    of samples at which one tendon is slack; `slack_modelled` is True if the model has an effect for slack.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Simulation:
 
 
 def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
-    """Return the prediction of one model.
+    """Return the prediction of one model for a log, with its errors.
 
     Raises:
         UsageError: the log lacks a required column or cannot be used with the model, or the prediction is not finite.
@@ -111,9 +111,9 @@ def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[
 
 
 def unmoved(dataset: Dataset) -> str | None:
-    """Return the remark on a log in which no column of `COURSES` changes, or None if one does.
+    """Return a remark if no column of `COURSES` changes in the log, or None if one does.
 
-    The error of such a log is valid for a single operating point.
+    The error of such a log is valid only for a single operating point.
     """
     constant = [name for name in COURSES if name in dataset and np.ptp(dataset[name]) == 0.0]
     if any(name in dataset and name not in constant for name in COURSES):

@@ -24,7 +24,11 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # 
 
 
 def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
-    """Write the picture of `simulations` of one log as PNG (or as the suffix requires). Raises UsageError."""
+    """Write a picture of the simulations of one log in the format of the suffix, such as PNG.
+
+    Raises:
+        UsageError: the format is not supported, or the file cannot be written.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -94,7 +98,7 @@ def _draw_loop(loop: Any, dataset: Dataset, simulations: Sequence[Simulation], o
 
 
 def _thinned(t: Array, y: Array) -> tuple[Array, Array]:
-    """Return the line with fewer points: the smallest and the largest value of each interval, so that peaks remain."""
+    """Return the curve reduced to the smallest and the largest value of each interval, so that peaks remain."""
     stretch = len(y) // (MOST_POINTS // 2)
     if stretch < 2:
         return t, y

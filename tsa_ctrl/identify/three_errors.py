@@ -1,7 +1,7 @@
-"""Three errors of a simulation: while sliding, in reversals, and the noise of the sensor, which no model removes.
+"""Compute three errors of a simulation: while sliding, in reversals, and the sensor noise, which no model removes.
 
 A model may be correct during sliding and wrong for 20 ms after each reversal. One RMS value does not show this. Every
-command takes the three errors from this module.
+command uses the three errors of this module.
 
 The sensor noise is estimated from the log alone. A linear regression on motor torque and motion, with separate
 coefficients for each direction, is subtracted from the measured torque. Above the frequencies of the motion, the
@@ -26,13 +26,13 @@ from tsa_ctrl.model.signals import Signals, hold_direction
 Mask = NDArray[np.bool_]
 
 AFTER_REVERSAL = 0.020  # s on either side of a reversal: a delay below this value is visible only there
-UNKNOWN = 2.5  # times a velocity's noise: the direction of a slower motion is not known
-ABOVE = 12.0  # times the frequency below which MOTION of the power is: the friction contains harmonics of the motion
+UNKNOWN = 2.5  # times the velocity noise: the direction of a slower motion is not known
+ABOVE = 12.0  # times the frequency that bounds the share MOTION of the power: friction has harmonics of the motion
 MOTION = 0.99  # share of the velocity's power; the harmonics of reversals contain the rest
-HIGHEST = 0.5  # of the band up to half the rate: upper limit of the motion's band, so that the noise keeps half of it
-CONTINUED = 1.2  # largest power of 1/f by which noise rises below the motion's frequencies; electronics have 1
+HIGHEST = 0.5  # largest share of the band up to half the rate that counts as motion: half of it remains for the noise
+CONTINUED = 1.2  # largest exponent of 1/f noise in the extrapolation to low frequencies; electronics have 1
 LOWEST = 0.2  # Hz, below which noise counts as flat, because a log of some seconds contains less than one period
-BANDS = 6  # per octave, of the smoothed spectrum
+BANDS = 6  # number of bands per octave of the smoothed spectrum
 LONGEST = 300_000  # most samples for the noise estimate: five minutes at 1 kHz
 MORE_THAN_NOISE = 1.5  # times the sensor noise, RMS; a smaller error while sliding counts as noise
 
@@ -42,7 +42,7 @@ class ThreeErrors:
     """RMS errors in N*m; None if a log has no such samples."""
 
     sliding: float | None = None
-    reversals: float | None = None  # within AFTER_REVERSAL of one, or where the direction is uncertain
+    reversals: float | None = None  # within AFTER_REVERSAL of a reversal, or where the direction is uncertain
     sensor_noise: float | None = None
 
     def to_dict(self) -> dict[str, float | str | None]:
@@ -56,7 +56,7 @@ class ThreeErrors:
 
 
 def three_errors(logs: Sequence[Dataset], residuals: Sequence[Array], target: str) -> ThreeErrors:
-    """Return the three errors of residuals (n,) in N*m, over all logs; `target`: the predicted column."""
+    """Return the three errors over all logs, from residuals (n,) in N*m; `target` is the predicted column."""
     known = [known_direction(log) for log in logs]
     noise = [sensor_noise(log, log[target], slides) for log, slides in zip(logs, known, strict=True)]
     return ThreeErrors(
@@ -83,7 +83,7 @@ def known_direction(log: Dataset) -> Mask:
         noise = white_deviation(omega)
     sure = np.abs(omega) > UNKNOWN * noise
     turns = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
-    changed = np.zeros(len(omega) + 1, dtype=np.int64)  # +1 where a reversal's surroundings begin, -1 after
+    changed = np.zeros(len(omega) + 1, dtype=np.int64)  # +1 where a reversal's surroundings begin, -1 after their end
     width = max(1, round(AFTER_REVERSAL / log.period))
     np.add.at(changed, np.maximum(turns + 1 - width, 0), 1)
     np.add.at(changed, np.minimum(turns + 1 + width, len(omega)), -1)
@@ -91,7 +91,7 @@ def known_direction(log: Dataset) -> Mask:
 
 
 def white_deviation(y: Array) -> float:
-    """Return the standard deviation of white noise on a smooth signal, from third differences."""
+    """Return the standard deviation of the white noise on a smooth signal, estimated from third differences."""
     third = np.abs(np.diff(y, 3))
     return float(np.median(third)) / 0.6745 / math.sqrt(20.0) if len(third) else 0.0
 
@@ -151,7 +151,7 @@ def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
 
 
 def _motion_band(omega: Array, period: float) -> float:
-    """Return the frequency (Hz) below which MOTION of the velocity's power is."""
+    """Return the frequency (Hz) below which the share MOTION of the velocity's power lies."""
     power = np.abs(np.fft.rfft(omega - omega.mean())) ** 2
     total = np.cumsum(power)
     if total[-1] <= 0.0:
@@ -169,7 +169,7 @@ def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
 
 
 def _below_continued(bands: Sequence[tuple[float, float, int]], edge: float) -> float:
-    """Return the density summed over all bands, limited below `edge` by the continued slope of the bands above it."""
+    """Return the sum of the density over all bands, limited below `edge` by the extrapolated slope of higher bands."""
     above = [band for band in bands if band[0] > edge]
     total = sum(density * lines for _, density, lines in above)
     if not above:

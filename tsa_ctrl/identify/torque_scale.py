@@ -1,10 +1,10 @@
 """Detect torques that are too large for this model, and list the units that would explain the factor.
 
-While the tendons slide, (3.55) gives an upper bound of the joint torque:
+While the tendons slide, the joint torque has an upper bound by (3.55):
 
     |tau_J| <= R cosh(x) |tau_M| + F,    R = r_J / r_M,    F = 2 T_p r_J sinh x
 
-with friction angle and pretension at the upper end of [uncertainty]. The part of the torque that is proportional to the
+Friction angle and pretension are at the upper end of [uncertainty]. The part of the torque that is proportional to the
 joint's acceleration is due to inertia and does not count. A model cannot distinguish units whose factors differ by less
 than its uncertainty, so all matching units are listed.
 """
@@ -28,13 +28,13 @@ from tsa_ctrl.model.steady_sliding import sliding
 Array = NDArray[np.float64]
 
 FRICTION_FACTOR = 2.0  # times the range of [uncertainty]: an effect of this drive may double a torque
-# A rough guess of a drive's friction is wrong by less than this factor; the smallest unit's factor is 8.85
+# A rough guess of a drive's friction is wrong by less than this factor; the smallest factor of a unit is 8.85
 ROUGH = 5.0
 GUESS = 30.0  # the same for a file with friction only: one and a half orders of magnitude
 
 
 def most_friction(model: TendonSheath) -> float:
-    """Return by which factor [uncertainty] may raise the friction torque 2 T_p r_J sinh x of the file."""
+    """Return the factor by which [uncertainty] may increase the friction torque 2 T_p r_J sinh x of the file."""
     x = model.friction_angle
     friction = math.sinh(x * (1.0 + model.friction_angle_uncertainty)) / math.sinh(x)
     return friction * (1.0 + model.pretension_uncertainty)
@@ -43,7 +43,7 @@ def most_friction(model: TendonSheath) -> float:
 def friction_beyond(model: TendonSheath, found: Quantity) -> str:
     """Return the reason why the friction torque of the logs cannot be that of this drive; empty without one.
 
-    It can be if its 95 % interval overlaps the range of the model by [uncertainty] and FRICTION_FACTOR.
+    It can be if its 95 % interval overlaps the model's range by [uncertainty], widened by FRICTION_FACTOR.
     """
     given = abs(sliding(model).half_loop)
     x = model.friction_angle
@@ -64,7 +64,7 @@ def friction_beyond(model: TendonSheath, found: Quantity) -> str:
 
 
 def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
-    """Return the reason why tau_j is too large for tau_m by the model; empty if it is not. Requires both columns."""
+    """Return the reason why the model finds tau_j too large for tau_m, or an empty string; requires both columns."""
     omega = dataset["omega_j"]
     moving = np.abs(omega) > 0.1 * float(np.percentile(np.abs(omega), 95.0))
     if not moving.any():
@@ -96,8 +96,8 @@ def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
 def drive_scale(given: RigidDrive, found: RigidDrive) -> str:
     """Return the reason why a plain drive's log is in another unit; empty without one.
 
-    This is the case if the parameters `found` are about those `given`, multiplied by the factor of the unit. The
-    inertia is known from data sheets and decides together with the friction; the friction alone may be a first guess.
+    A unit is wrong if the parameters of `found` are about those of `given` times the factor of a unit. The inertia is
+    known from data sheets, so it decides together with the friction. Without it, the friction may be a first guess.
     """
     inertia = _ratio(found.inertia, given.inertia)
     friction = _ratio(found.coulomb_friction, given.coulomb_friction)

@@ -1,9 +1,9 @@
 """Detect changes of a rig over its runs: friction torque, stiffness, lever and zero of each log, with intervals.
 
-The runs are in the order of time. A change is detected by the largest two-sample t statistic over all positions at
-which the runs can be divided in two. Its distribution without a change does not depend on the scatter between runs, and
-is simulated here with white noise. The rate of false alarms is therefore known: `ALARM` for each quantity of a folder.
-A change within the runs' intervals does not count.
+The runs are in chronological order. A change is detected by the largest two-sample t statistic over all positions that
+divide the runs in two. Without a change, the distribution of this statistic does not depend on the scatter between
+runs, and is simulated here with white noise. The rate of false alarms is therefore known: `ALARM` for each quantity of
+a folder. A change within the runs' intervals is not reported.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from tsa_ctrl.log.table import ENDINGS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.outputs import json_types
 
-ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
+ALARM = 0.01  # probability of a false alarm for each quantity of a folder if the rig does not change
 FEWEST = 6  # least number of runs for the detection, with at least two on either side of a change
 WARMTH = 2.0  # K, least range of the runs' temperatures for a regression of the friction on temperature
-DRAWS = 20_000  # random trials of white noise; the quantile is then known to a thirtieth
-SIDE = 2  # least number of runs on either side of a change, for a mean
-SWING = 0.05  # 1, of the bending angle, that a log must span to determine the lever
-SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
-WORDS = {  # of a change up and down
+DRAWS = 20_000  # random trials of white noise: they determine the quantile to a thirtieth
+SIDE = 2  # fewest runs on either side of a change: a mean needs two
+SWING = 0.05  # share of the bending angle that a log must span to determine the lever
+SLIDING = 0.05  # share of the highest speed: at lower speeds the direction of the friction is uncertain
+WORDS = {  # likely causes of an increase and of a decrease
     "half_loop_torque": (
         "more friction: a liner wears or is dirty, the sheath is bent more, or the tensioner is tighter",
         "less friction: a tendon has stretched, the tensioner gave way, or the sheath is bent less",
@@ -56,7 +56,7 @@ class Run:
     """One log: its start, temperature (°C, nan if not measured), results, and the reasons for missing results."""
 
     log: str
-    started: str  # ISO 8601, of the log, else of the file
+    started: str  # ISO 8601: start of the log, or the file's time if the log does not state it
     temperature: float
     quantities: dict[str, Quantity]
     notes: tuple[str, ...] = ()
@@ -64,7 +64,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Change:
-    """A change of a quantity (`unit`) from `before` to `after`, since the run `since`."""
+    """A change of a quantity from `before` to `after` (in `unit`), beginning with the run `since`."""
 
     quantity: str
     since: str
@@ -81,9 +81,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Trend:
-    """All runs in the order of time, and the changes.
+    """All runs in chronological order, and the detected changes.
 
-    `by_temperature`: slope of the friction torque over temperature, N*m/K; None if not known.
+    `by_temperature`: slope of the friction torque over temperature, N*m/K; None if it is not known.
     """
 
     runs: tuple[Run, ...]
@@ -107,8 +107,10 @@ class Trend:
 def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
     """Return the results of all logs of a folder, and the detected changes.
 
-    A log that cannot be read, or that does not determine a quantity, stays in the list with the reason. Raises
-    UsageError if the folder has no logs or if no log has a result.
+    A log that cannot be read, or that does not determine a quantity, stays in the list with the reason.
+
+    Raises:
+        UsageError: the folder has no logs, or no log has a result.
     """
     if not folder.is_dir():
         raise UsageError(f"{folder}: no such folder; give the one that holds the logs of one axis, a run each")
@@ -125,7 +127,7 @@ def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lam
 
 
 def measured(path: Path, model: TendonSheath) -> Run:
-    """Return the results of one log alone."""
+    """Return the results of a single log."""
     started = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
     try:
         started = str(inspect(path).about.get("started") or started)
@@ -183,7 +185,7 @@ def _by_stretch(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quanti
 
 
 def judged(runs: Sequence[Run]) -> Trend:
-    """Look for a change in each quantity of runs in their order."""
+    """Return the trend of runs in chronological order, after testing each quantity for a change."""
     found = []
     slope = None
     for name in WORDS:
@@ -221,7 +223,7 @@ def _at_one_temperature(
 
 
 def step(values: NDArray[np.float64]) -> tuple[int, float]:
-    """Return the index at which a series (n,) is best divided in two, and the t statistic of the two means there."""
+    """Return the index that divides a series (n,) best, and the t statistic of the means on either side of it."""
     places, statistics = _statistics(values[None, :])
     best = int(np.argmax(statistics[0]))
     return places[best], float(statistics[0, best])
@@ -248,7 +250,11 @@ def by_chance(count: int) -> float:
 
 
 def draw(path: Path, found: Trend) -> None:
-    """Draw the trend and write it as PNG (or as the suffix requires); raises UsageError if it cannot be written."""
+    """Write a picture of the trend in the format of the suffix, such as PNG.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
     import matplotlib
 
     matplotlib.use("Agg")

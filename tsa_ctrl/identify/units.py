@@ -1,7 +1,7 @@
 """Reject logs in wrong units, such as milliseconds, newton-millimetres, degrees or kelvin.
 
 Each check rejects a log only if no drive of this kind could have produced its numbers. The limits exceed real values by
-a factor of ten or more. A comparison of two columns (an angle and its velocity) is more sensitive than any limit.
+a factor of ten or more. Comparing two columns, such as an angle and its velocity, is more sensitive than any limit.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from tsa_ctrl.errors import UsageError
 Array = NDArray[np.float64]
 
 FASTEST = 50e3  # Hz, sampling rate: a faster log has its time in the wrong unit
-SLOWEST = 2.0  # Hz: a 1 or 2 kHz log looks like this or slower with time in ms
-SLOW = 12.0  # Hz: a 10 kHz log looks like this with time in ms; a steady motion may well be logged at such a rate,
-LONGEST_SLOW = 3000.0  # s: but shorter than a usable log of 3 s with its time in ms
+SLOWEST = 2.0  # Hz: a log at 1 or 2 kHz appears this slow or slower if its time is in ms
+SLOW = 12.0  # Hz: a log at 10 kHz appears this slow if its time is in ms, but steady motion may be logged at this rate
+LONGEST_SLOW = 3000.0  # s: a usable log of 3 s appears this long or longer if its time is in ms
 LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable reason of a larger value
     "tau_m": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "tau_j": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
@@ -43,10 +43,10 @@ TORQUES = (  # number of units in one N*m
     (8.851, "lbf*in"),
     (0.10197, "kgf*m"),
 )
-# By how much the ratio of two torques exceeds the ratio of the pulleys (cosh of a friction angle of 1.3), or falls
-# short
+# Largest and smallest ratio of two torques relative to the ratio of the pulleys; the largest one is cosh of a friction
+# angle of 1.3
 CAPSTAN, ATTENUATED = 2.0, 0.8
-MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
+MOST_GAIN = 50.0  # largest ratio of two torques relative to that of the pulleys, with friction and wrong calibration
 
 
 def check_rate(label: str, period: float, seconds: float, strict: bool = False) -> None:
@@ -111,7 +111,7 @@ def check_ratios(
 ) -> None:
     """Raise UsageError if the two ends of the transmission disagree by more than their pulleys can explain.
 
-    Radii in m. Ends that do not move or change together are not checked.
+    Radii are in m. Ends that do not move or change together are not checked.
     """
     ratio = joint_pulley_radius / motor_pulley_radius
     if "tau_j" in columns:
@@ -161,7 +161,7 @@ def _levelled(values: Array, sigma: Array | None = None) -> Array:
 
 
 def _slope(x: Array, y: Array) -> float | None:
-    """Return the slope of y over x by least squares; None if the two are not the same motion."""
+    """Return the least-squares slope of y over x; None if the two are not the same motion."""
     xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
     if xx == 0.0 or yy == 0.0 or xy * xy < 0.8 * xx * yy:
         return None

@@ -1,9 +1,9 @@
 """Search for the set-point that separates hypotheses best, within the limits of the rig.
 
 The search maximises the T-optimality criterion (Atkinson and Fedorov, Biometrika 62, 1975). The criterion is the
-difference between the predictions of the leading hypothesis and of a rival, after the parameters of the rival were
-fitted to that difference. The rival must also fit the present logs, which limits these parameters. Differences are
-divided by the noise, and correlated samples are counted once.
+difference between the predictions of the leading and of a competing hypothesis, after the parameters of the competing
+hypothesis were fitted to that difference. The competing hypothesis must also fit the present logs, which limits its
+parameters. Differences are divided by the noise, and correlated samples are counted once.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from tsa_ctrl.tune.excitation import RATE, Bounds, Waveform, fading
 Array = NDArray[np.float64]
 
 SECONDS = 20.0  # s, default duration of one motion: some periods of the slowest sine
-DRAWS = 48  # waveforms that are drawn before the best ones are refined
-REFINED, EVALUATIONS = 3, 30  # best draws, and evaluations of each refinement: a search takes some seconds
-FIRST_STEP, SHRINK = 0.2, 0.93  # of the range of each number, down to a fortieth of it
-SLOWEST, FASTEST = 0.08, 2.5  # Hz, of the waves: one and a half periods in SECONDS, and the bandwidth of a joint
+DRAWS = 48  # random waveforms that are tried before the best ones are refined
+REFINED, EVALUATIONS = 3, 30  # refined waveforms, and evaluations for each of them: a search takes some seconds
+FIRST_STEP, SHRINK = 0.2, 0.93  # first step as a share of a number's range, and its factor: down to a fortieth
+SLOWEST, FASTEST = 0.08, 2.5  # Hz, range of the waves: one and a half periods in SECONDS, and a joint's bandwidth
 SCALINGS, BELOW = 3, 0.95  # attempts to scale a waveform down, each to 95 % of the limit
-HEADROOM = 0.8  # of speed and travel that a prediction may use: it is of a fitted joint, not of the joint
-LEAST_TORQUE = 0.05  # of the permitted torque: a smaller experiment shows nothing
+HEADROOM = 0.8  # share of speed and travel that a prediction may use, because it is for a model and not for the joint
+LEAST_TORQUE = 0.05  # share of the permitted torque: an experiment with less shows nothing
 EVERY = 0.04  # s between samples of the criterion: ten in a period of the fastest wave
-REMEMBERS = 5.0  # samples that count as one, 0.2 s: model errors change slowly
-CHANGE = 1e-3  # relative step of the finite differences of a rival's parameters
+REMEMBERS = 5.0  # samples (0.2 s) that count as one, because model errors change slowly
+CHANGE = 1e-3  # relative step of the finite differences for the parameters of a competing hypothesis
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,12 @@ class Pair:
 
 @dataclass(frozen=True)
 class _Known:
-    """How the two models of a pair differ on the present logs, divided by the noise.
+    """Hold the differences between the two models of a pair on the present logs, divided by the noise.
 
-    `difference` (n) of the predictions, `gradients` (n, k) of the rival, and the sum of squares `left` that the rival
-    cannot follow.
+    Attributes:
+        difference: difference of the predictions, (n,).
+        gradients: derivatives of the competing hypothesis by its parameters, (n, k).
+        left: sum of squares of the difference that these parameters cannot remove.
     """
 
     difference: Array
@@ -194,13 +196,13 @@ def _shape(u: Array, seconds: float) -> Waveform:
 
 
 def _benefit(experiment: Experiment) -> float:
-    """Return the value of an experiment: the smallest separation, and a tenth of all others."""
+    """Return the value of an experiment: the smallest log(1 + separation) plus a tenth of the sum of all."""
     sizes = [math.log1p(size) for size in experiment.separation.values()]
     return min(sizes) + 0.1 * sum(sizes)
 
 
 def _coverage(motion: Motion) -> float:
-    """Return how evenly a motion covers speed, torque and angle: the entropy of their histogram."""
+    """Return the coverage of speed, torque and angle: the entropy of their histogram plus a little for the speed."""
     columns = np.column_stack([motion.omega_j, motion.tau_m, motion.q_j])[:: round(EVERY / (motion.t[1] - motion.t[0]))]
     span = np.maximum(np.abs(columns).max(axis=0), 1e-9)
     counts = np.histogramdd(columns / span, bins=(6, 6, 4))[0].ravel()
@@ -209,7 +211,7 @@ def _coverage(motion: Motion) -> float:
 
 
 def variations(model: JointModel) -> list[JointModel]:
-    """Return the model with one parameter slightly increased, for each parameter of the base model and the effects."""
+    """Return the model with one parameter slightly changed, for each parameter of the base model and the effects."""
     out: list[JointModel]
     if isinstance(model, TendonSheath):
         out = [
@@ -235,7 +237,7 @@ def variations(model: JointModel) -> list[JointModel]:
 
 
 def _left(difference: Array, gradients: Array) -> float:
-    """Return the sum of squares that no change of the rival's parameters removes."""
+    """Return the sum of squares of the difference that no change of the parameters removes."""
     if not gradients.shape[1]:
         return float(difference @ difference)
     rest = difference - gradients @ np.linalg.lstsq(gradients, difference, rcond=1e-9)[0]
@@ -260,7 +262,7 @@ def _signals(motion: Motion, model: JointModel, like: Signals) -> Signals:
 
 
 def _thinned(signals: Signals, every: float) -> Signals:
-    """Return one sample for each `every` seconds."""
+    """Return the signals reduced to one sample every `every` seconds."""
     step = max(1, round(every / signals.period))
     columns = {entry.name: getattr(signals, entry.name) for entry in dataclasses.fields(signals)}
     joints = {name: angle[::step] for name, angle in columns.pop("joints").items()}

@@ -27,8 +27,8 @@ from tsa_ctrl.tune.run import RigRunner, longest
 PROBE_SECONDS = 6.0  # s: two periods of the slowest sine of a probe, with its ramps
 SEPARATES = 5.0  # standard deviations; a motion with a smaller predicted separation is not played
 LEAST_MOTIONS = 2  # an answer must also hold on a second motion
-ATTEMPTS = 2  # motions designed for the same pair; after them the pair counts as inseparable
-OUTSIDE = 3  # motions, after which an unexplained error counts as outside the catalogue
+ATTEMPTS = 2  # motions designed for the same pair before it counts as inseparable
+OUTSIDE = 3  # motions after which an unexplained error counts as outside the catalogue
 
 JSON, PAGE = "investigation.json", "report.html"
 STYLE = (
@@ -37,7 +37,7 @@ STYLE = (
     "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
 )
 
-Play = Callable[[str, Waveform], tuple[Sequence[Dataset], Path]]  # name, set-point: its logs, and its folder
+Play = Callable[[str, Waveform], tuple[Sequence[Dataset], Path]]  # from name and set-point to logs and folder
 Progress = Callable[[str, float], None]  # activity, and the completed share
 
 
@@ -47,9 +47,9 @@ class Answer(Enum):
     NONE = "none"  # the model fits
     CAUSE = "cause"
     GROUP = "group"  # no motion within the limits separates these causes
-    OUTSIDE = "outside"  # of the catalogue
+    OUTSIDE = "outside"  # the cause is outside the catalogue
     INSUFFICIENT = "insufficient"
-    STOPPED = "stopped"  # by the user or by the most motions, with a question open
+    STOPPED = "stopped"  # by the user or by the permitted number of motions, with a question open
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Step:
 
     @property
     def hypotheses(self) -> tuple[tuple[str, ...], ...]:
-        """Each cause with its alternatives."""
+        """Return each cause with its alternatives."""
         return tuple((cause.effect, *cause.alternatives) for cause in self.result.causes)
 
 
@@ -93,7 +93,7 @@ def investigate(
     write: Callable[[Step], None] = lambda step: None,
     seconds: float = SECONDS,
 ) -> Investigation:
-    """Diagnose `logs`, or a first motion, and play motions until an answer is left; at most `most` of them.
+    """Diagnose `logs`, or a first motion, and play at most `most` motions until one answer remains.
 
     `seconds`: duration of each motion. `write` receives each step as soon as it is done. A KeyboardInterrupt ends the
     investigation and keeps the result.
@@ -222,7 +222,7 @@ class _Investigator:
 
     def _designer(self, result: Diagnosis) -> Designer:
         noise = result.rms.extended or result.rms.recalibrated or 1.0
-        assert not isinstance(result.model, RigidDrive)  # it is of the kind of self._model
+        assert not isinstance(result.model, RigidDrive)  # it is of the same kind as self._model
         joint = Joint.of(self._logs, result.model)
         return Designer(joint, self._bounds, self._logs, noise, self._seed + self._motions + 1, self._seconds)
 
@@ -231,9 +231,10 @@ class _Investigator:
 
 
 def unexplained_while_sliding(result: Diagnosis) -> bool:
-    """Return True if the error while sliding and the error on held-out data both exceed the sensor noise.
+    """Return True if the sliding error and the held-out error both exceed MORE_THAN_NOISE times the sensor noise.
 
-    Errors at reversals do not count, because no model reproduces these moments exactly.
+    The result is also True if the verdict leaves an error but the errors or the noise are unknown. Errors at reversals
+    do not count, because no model reproduces these moments exactly.
     """
     if result.verdict not in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         return False
@@ -243,7 +244,10 @@ def unexplained_while_sliding(result: Diagnosis) -> bool:
 
 
 def open_pairs(result: Diagnosis) -> list[Pair]:
-    """Return each cause with each remaining alternative, as models; base parameters are left to calibration."""
+    """Return each cause with each remaining alternative, as models.
+
+    `parameter_error` is omitted, because the parameters of the base model are determined by calibration.
+    """
     assert not isinstance(result.model, RigidDrive)
     return [
         Pair((cause.effect, name), result.model, rival)

@@ -1,8 +1,8 @@
 """Predict the motion of an experiment before it is played.
 
-A joint that the torque moves follows J dw/dt = tau_J - b w - k q - A sin q - B cos q - c, which is linear in its
-parameters; they are fitted to logs. Through the transmission tau_J = R cosh(x) tau_M - F sigma while it slides (3.55).
-A joint that something else moves repeats its recorded motion, whatever the torque.
+A joint that the torque moves follows J dw/dt = tau_J - b w - k q - A sin q - B cos q - c. This equation is linear in
+its parameters, which are fitted to logs. While the transmission slides, tau_J = R cosh(x) tau_M - F sigma (3.55). A
+joint that is moved from outside repeats its recorded motion, whatever the torque.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from tsa_ctrl.model.steady_sliding import Sliding, sliding
 from tsa_ctrl.tune.excitation import MOVED_BY_TORQUE, Waveform, response
 
 Array = NDArray[np.float64]
-JointModel = TendonSheath | GearedDrive  # that predicts a joint torque
+JointModel = TendonSheath | GearedDrive  # the models that predict a joint torque
 
-BAND = 8.0  # Hz, in which the equation of motion is fitted: joints move below 5 Hz, and noise of derivatives is above
-SLIDES = 0.02  # rad/s over which the friction of the prediction turns: a step would chatter at STEP
-STEP = 0.002  # s, of the prediction: 200 steps in a period of the fastest wave
-FASTEST = 60.0  # rad/s at which a prediction ends that has run away
+BAND = 8.0  # Hz, band in which the equation of motion is fitted: joints move below 5 Hz, noise of derivatives is above
+SLIDES = 0.02  # rad/s, width of a friction reversal in the prediction: a sharp one would chatter at STEP
+STEP = 0.002  # s, step of the prediction: 200 steps in a period of the fastest wave
+FASTEST = 60.0  # rad/s, limit of the speed of a prediction that runs away
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,12 @@ class Motion:
 
 
 def gear_of(model: JointModel) -> float:
-    """Return the turns of the motor for one turn of the joint."""
+    """Return the number of turns of the motor for one turn of the joint."""
     return model.ratio if isinstance(model, GearedDrive) else model.joint_pulley_radius / model.motor_pulley_radius
 
 
 def _line(model: JointModel) -> Sliding:
-    """Return slope and half loop of the transmission; of a gear, the mean slope of both directions of power."""
+    """Return slope and friction torque of the transmission; for a gear, the mean slope of both power directions."""
     if isinstance(model, TendonSheath):
         return sliding(model)
     efficiency = 1.0 if model.efficiency is None else model.efficiency
@@ -58,7 +58,10 @@ def _line(model: JointModel) -> Sliding:
 
 @dataclass(frozen=True)
 class Joint:
-    """Predict one joint. `terms`: factors of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None: moved from outside."""
+    """Predict the motion of one joint.
+
+    `terms`: factors of [tau_J, omega, q, sin q, cos q, 1] in dw/dt; None for a joint that is moved from outside.
+    """
 
     model: JointModel
     terms: tuple[float, ...] | None
@@ -66,7 +69,7 @@ class Joint:
 
     @classmethod
     def of(cls, logs: Sequence[Dataset], model: JointModel) -> Joint:
-        """Fit the joint's equation of motion to the logs."""
+        """Return a joint whose equation of motion is fitted to the logs."""
         longest = max(logs, key=lambda log: log.seconds)
         if max(response(log).by_torque for log in logs) < MOVED_BY_TORQUE:
             return cls(model, None, longest)
@@ -101,7 +104,7 @@ class Joint:
         a, b, k, s, c, d = self.terms
         q, omega = float(np.median(_angle(self.recorded))), 0.0
         angles, speeds = [], []
-        decay = a * line.half_loop / SLIDES  # of the friction's tangent at rest, implicit: it is stiff
+        decay = a * line.half_loop / SLIDES  # slope of the friction at rest; it is stiff, so each step is implicit
         for torque in driving:
             force = a * torque + b * omega + k * q + s * math.sin(q) + c * math.cos(q) + d
             loss = a * line.half_loop * math.tanh(omega / SLIDES)
@@ -120,7 +123,7 @@ class Joint:
         return Motion(t, tau_m, angle, speed, self._joints(t))
 
     def _joints(self, t: Array) -> dict[str, Array]:
-        """Return the recorded angles of other joints, repeated: this motor does not move them."""
+        """Return the recorded angles of other joints, repeated because this motor does not move them."""
         return {name: self._again(t, angle) for name, angle in self.recorded.signals().joints.items()}
 
     def _again(self, t: Array, column: Array) -> Array:

@@ -1,1 +1,1 @@
-"""Measured data that others published: where it lies, its licence, and how it becomes our columns."""
+"""Fetch measured data that others published, with its licence, and convert it to the columns of a log."""

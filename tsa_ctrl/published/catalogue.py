@@ -1,4 +1,4 @@
-"""The list of sets: address, licence, whom to cite, files with their check sums."""
+"""List the data sets with their address, licence, citation, and files with checksums."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from types import MappingProxyType
 from tsa_ctrl.errors import UsageError
 
 HERE = Path(__file__).parent
-VARIABLE = "TSA_DATA"  # environment: the folder of the sets
+VARIABLE = "TSA_DATA"  # environment variable that states the folder of the data sets
 _RAW = "https://raw.githubusercontent.com"
 
 
 @dataclass(frozen=True)
 class File:
-    """One log: its path below the set's address, its name here, and the SHA-256 of the CSV that it becomes."""
+    """One log: its path below the set's address, its local name, and the SHA-256 of the converted CSV."""
 
     source: str
     name: str
@@ -27,7 +27,10 @@ class File:
 
 @dataclass(frozen=True)
 class Published:
-    """A set. `address` names a commit: its content cannot change; `model`: name of the model file here."""
+    """A data set. `address` names a commit, so its content cannot change; `model` is the local name of the model file.
+
+    `what` describes the data, `converter` names its entry in `fetch.CONVERTERS`, and `cite` is the reference.
+    """
 
     name: str
     what: str
@@ -39,14 +42,14 @@ class Published:
 
     @property
     def files(self) -> tuple[File, ...]:
-        """Return its logs in the order of the list next to this module."""
+        """Return the logs of the set in the order of files.txt."""
         lines = (HERE / "files.txt").read_text(encoding="ascii").splitlines()
         rows = [line.split() for line in lines if not line.startswith("#")]
         return tuple(File(*row[1:]) for row in rows if row[0] == self.name)
 
     @property
     def model_text(self) -> str:
-        """A first guess of the actuator, as a model file."""
+        """Return the text of a model file with a first guess of the actuator."""
         return (HERE / "models" / f"{self.name}.toml").read_text(encoding="utf-8")
 
 
@@ -85,7 +88,7 @@ SETS: Mapping[str, Published] = MappingProxyType(
         )
     }
 )
-# Sets that the diagnosis was tried on and that have no address at which a program finds the same bytes again.
+# Sets that were used to test the diagnosis, but have no address from which a program can fetch identical bytes
 ELSEWHERE: Mapping[str, str] = MappingProxyType(
     {"bam": "its recordings lie in a shared drive, see https://github.com/Rhoban/bam; read them by tsa log import"}
 )

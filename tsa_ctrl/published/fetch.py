@@ -1,4 +1,4 @@
-"""Download a published data set, convert it, and keep it only if its bytes are those that were tested."""
+"""Download a published data set, convert it, and keep it only if its bytes equal the tested ones."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tsa_ctrl import outputs
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.published.catalogue import File, Published
 
-# Counts of the encoders per turn, and N*m per count of the torque sensors, as the publisher's README gives them.
+# Encoder counts per turn, and N*m per count of the torque sensors, from the publisher's README
 _DRIVER, _JAW, _TORQUE = 8192, 4000, 3.9811e-5
 _RATED = 9.84e-3  # N*m: 100 % of the EPOS drive's torque, its motor's nominal torque
 
 
 def _rows(text: str, first: int, separator: str, columns: tuple[int, ...], name: str) -> Iterator[tuple[float, ...]]:
-    """Yield the numbers of the rows from line `first` (0: the first). Raises UsageError with file and line."""
+    """Yield the numbers of each row from line `first` (counted from 0) on; raise UsageError with file and line."""
     for number, line in enumerate(text.splitlines()):
         if number < first or not line.strip():
             continue
@@ -79,13 +79,13 @@ CONVERTERS: Mapping[str, Callable[[bytes, str], str]] = MappingProxyType(
 )
 
 
-PATIENCE = 30.0  # s without a byte
-LARGEST = 32 << 20  # bytes of a file; the largest of the sets has 2 MB
+PATIENCE = 30.0  # s without a received byte until the download fails
+LARGEST = 32 << 20  # bytes, largest permitted file; the largest published one has 2 MB
 
 
 @dataclass(frozen=True)
 class Fetched:
-    """Hold the folder, the number of logs written now, and the number of logs that were already present."""
+    """Hold the folder, the number of logs just written, and the number of logs that were already present."""
 
     folder: Path
     written: int
@@ -100,8 +100,11 @@ def fetch(
 ) -> Fetched:
     """Fill `place`/NAME with the logs, a model file, and a note on licence and source; correct files are kept.
 
-    `address`: another address with the same files. Raises BusError if it cannot be reached, and UsageError if a file
-    differs from the published one or cannot be written.
+    `address`: another address with the same files.
+
+    Raises:
+        BusError: the address cannot be reached.
+        UsageError: a file differs from the published one, or cannot be written.
     """
     target = place / wanted.name
     files = wanted.files

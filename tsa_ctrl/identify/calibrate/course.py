@@ -1,11 +1,11 @@
 """Estimate the curvature profile of a sheath from logs with q_m, q_j, tau_m and a joint torque sensor.
 
-Sliding shows only the centre of the bends. A reversal shows the rest: its slip front runs from the motor through one
-bend after another, and its position determines elongation and joint torque in the meantime. The profile is described by
+Sliding reveals only the centre of the bends. A reversal reveals the rest: its slip front runs from the motor through
+one bend after another, and meanwhile its position determines elongation and joint torque. The profile is described by
 the positions of `PLACES` equal shares of the bending. The Gauss-Newton method finds these positions, stiffness,
 friction and motor inertia with the least error of elongation and joint torque. If the log contains no information, the
-positions stay at those of the given profile. If two bends with a straight piece between them are modelled as one even
-bend, the error is up to 20 mN*m RMS of 300 on simulated rigs.
+positions of the given profile are kept. Modelling two bends with a straight piece between them as one even bend causes
+an error of up to 20 mN*m RMS of 300 mN*m on simulated rigs.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from tsa_ctrl.model.stretch import profile_of
 
 FloatArray = NDArray[np.float64]
 
-PLACES = 6  # 8 do not improve the result on simulated rigs
-SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, at the middle of equal parts
-SPREAD = 0.1  # of the length, prior standard deviation of a position
+PLACES = 6  # number of positions; 8 do not improve the result on simulated rigs
+SHARES = (np.arange(PLACES) + 0.5) / PLACES  # cumulative shares of the bending, at the middle of equal parts
+SPREAD = 0.1  # prior standard deviation of a position, as a share of the length
 ALIKE_FOR = 0.1  # s, correlation time of the tendon model's error: samples within it count as one
 ROUNDS = 12  # most iterations of the Gauss-Newton method; it usually ends earlier, by `ENOUGH`
-ENOUGH = 2e-3  # of the length: smaller steps of all positions end the search
-STEPS = (0.01, 0.02, 1e-5, 0.01)  # of ln k, ln x, J_M and a position, for derivatives: larger than single contacts
+ENOUGH = 2e-3  # share of the length: the search ends when all positions move by less
+STEPS = (0.01, 0.02, 1e-5, 0.01)  # steps of ln k, ln x, J_M and a position for derivatives: exceed single contacts
 MOST = (0.1, 0.1, 1e-4, 0.08)  # largest change of the same parameters in one iteration, so that the search converges
 DIGITS = 4  # decimals of a position, more than the logs determine
-LEAST, GREATEST = 0.01, 0.97  # range of the centre of the bends that a file may have
+LEAST, GREATEST = 0.01, 0.97  # permitted range of the centre of the bends in a file
 
 
 def course_of(places: FloatArray) -> Points:
-    """Return the profile through these positions of `SHARES` (1, of the length), with half a share more at each end."""
+    """Return the profile through these positions (shares of the length), extended by half a share at each end."""
     low = max(0.0, places[0] - 0.5 * (places[1] - places[0]))
     high = min(1.0, places[-1] + 0.5 * (places[-1] - places[-2]))
     points = [(0.0, 0.0), (low, 0.0), *zip(places, SHARES, strict=True), (high, 1.0), (1.0, 1.0)]
@@ -57,7 +57,7 @@ def find_course(logs: Sequence[TendonLog], model: TendonSheath, motor_inertia: f
     p = np.concatenate(([0.0, 0.0, motor_inertia], begin))
     step = np.array([*STEPS[:3], *np.full(PLACES, STEPS[3])])
     most = np.array([*MOST[:3], *np.full(PLACES, MOST[3])])
-    held = np.eye(PLACES) - 1.0 / PLACES  # no prior on the centre, because the whole log shows it
+    held = np.eye(PLACES) - 1.0 / PLACES  # no prior on the centre, because the whole log determines it
     for _ in range(ROUNDS):
         rows, rest = _linear(logs, model, p, step)
         seconds = sum(log.stretch.size * log.period for log in logs)

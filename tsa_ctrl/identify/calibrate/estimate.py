@@ -6,8 +6,8 @@ parameters are therefore estimated separately only in one of these cases:
 
 * The bending angle or the pretension varied and is known.
 * The motor-side tensions were measured.
-* The gain is certified, or known within a few percent, and the resulting interval is narrower than the interval of the
-  nominal file.
+* The gain is certified, or known within a few per cent, and the resulting interval is narrower than that of the nominal
+  file.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.steady_sliding import pretension_level
 
-# x and T_p0 from several known configurations: Gauss-Newton on the instrumented normal equations.
+# x and T_p0 follow from several known configurations by Gauss-Newton steps on the instrumented normal equations.
 
 FloatArray = NDArray[np.float64]
 
 ITERATIONS = 8  # most Gauss-Newton steps; the search usually ends earlier, by TOLERANCE
-TOLERANCE = 1e-7  # of ln x and ln T_p: a smaller step is rounding, and files have fewer digits
-MOST_LOG = 50.0  # of ln x and ln T_p: limit of an interval if the data do not determine the value
-GAIN_UNCERTAIN = 0.05  # 95 %, of the gain from motor torque to joint torque: a torque constant and a sensor of 3 % each
-BY_SLOPE = 0.5  # of the file's uncertainty: at x = 0.7 in (3.55) a gain that is off by 5 % leaves 0.6 of it
+TOLERANCE = 1e-7  # step of ln x and ln T_p that ends the search: files have fewer digits
+MOST_LOG = 50.0  # limit of the interval of ln x or ln T_p if the data do not determine the value
+GAIN_UNCERTAIN = 0.05  # 95 % uncertainty of the gain from motor to joint torque: torque constant and sensor, 3 % each
+BY_SLOPE = 0.5  # share of the file's uncertainty: at x = 0.7 in (3.55), a gain error of 5 % leaves 0.6 of it
 STEP = 1e-4  # relative step of numerical derivatives: its errors are far below an interval
 
 
@@ -67,7 +67,7 @@ def joint_fit(
     Args:
         lag: delay of the instrumental variables in samples.
         certified_gain: True to keep the gain at its start value.
-        gain: true motor torque over measured one, 1; start value.
+        gain: start value of the ratio of the true to the measured motor torque.
     """
     gain_free = not certified_gain
     p = np.array([math.log(model.friction_angle), math.log(model.pretension), math.log(gain), *np.zeros(len(logs))])
@@ -138,9 +138,10 @@ def by_slope(
 ) -> tuple[tuple[Quantity, Quantity], JointFit] | None:
     """Return x (1) and T_p (N) of one configuration from slope and friction torque, and their fit.
 
-    The gain of the torque channels is known within `GAIN_UNCERTAIN` only. The intervals contain this error. With much
-    friction, or bends near the motor, the slope still determines x much better than the file does. None where it does
-    not, or where the result contradicts the file's [uncertainty]: then the form of the transmission or a gain is wrong.
+    The gain of the torque channels is known only within `GAIN_UNCERTAIN`. The intervals contain this error. With much
+    friction, or bends near the motor, the slope still determines x much better than the file does. Return None if it
+    does not, or if the result contradicts the file's [uncertainty]. In the latter case the equation of the transmission
+    or a gain is wrong.
     """
     joint = joint_fit(logs, model, lag, True)
     if joint is None or not narrower(quantities(joint), model):
@@ -161,8 +162,8 @@ def _with_stiffness(
 ) -> tuple[Quantity, Quantity]:
     """Return x and T_p with intervals that contain the uncertainty of the file's axial stiffness.
 
-    The wrap angle changes the pretension in proportion to the stiffness (`pretension_slope`). Where the wrap angle
-    varies, that change separates x from T_p, and an error of the stiffness is an error of both.
+    The wrap angle changes the pretension in proportion to the stiffness (`pretension_slope`). If the wrap angle varies,
+    this change separates x from T_p, so an error of the stiffness causes an error of both.
     """
     uncertain = model.axial_stiffness_uncertainty
     if uncertain == 0.0:
@@ -204,7 +205,7 @@ def combinations_of(joint: JointFit, model: TendonSheath) -> tuple[Quantity, Qua
     return made[0], made[1]
 
 
-MIN_BLOCKS = 8  # Student's t is 2.4 with 7 degrees of freedom; with half as many blocks it is 3.2: useless intervals
+MIN_BLOCKS = 8  # Student's t is 2.4 with 7 degrees of freedom; half as many blocks yield 3.2, so intervals are useless
 
 
 def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
@@ -219,7 +220,7 @@ def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
 
 
 def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list[FloatArray]) -> Estimate:
-    """Fit tau_J = a tau_M - b weight sigma + c, and return the estimate of a, b and the c of each log."""
+    """Return the estimate of a, b and one c for each log in tau_J = a tau_M - b weight sigma + c."""
     x, z, y = [], [], []
     for log, w, offset in zip(logs, weight, offsets(logs), strict=True):
         rest = (-w * log.admission.direction, offset)
@@ -254,8 +255,8 @@ def from_tensions(
 
     T_p is then measured (3.40), so the friction torque depends on sinh x alone. Return None without tensions.
 
-    (3.37) holds for the measured tensions for every position of the bends, so the torque of `elongation_coupling` is
-    not subtracted. The effect only determines the difference between the tension while sliding and T_p0 (3.54).
+    (3.37) holds for the measured tensions wherever the sheath bends, so the torque of `elongation_coupling` is not
+    subtracted. The effect only determines the difference between the tension while sliding and T_p0 (3.54).
     """
     if any(log.tensions is None for log in logs):
         return None
@@ -279,15 +280,15 @@ def from_tensions(
 
 Split = Literal["keep", "fit"]
 
-# 1, uncertainty of the gain of a torque channel or of a torque estimated from the elongation: a slope below r_J/r_M by
-# no more than this does not contradict (3.55).
+# Relative uncertainty of the gain of a torque channel, or of a torque estimated from the elongation: a slope that is
+# below r_J/r_M by no more than this does not contradict (3.55).
 GAIN = 0.03
-HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
+HELD_OUT_BLOCKS = 6  # number of blocks of a log if no whole log is held out; every third block is held out
 EFFECT_ITERATIONS = 20  # most iterations; with all bends at the motor, 0.12 of the error remains at x = 0.3, 0.55 at 1
-SETTLED = 1e-4  # of the friction torque: a smaller change ends the iteration; intervals are a hundred times as wide
+SETTLED = 1e-4  # relative change of the friction torque that ends the iteration: intervals are 100 times as wide
 # s omitted between a held-out block and the rest: twice the correlation time of the noise (prepared.LAG_LIMIT)
 GAP = 1.0
-GAP_SHARE = 0.25  # of a block: largest gap, so that a short log keeps enough samples
+GAP_SHARE = 0.25  # largest gap as a share of a block, so that a short log keeps enough samples
 
 
 def calibrate(
@@ -301,17 +302,17 @@ def calibrate(
 ) -> Calibration:
     """Estimate x and T_p0 of `model` from logs with the columns t, tau_m, tau_j and omega_j (or q_j).
 
-    Logs with the columns q_j.NAME of joints that move also show how these joints bend the sheaths. The gains are then
-    estimated with the rest and are in the [routing] of the result's model.
+    If the logs have columns q_j.NAME of joints that move, the gains by which these joints bend the sheaths are
+    estimated as well. They are in the [routing] of the result's model.
 
     Args:
-        certified_gain: True if the gain of the torque channels is certified, so that the slope counts.
+        certified_gain: True if the gain of the torque channels is certified, so that the slope determines x.
         tensioner: known change of the pretension in N by log name (patterns allowed).
         hold_out: pattern of the logs on which the errors are measured. The default is every third log by name, or
             blocks of each log if there are fewer than three logs.
         split: "keep" keeps the file's proportion of x and T_p if the data cannot separate them. "fit" then chooses both
             by least simulation error within [uncertainty]. A slope below r_J/r_M has the effect of "fit", because
-            (3.55) cannot have such a slope for any proportion.
+            (3.55) has no such slope for any proportion.
 
     Raises:
         UsageError: the logs do not determine the parameters (the message has the reason), or a column is missing.
@@ -344,16 +345,17 @@ def calibrate(
 
 
 def routing_of_logs(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool) -> TendonSheath | None:
-    """Return the model with the routing that the logs show; None if no joint bends its sheaths.
+    """Return the model with the routing estimated from the logs; None if no joint bends its sheaths.
 
-    Raises UsageError as `calibrate`.
+    Raises:
+        UsageError: the logs cannot be used, as in `calibrate`.
     """
     found = fit_routing(prepare(logs, model, {}), model, certified_gain)
     return None if found is None else found.model
 
 
 def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
-    """Return the errors of `model` on all samples of the logs; unknown ones without a joint torque in each log."""
+    """Return the errors of `model` on all samples of the logs; they are unknown if a log lacks the joint torque."""
     if not all("tau_j" in log for log in logs):
         return ThreeErrors()
     logs = [log.completed_for(model) for log in logs]
@@ -428,9 +430,9 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
 
 
 def _combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
-    """Return `combinations`, with the effects that depend on x and T_p subtracted at the values that follow from it.
+    """Return `combinations` with the model's effects subtracted at the x and T_p that follow from the result.
 
-    The values are found by iteration.
+    Effects may depend on x and T_p, so the result is found by iteration.
     """
     found = combinations(logs, model, lag)
     for _ in range(EFFECT_ITERATIONS if model.effects else 0):
@@ -468,11 +470,11 @@ def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[Prepar
 
 
 def _rms(logs: list[PreparedLog], model: TendonSheath, sliding: bool = False) -> float:
-    """Return the simulation error, N*m, over all samples, or where the joint surely slides; nan without such samples.
+    """Return the RMS simulation error in N*m over all samples, or with `sliding` where the joint certainly slides.
 
-    The friction of (3.55) reverses at once, but real tendons need some travel for it. During reversals a model with
-    more friction therefore has the larger error, even if it is the true one. Only the error while sliding decides which
-    of two models is better.
+    The result is nan without such samples. The friction of (3.55) reverses at once, but real tendons need some travel
+    to reverse it. During reversals a model with more friction therefore has the larger error, even if it is correct.
+    Only the error while sliding decides which of two models is better.
     """
     errors = []
     for log in logs:

@@ -77,8 +77,8 @@ def least_error(logs: list[PreparedLog], model: TendonSheath) -> tuple[Quantity,
     """Return x (1) and T_p0 (N) within [uncertainty] with the least simulation error; the bounds are their intervals.
 
     Only the admitted samples count. At rest the friction can have any value up to the friction torque, and the sign of
-    the velocity is noise. Such samples would bias the result to low friction (a weight that rests between strokes: 0.38
-    instead of 0.61 N*m).
+    the velocity is noise. These samples would bias the result towards low friction: for a weight that rests between
+    strokes, it was 0.38 instead of 0.61 N*m.
     """
     from scipy.optimize import least_squares  # slow to import
 

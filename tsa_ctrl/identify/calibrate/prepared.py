@@ -17,7 +17,7 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
 
-# Select the samples for a calibration, independent of the fit.
+# Select the samples for a calibration independently of the fit.
 #
 # Samples that slide in a known direction are admitted. Standstill and the surroundings of each reversal are rejected,
 # because a noisy velocity does not determine sigma there, and the friction has not yet built up (presliding).
@@ -26,11 +26,11 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 NOISE_FACTOR = 5.0  # times the velocity noise: the sign of a slower velocity is not certain
-SPEED_FRACTION = 0.05  # of the fast motion's speed: a slower motion counts as standstill
-STROKE_FRACTION = 0.15  # of the stroke after a reversal: friction may still be building up
-GUARD_TIME = 0.03  # s on each side of a reversal: sensor delays
-MIN_SECONDS = 1.0  # least admitted motion in each direction: twice the correlation time of noise (prepared.LAG_LIMIT)
-# Least ratio of the motor torque's spread within a direction to its noise: below it the slope is wrong by over a fifth
+SPEED_FRACTION = 0.05  # fraction of the 95th percentile of the speed: slower motion counts as standstill
+STROKE_FRACTION = 0.15  # fraction of a stroke rejected after a reversal, where friction may still be building up
+GUARD_TIME = 0.03  # s rejected on each side of a reversal because of sensor delays
+MIN_SECONDS = 1.0  # s, least admitted motion in each direction: twice the correlation time of noise (LAG_LIMIT)
+# Least ratio of the motor torque's spread within a direction to its noise: below it, the slope is off by over a fifth
 MIN_LOAD_TO_NOISE = 2.0
 
 
@@ -59,10 +59,13 @@ def noise_deviation(x: FloatArray) -> float:
 
 
 def admit(t: FloatArray, omega: FloatArray) -> Admission:
-    """Admit the samples of one log in which the joint surely slides.
+    """Admit the samples of one log at which the joint certainly slides.
 
-    `t` (n) in s at a constant rate, `omega` (n) in rad/s: joint velocity. No sample of a log without motion is
-    admitted; `require` raises an error for it.
+    No sample of a log without motion is admitted; `require` then raises an error.
+
+    Args:
+        t: time at a constant rate, (n,) in s.
+        omega: joint velocity, (n,) in rad/s.
     """
     period = float(t[-1] - t[0]) / max(1, t.size - 1)
     fast = float(np.quantile(np.abs(omega), 0.95))
@@ -95,7 +98,7 @@ def admit(t: FloatArray, omega: FloatArray) -> Admission:
 
 
 def _hold(direction: FloatArray) -> FloatArray:
-    """Return sigma (n,) that keeps its last non-zero value at standstill, and has the first one before any motion."""
+    """Return sigma (n,) with its last non-zero value held at standstill; before any motion it has the first value."""
     index = np.where(direction != 0.0, np.arange(direction.size), -1)
     last = np.maximum.accumulate(index)
     first = int(np.flatnonzero(direction)[0])
@@ -133,8 +136,8 @@ def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) ->
         )
 
 
-LAG_LIMIT = 0.5  # s: noise of the motor torque is uncorrelated beyond this
-VARIED_FRACTION = 0.05  # a bending angle or pretension that varies by less is one configuration
+LAG_LIMIT = 0.5  # s: noise of the motor torque is uncorrelated beyond this lag
+VARIED_FRACTION = 0.05  # relative change: a smaller one of bending angle or pretension is the same configuration
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ class PreparedLog:
     admission: Admission
     labels: NDArray[np.int64]
     tensioner: float
-    chosen: NDArray[np.bool_]  # samples of this log that belong to the present set
+    chosen: NDArray[np.bool_]  # samples of this log in the present set
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -161,7 +164,7 @@ class PreparedLog:
 
 
 def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str, float]) -> list[PreparedLog]:
-    """Return the logs with their admitted samples, without logs that have none.
+    """Return the logs that have admitted samples, prepared for the fits.
 
     Args:
         tensioner: changes of T_p0 (N) by pattern of the logs' names.
@@ -223,7 +226,7 @@ def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
 
 
 def instrument_lag(logs: list[PreparedLog]) -> int:
-    """Return the lag in samples beyond which the noise of the motor torque is not correlated."""
+    """Return the lag in samples beyond which the noise of the motor torque is uncorrelated."""
     residuals = []
     for log in logs:
         x = np.column_stack([log.signals.tau_m, log.admission.direction, np.ones(log.tau_j.size)])

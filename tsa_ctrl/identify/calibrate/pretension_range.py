@@ -1,9 +1,11 @@
-"""Compute the range of an appropriate pretension: no tendon goes slack, and the motor torque exceeds the friction.
+"""Compute the range of pretension in which no tendon goes slack and the motor torque exceeds the friction.
 
 Both tendons pull while |tau_M| < 2 T_p0 r_M. The friction torque at the motor is h = 2 T_p0 r_M f(x), which also
 increases with the pretension. For a torque of tau at the motor the range is therefore
 
-    tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x)),     f by where the sheath bends (`tsa_ctrl.model.steady_sliding`)
+    tau / (2 r_M)  <  T_p0  <  tau / (2 r_M f(x))
+
+The function f depends on where the sheath bends (`tsa_ctrl.model.steady_sliding`).
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 FloatArray = NDArray[np.float64]
 
 REACHED = 0.999  # quantile of the motor torque that counts as its peak, so that spikes do not count
-NEAR = 1.1  # of the lower end: below it, sensor errors of 10 % may hide a slack tendon
+NEAR = 1.1  # times the lower end: below it, sensor errors of 10 % may hide a slack tendon
 
 
 def appropriate(model: TendonSheath, torque: float) -> tuple[float, float]:
@@ -29,7 +31,7 @@ def appropriate(model: TendonSheath, torque: float) -> tuple[float, float]:
 
 
 def reached(logs: Iterable[FloatArray]) -> float:
-    """Return the largest torque (N*m at the motor) that logs reach; `logs`: their motor torques, (n,) each."""
+    """Return the largest torque (N*m at the motor) in the logs; `logs`: their motor torques, (n,) each."""
     return max(float(np.quantile(np.abs(tau_m), REACHED)) for tau_m in logs)
 
 

@@ -1,10 +1,10 @@
-"""Linear estimation with noise on both axes and coloured errors: lagged instruments and intervals from blocks of time.
+"""Estimate linear models with noise on both axes and coloured errors, by lagged instruments and blocks of time.
 
 Ordinary least squares of tau_J on tau_M is biased if tau_M is noisy (the slope becomes too small), and its standard
 intervals are wrong if the errors are coloured. Here the instrument of tau_M is the mean of tau_M one lag earlier and
 one lag later. The lag exceeds the correlation time of the noise, so the noise cancels and the (slow) signal remains.
 Intervals follow from the scatter of whole blocks of time. The residuals of each block are scaled by
-(1 - leverage)^(-1/2), and the interval is by Student's t with the degrees of freedom of that variance (CR2: Bell and
+(1 - leverage)^(-1/2). The interval uses Student's t with the degrees of freedom of that variance (CR2: Bell and
 McCaffrey 2002; Imbens and Kolesar 2016). A jackknife over blocks (CR3) would scale by (1 - leverage)^(-1), which is too
 much if a result depends on few blocks.
 """
@@ -21,10 +21,11 @@ from tsa_ctrl.identify.quantity import LEVEL, half_width
 
 FloatArray = NDArray[np.float64]
 
-# t of 17 degrees of freedom is within 8 % of the normal one, and a block of a short log is still longer than its noise
+# With 17 degrees of freedom t is within 8 % of the normal quantile, and a block of a short log is still longer than the
+# correlation time of its noise
 BLOCKS = 18
 MAX_LAG_LOSS = 0.10  # largest permitted loss of correlation between the instrument and its signal
-ALONE = 1e-6  # 1 - leverage below which one block alone determines a combination: rounding of a sum of thousands
+ALONE = 1e-6  # below this 1 - leverage, one block alone determines a combination: it is rounding of a long sum
 MOST_FREEDOM = 1e6  # upper limit, at which Student's t equals the normal distribution
 NOISE_CORRELATION = 0.05  # autocorrelation of the noise below which it counts as uncorrelated
 
@@ -92,7 +93,7 @@ def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.in
 
 
 def lagged(signal: FloatArray, lag: int) -> FloatArray:
-    """Return the mean of a signal `lag` samples earlier and later; near the ends only the existing one counts."""
+    """Return the mean of the signal `lag` samples earlier and later; near an end, only one of them exists."""
     if lag == 0:
         return signal
     n = signal.size
@@ -132,7 +133,7 @@ def _correlation_lag(residual: FloatArray, limit: int) -> int:
 
 
 def _loss(signal: FloatArray, lag: int) -> float:
-    """Return the share of its autocorrelation that a signal loses at a lag, after averaging its noise."""
+    """Return the share of its autocorrelation that a signal loses at a lag, after its noise is averaged."""
     if 4 * lag >= signal.size:
         return 1.0
     from scipy.ndimage import uniform_filter1d  # slow to import
@@ -196,9 +197,9 @@ def solve(
 
 
 def _inverse_root(matrices: FloatArray) -> FloatArray:
-    """Return the inverse square roots (B, k, k) of matrices; an eigenvalue of 0 gives 0.
+    """Return the inverse square roots (B, k, k) of matrices; an eigenvalue of 0 is replaced by 0.
 
-    Such a direction is determined by one block alone and has no residual.
+    A direction with an eigenvalue of 0 is determined by one block alone and has no residual.
     """
     values, vectors = np.linalg.eig(matrices)
     alone = values.real < ALONE

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
 # blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
 BY_CHANCE = 2.0 / 18.0
-ROUNDING = 1e-4  # of the error on the fitted data: smaller differences are rounding
+ROUNDING = 1e-4  # share of the error on the fitted data: smaller differences are rounding
 
 
 @dataclass(frozen=True, repr=False)
@@ -38,8 +38,8 @@ class Calibration(Displayed):
 
     RMS errors are in N*m. `rms_before` (nominal model) and `rms_after` (fitted to the other data) are on held-out data.
     `rms_given` (nominal model) and `rms_written` (`model`, which is written to the file) are on all data, to which
-    `model` was fitted. `sliding_before` to `sliding_written` are the same errors where the joint surely slides; they
-    decide if a model is better or worse. `errors` are those of `model` on all samples, including reversals and
+    `model` was fitted. `sliding_before` to `sliding_written` are the same errors where the joint certainly slides; they
+    decide whether a model is better or worse. `errors` are those of `model` on all samples, including reversals and
     standstill, as `simulate` reports them.
     """
 
@@ -73,7 +73,7 @@ class Calibration(Displayed):
 
     @property
     def worse(self) -> str:
-        """Return as text where the error while sliding is larger than with the given model; empty if nowhere."""
+        """Return a text on the data where the sliding error exceeds the given model's; empty if there are none."""
         found = []
         if self.sliding_written > (1.0 + ROUNDING) * self.sliding_given:
             found.append(f"{self.sliding_given:.4g} -> {self.sliding_written:.4g} N·m on these logs")
@@ -105,7 +105,7 @@ class Calibration(Displayed):
     def written(self, model: TendonSheath) -> TendonSheath:
         """Return the model with friction coefficient and pretension rounded to the digits that the intervals justify.
 
-        The narrowest interval of all estimated quantities decides.
+        The narrowest interval of all estimated quantities determines the number of digits.
         """
         share = min(found.share for found in self.quantities.values() if found.share >= 0.0)
         return replace(

@@ -1,16 +1,16 @@
-"""Find how other joints bend the sheaths, from logs with the columns q_j.NAME.
+"""Estimate how other joints bend the sheaths from logs with the columns q_j.NAME.
 
     x_i = mu (Theta_0 + sum over joints of g_ij q_j)          (1; i: tendon a or b)
     T_p = T_p0 + k (mean of Theta_a and Theta_b - Theta_0)    (N; k = dT_p/dTheta by (3.52) and (3.56))
 
-Friction torque and slope of the transmission follow x and T_p, so one least-squares fit of the joint torque finds x,
-T_p0, all gains g_ij and k at once (Gauss-Newton on the instrumented normal equations of `regression`). The fit makes no
-assumption on the motion: joints may move alone or together. A parameter that the motion does not determine has a wide
-interval. Without a joint torque sensor the elongation is fitted instead, with the stiffness in place of the gain of
-tau_M.
+Friction torque and slope of the transmission depend on x and T_p. One least-squares fit of the joint torque therefore
+finds x, T_p0, all gains g_ij and k at once (Gauss-Newton on the instrumented normal equations of `regression`). The fit
+makes no assumption about the motion: joints may move alone or together. A parameter that the motion does not determine
+has a wide interval. Without a joint torque sensor the elongation is fitted instead, with the stiffness in place of the
+gain of tau_M.
 
-mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which stays. The
-file knows k by the tendon's stiffness and lever. This knowledge enters as an observation with the file's uncertainty.
+mu and Theta_0 enter only as x = mu Theta_0. The gains are therefore relative to the file's Theta_0, which is kept. The
+stiffness and lever in the file determine k. This value enters as an observation with the file's uncertainty.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from tsa_ctrl.model.signals import Signals
 FloatArray = NDArray[np.float64]
 
 MOVED = 0.05  # rad, standard deviation of a joint's angle below which its gain is not estimated
-ITERATIONS = 10  # Gauss-Newton steps at most; on simulated rigs 2 to 7
-LARGEST_STEP = 0.3  # of a logarithm, and of a gain in rad/rad: the first step of a wrong file is too long
+ITERATIONS = 10  # most Gauss-Newton steps; simulated rigs need 2 to 7
+LARGEST_STEP = 0.3  # largest step of a logarithm, and of a gain in rad/rad: from a wrong file, the first is too long
 SMALLEST_STEP = 1e-5  # smaller steps end the iteration: files have fewer digits
 SETTLED = 0.02  # smaller steps do not update the instruments, which need not be exact
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
-NEGLIGIBLE = 0.01  # of Theta_0, swing of the wrap angle by a joint below which it does not bend the sheath
-# Places of the parameters.
-X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4  # of the vector: logarithms, then two for each joint
+NEGLIGIBLE = 0.01  # share of Theta_0: a joint that changes the wrap angle by less does not bend the sheath
+# Indices of the parameters: four logarithms, then two gains for each joint
+X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class RoutingFit:
     """Hold the result of `fit_routing`.
 
     Attributes:
-        model: with the gains in its [routing], and with the x, T_p0 and dT_p/dTheta that go with them.
+        model: the model with the gains in its [routing], and with the corresponding x, T_p0 and dT_p/dTheta.
         gains: rad/rad of wrap angle, by "gain.JOINT", or by "gain_a.JOINT" and "gain_b.JOINT" where the tendons differ.
-            They count from 0, not from the file's gains.
+            They are total gains, not changes of the file's gains.
         slope: dT_p/dTheta, N/rad.
         friction_angle, pretension: x (1) and T_p0 (N) at Theta_0.
-        joints: that bend a sheath.
-        straight: logged joints that moved and bend no sheath.
+        joints: names of the joints that bend a sheath.
+        straight: names of logged joints that moved but bend no sheath.
     """
 
     model: TendonSheath
@@ -114,9 +114,11 @@ def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
 
 
 class _Problem:
-    """The parameters ln x, ln T_p0, ln gain of tau_M, ln k, then mean and half difference of both gains by joint.
+    """Define the parameters of the fit, their priors, and the response to them.
 
-    The last ones are the zero of each log and, for the elongation, the error of the radii.
+    The parameters are ln x, ln T_p0, ln of the gain of tau_M, ln k, and the mean and half the difference of the two
+    tendons' gains for each joint. The last ones are the zero of each log and, for the elongation, the error of the
+    radii.
     """
 
     def __init__(
@@ -143,16 +145,16 @@ class _Problem:
         self.precision = np.zeros(self.start.size)
         self.precision[:JOINTS] = [1.0 / deviation**2 for deviation in deviations]
         if by_elongation:
-            self.precision[GAIN] = self.precision[SLOPE]  # of the stiffness
+            self.precision[GAIN] = self.precision[SLOPE]  # here the gain is that of the stiffness
 
     def model_at(self, p: FloatArray) -> TendonSheath:
-        """Return the model of the parameters."""
+        """Return the model with these parameters."""
         model = self.model.recalibrated(math.exp(p[X]), math.exp(p[T]))
         lever = math.exp(p[SLOPE]) / model.tendon_stiffness
         return dataclasses.replace(model, contact_offset=max(0.0, lever - 0.5 * model.diameter))
 
     def gains_at(self, p: FloatArray) -> tuple[dict[str, float], dict[str, float]]:
-        """Return rad/rad by joint of tendons a and b, beyond the file's."""
+        """Return the gains of tendons a and b by joint, in addition to the file's gains, rad/rad."""
         mean, half = p[JOINTS : self.size : 2], p[JOINTS + 1 : self.size : 2]
         a, b = mean + half, mean - half
         return dict(zip(self.joints, a.tolist(), strict=True)), dict(zip(self.joints, b.tolist(), strict=True))
@@ -160,9 +162,9 @@ class _Problem:
     def response(
         self, log: PreparedLog, p: FloatArray, tau_m: FloatArray, more: float = 0.0, apart: float = 0.0
     ) -> FloatArray:
-        """Return the joint torque, or the elongation, by the parameters, (n,).
+        """Return the joint torque (N*m), or the elongation (m), predicted with these parameters, (n,).
 
-        `more`, `apart`: rad added to mean and half difference of the wrap angles.
+        `more`, `apart`: rad added to the mean and to half the difference of the two wrap angles.
         """
         signals, variant = log.signals, self.model_at(p)
         if log.tensioner:
@@ -183,7 +185,7 @@ class _Problem:
         return predict(variant, bent)
 
     def derivatives(self, log: PreparedLog, p: FloatArray, tau_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the joint torque (n,) and its derivatives (n, `size`) with respect to the parameters."""
+        """Return the response (n,) and its derivatives (n, `size`) with respect to the parameters."""
         level = self.response(log, p, tau_m)
         columns = []
         for place in range(JOINTS):
@@ -198,7 +200,10 @@ class _Problem:
         return level, np.column_stack(columns)
 
     def solve(self, fixed: set[int], start: FloatArray | None = None) -> tuple[FloatArray, Estimate, list[int]] | None:
-        """Return all parameters, the estimate of the free ones, and their places; `fixed`: places that stay."""
+        """Return all parameters, the estimate of the free ones, and the indices of the free ones; None if it fails.
+
+        `fixed`: indices of the parameters that keep their start values.
+        """
         p = (self.start if start is None else start).copy()
         p[sorted(fixed)] = self.start[sorted(fixed)]
         free = [place for place in range(p.size) if place not in fixed]
@@ -210,7 +215,7 @@ class _Problem:
                 level, rows = self.derivatives(log, p, log.signals.tau_m)
                 x.append(np.column_stack([rows, own])[log.mask][:, free])
                 y.append((log.tau_j - level - own @ p[self.size :])[log.mask])
-            if size > SETTLED:  # instruments need not be exact
+            if size > SETTLED:
                 lag = [self.derivatives(log, p, lagged(log.signals.tau_m, self.lag))[1] for log in logs]
                 pairs = zip(logs, lag, self.zero, strict=True)
                 instruments = np.concatenate([np.column_stack([z, own])[log.mask][:, free] for log, z, own in pairs])
@@ -270,7 +275,7 @@ def fit_routing(
                 reach = moved[problem.joints[(place - JOINTS) // 2]] / model.bending_angle
                 half = 0.5 * (high - low)
                 shares[place] = min(abs(p[place]) / max(half, 1e-12), abs(p[place]) * reach / NEGLIGIBLE)
-        # A joint whose tendons differ bends the sheath: its mean gain stays.
+        # A joint whose tendons differ bends the sheath, so its mean gain is kept.
         removable = {place: share for place, share in shares.items() if place in halves or place + 1 in fixed}
         least = min(removable, key=lambda place: removable[place], default=None)
         if least is None or removable[least] > 1.0:

@@ -1,18 +1,18 @@
-"""Estimate stiffness, shape and zero of the tendons from logs with q_m, q_j and tau_m; tau_j is optional.
+"""Estimate stiffness, curvature profile and zero of the tendons from q_m, q_j and tau_m; tau_j is optional.
 
 The tendon model of the observer (`tsa_ctrl.observer.tendons`) predicts the elongation s from motor torque and joint
 angle of the log. The Gauss-Newton method finds the parameters with the least error of the elongation, and of the joint
 torque if it was measured:
 
-    ln of the stiffness   (E A and a series spring by one factor; the slope of s over tau_M while all slides, 1/(2 k_t))
+    ln of the stiffness   (one factor for E A and a series spring; while all slides, s over tau_M has slope 1/(2 k_t))
     s_c                   (centre of the bends; then the whole curvature profile, `course`)
-    ln x                  (at the model's pretension; the change of s between both directions, x T_p (1 - s_c)/k_t)
+    ln x                  (at the model's pretension; s differs between both directions by x T_p (1 - s_c)/k_t)
     J_M, and the zero of s of each log
 
 Without a joint torque sensor the two directions show only x T_p (1 - s_c). Only the shape of s during a reversal would
 separate s_c from x, but it also depends on the true curvature profile. s_c is therefore kept, with the file's
-uncertainty. Intervals follow from blocks of time (`regression`). They also contain the error of a chain of a few
-contacts with a constant T_p (`MODEL`).
+uncertainty. Intervals follow from blocks of time (`regression`). They also contain the error of modelling the tendon as
+a chain of a few contacts with constant T_p (`MODEL`).
 """
 
 from __future__ import annotations
@@ -39,14 +39,15 @@ from tsa_ctrl.outputs import json_types
 
 FloatArray = NDArray[np.float64]
 
-STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: larger than the effect of single contacts
+STEPS = (0.01, 0.01, 0.02, 1e-5)  # steps of ln k, s_c, ln x, J_M for derivatives: they exceed single contacts
 MOST = (0.3, 0.1, 0.3, 2e-4)  # largest change of the same parameters in one iteration, so that the search converges
-# 95 % error of the same parameters by the chain of contacts. Added to the scatter of the blocks, it makes the intervals
-# contain the true values on rigs with errors of up to 20 % in friction, pretension and stiffness (bench/stretch).
+# 95 % error of the same parameters due to the chain of contacts. With it added to the scatter of the blocks, the
+# intervals contain the true values on rigs with errors of up to 20 % in friction, pretension and stiffness
+# (bench/stretch).
 MODEL = (0.006, 0.006, 0.03, 5e-6)
-COURSE_FOUND = 0.002  # 1, the same of s_c if the log has shown the curvature profile: the error is 0.0013 at most
-WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log does not determine it
-LEAST_SLID = 1.0  # s after the tendons have slid all along
+COURSE_FOUND = 0.002  # the same for s_c if the log determined the curvature profile: the error is 0.0013 at most
+WIDEST = (0.25, 0.15)  # 95 % half widths of ln k and s_c above which the log does not determine them
+LEAST_SLID = 1.0  # s, least time after the tendons have slid along their whole length
 CENTRES = (0.01, 0.97)  # range of s_c: at either end one of the two compliances is 0 and has no logarithm
 
 
@@ -57,13 +58,13 @@ class StretchFit:
     `centre` is None without a joint torque sensor.
     """
 
-    axial_stiffness: Quantity  # N; a series spring moves with it
+    axial_stiffness: Quantity  # N; a series spring is scaled by the same factor
     centre: Quantity | None  # s_c of the sheath's bends, 1
     friction_angle: Quantity  # 1, at the model's pretension
     half_loop_torque: Quantity  # N*m at the joint: the product of friction angle and pretension
     motor_inertia: Quantity  # kg*m^2
-    zeros: dict[str, Quantity]  # m of r_M q_M - r_J q_J, by log
-    rms: float  # m, of the predicted elongation
+    zeros: dict[str, Quantity]  # m, zero of r_M q_M - r_J q_J, by log
+    rms: float  # m, RMS error of the predicted elongation
     notes: tuple[str, ...]
     model: TendonSheath
 
@@ -95,7 +96,7 @@ _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # regressors, residual
 
 
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
-    """Fit the parameters to all logs together.
+    """Return the parameters fitted to all logs together.
 
     Raises:
         UsageError: the model has no friction or no pretension, columns contradict each other, or the logs do not
@@ -105,7 +106,7 @@ def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
     seen = [taken(log, model) for log in logs]
     count = len(seen)
-    # ln k, s_c, ln x, J_M; then the zero of each log, and of its sensor
+    # ln k, s_c, ln x, J_M; then the zeros of all elongations, and the zeros of all torque sensors
     centre = min(CENTRES[1], max(CENTRES[0], profile_of(model).centre))
     p = np.array([0.0, centre, 0.0, 0.0, *(log.stretch[0] for log in seen), *np.zeros(count)])
     sensor = all(log.tau_j is not None for log in seen)
@@ -122,8 +123,12 @@ def _search(
 ) -> tuple[dict[int, float], float]:
     """Search by the Gauss-Newton method from the parameters `p`, which are changed in place.
 
-    Returns half the interval of each free parameter by its place in `p`, and the RMS error of the elongation (m).
-    Raises TooStillError if the logs do not determine the parameters.
+    Returns:
+        The half width of the interval of each free parameter by its index in `p`, and the RMS error of the elongation
+        (m).
+
+    Raises:
+        TooStillError: the logs do not determine the parameters.
     """
     count = len(logs)
     free = [0, 1, 2, 3, *range(4, 4 + 2 * count)] if sensor else [0, 2, 3, *range(4, 4 + count)]
@@ -151,7 +156,7 @@ def _search(
 
 
 def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
-    """Return the logs with the joint torque by the tendon elongation as tau_j (N*m), from its first known sample."""
+    """Return the logs with tau_j (N*m) estimated from the tendon elongation, from its first known sample on."""
     p = np.array([0.0, profile_of(found.model).centre, 0.0, found.motor_inertia.value])
     out = []
     for log in logs:

@@ -19,12 +19,12 @@ from tsa_ctrl.observer.stretch import pairs_of
 
 FloatArray = NDArray[np.float64]
 
-TURNED = 0.05  # 1, permitted difference of the motion of both pulleys: their radii are known to a few per cent
-AGAINST = -0.5  # correlation of elongation and motor torque that shows a wrong sign; correct signs give about 0.9
-JUMP = 5.0  # times the `OFTEN`th largest change between rows: no motion changes this much faster once only
+TURNED = 0.05  # permitted relative difference of the motion of both pulleys: their radii are known to a few per cent
+AGAINST = -0.5  # correlation of elongation and motor torque that shows a wrong sign; correct signs yield about 0.9
+JUMP = 5.0  # times the `OFTEN`th largest change between rows: no motion is this much faster only once
 OFTEN = 10  # rows: a motion repeats its highest speed in every cycle, while a jump takes only one or two rows
-LEAST = 0.2  # of the elongation at the pretension: counts, backlash and noise are smaller
-AROUND = 20  # rows on either side of a jump, over which it must last
+LEAST = 0.2  # share of the elongation at the pretension: counts, backlash and noise are smaller
+AROUND = 20  # rows on either side of a jump over which it must persist
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class TendonLog:
     name: str
     tau_m: FloatArray
     acceleration: FloatArray  # rad/s^2, of the motor
-    way: FloatArray  # m, motion of the joint's pulley since the row before
+    way: FloatArray  # m, travel of the joint pulley since the previous row
     stretch: FloatArray  # m
     tau_j: FloatArray | None
     period: float
@@ -43,7 +43,8 @@ class TendonLog:
 def taken(log: Dataset, model: TendonSheath) -> TendonLog:
     """Return the columns that the tendon model requires.
 
-    Raises UsageError if columns contradict each other or one is missing.
+    Raises:
+        UsageError: columns contradict each other, or one is missing.
     """
     label = log.label or log.name
     q_m, q_j = log["q_m"], log["q_j"]
@@ -88,7 +89,7 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
 
 
 def jump(stretch: FloatArray, least: float) -> tuple[int, float] | None:
-    """Return row and size (m) of a lasting step of the zero, or None without one; `least`: m, smallest such step."""
+    """Return row and size (m) of a lasting step of the zero, or None without one; `least`: size of the smallest, m."""
     steps = np.diff(stretch)
     if steps.size < 2 * AROUND:
         return None
@@ -105,7 +106,7 @@ def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> T
 
     Args:
         stiffer: logarithm of the factor of the stiffness.
-        centre: of the bends, 1.
+        centre: centre of the bends, as a share of the length.
         more: logarithm of the factor of the friction angle.
     """
     factor = math.exp(stiffer)
@@ -129,7 +130,7 @@ def foretold(
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the predicted elongation (m) and joint torque (N*m) without their zeros, (n,) each, and a mask (n,).
 
-    The mask is True once both tendons have slid along their whole length, where the torque is finite.
+    The mask is True at samples after both tendons have slid along their whole length, if the torque is finite there.
     """
     pair = pairs_of(model)[0].copy()
     tendons.grip(pair, model.friction_angle)

@@ -1,25 +1,25 @@
-"""Diagnosis of a model on logs: find the errors of the simulation, their cause, the extended model, the gain.
+"""Diagnose a model on logs: find the errors of the simulation, their causes, an extended model, and its gain.
 
-`pipeline.diagnose` runs through the stages, one line each; a stage is a function from data to data, in a folder that
-imports only the folders above it in this list (tests/identify/diagnosis/test_order.py):
+`pipeline.diagnose` calls the stages, one line each. A stage is a function from data to data. Its folder imports only
+the folders above it in this list (tests/identify/diagnosis/test_order.py):
 
 data        admit, choose and average the logs (`prepare`, `denoise`), check their excitation (`audit`), hold out
             data (`split`)
-hypotheses  the base model and the parameters that recalibration frees (`base`); the catalogue's effects as `candidates`
-            on these logs, searched as their specification (model/effects) defines, on grids scaled to the logs
+hypotheses  the base model and the parameters that recalibration frees (`base`); the effects of the catalogue as
+            `candidates`, searched as their specification (model/effects) defines, on grids scaled to the logs
 noise       the torque's coloured noise (`autoregressive`); regressors that are always projected out (`nuisance`)
-fitting     a fit of a hypothesis to the data (`problem`, `fit`), one projection per candidate (`score_test`), the noise
-            that remains with the whole catalogue (`noise_model`), the error that a user sees (`simulation_error`)
+fitting     the fit of a hypothesis to the data (`problem`, `fit`), one projection per candidate (`score_test`), the
+            noise that remains with the whole catalogue (`noise_model`), and the error for a user (`simulation_error`)
 selection   `forward`: causes enter and leave one at a time (`step`); `entry`: the tests; `detection_limits`
 residual    `dependence` of the residual on signals (`features`), `changes` in time, and their effect on the result
             (`structure`)
-rivals      the alternatives that these logs cannot exclude (`groups`), and which of them contradict the tendon
-            elongation where both pulleys' angles are logged (`stretched`)
+rivals      the alternatives that these logs cannot exclude (`groups`), and the alternatives that contradict the tendon
+            elongation if the angles of both pulleys are logged (`stretched`)
 parameters  the `claims`: selection, structure and alternatives, repeated without each dropped cause; the reported
             parameters (`refit`, `profile_refinement`), and the gain on `held_out` data
-refusals    rejects logs without enough information: the verdict is then `insufficient`, which is not an error
-report      `conclude`: the `result` as data; its `words`, `page` and `pictures`, which other processes draw; the next
-            `experiment`
+refusals    rejection of logs without enough information: the verdict is then `insufficient`, which is not an error
+report      the `result` as data (`conclude`); its `words`, `page` and `pictures`, which other processes draw; and the
+            next `experiment`
 
 To add a stage:
 

@@ -1,4 +1,4 @@
-"""Run a diagnosis from top to bottom: one line for each stage, which is a function in the stage's own folder."""
+"""Run a diagnosis from top to bottom, with one line for each stage; the folders of the stages define them."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def diagnose(
             mapping from name to columns.
         model: the nominal model.
         hold_out: pattern of the names of the held-out logs, which are not used to find or fit causes. By default every
-            third log by name is held out. With one or two logs, stretches of them are held out instead; only the
-            held-out errors are computed without these stretches.
+            third log by name is held out. With one or two logs, parts of each log are held out instead. Causes are then
+            found with these parts, and only the held-out errors are computed without them.
         seed: seed of the random generator.
         progress: called with the name of each stage.
 
@@ -62,7 +62,7 @@ def diagnose(
         The diagnosis.
 
     Raises:
-        UsageError: a log cannot be correct; the message of one line names the log and the column.
+        UsageError: a log cannot be correct; the message names the log and the column in one line.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # Libraries warn about values that are not finite.

@@ -16,7 +16,7 @@ from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.identify.torque_scale import drive_scale
 from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonSheath
 
-# Largest relative half width of the friction's interval: friction that is less certain does not show
+# Largest relative half width of the interval of the friction: with a wider one, the logs do not determine it
 WIDEST_FRICTION = 0.35
 # Largest error as a multiple of the torque's variation: a larger error means another drive's log; equation (3.55) may
 # be wrong by a factor of two
@@ -28,14 +28,13 @@ UNSUITED = (
 # Least variation of the torque as a share of its mean: at an almost constant torque neither the slope nor, with unknown
 # sensor zeros, the friction torque can be identified
 LEAST_CHANGE = 0.25
-# Share of a plain drive's friction in the file: with less, the torque does not follow the motion at all
+# Least friction of a plain drive as a share of the file's value: with less, the torque does not follow the motion
 LEAST_FRICTION = 0.01
-# Largest error as a share of the variation of an almost constant torque: with a larger error, three quarters of the
-# variance are not explained
+# Largest error as a share of the variation of an almost constant torque: a quarter of the variance then remains
 FOLLOWED = 0.5
-# Share of the RMS torque: a larger error that is not noise remains with every cause only in unrelated logs
+# Share of the RMS torque: only in unrelated logs does a larger error that is not noise remain with every cause
 UNRELATED = 0.6
-# Share of the recalibrated model's error: causes that reduce the error below it belong to this drive
+# Share of the recalibrated model's error: causes that reduce the error below this share belong to this drive
 LEAST_IMPROVEMENT = 0.5
 SIMPLER = {
     "recalibrated": "the recalibrated model",
@@ -50,9 +49,9 @@ STRANGE = (
 
 
 class InsufficientError(Exception):
-    """Logs from which no diagnosis can be made, for the reason in the message.
+    """Indicate that the logs allow no diagnosis, for the reason in the message.
 
-    The exception leads to the verdict `insufficient`, not to an error.
+    This exception leads to the verdict `insufficient`, not to an error.
     """
 
 
@@ -71,9 +70,9 @@ def refuse_foreign(frame: Frame, model: Model) -> None:
 
 
 def refuse_unsuited(problem: Problem, base: Fit) -> None:
-    """Raise InsufficientError if the simulation does not follow the measured torque, or friction does not show.
+    """Raise InsufficientError if the simulation does not follow the torque, or the friction cannot be determined.
 
-    The check of friction applies to tendon-sheath drives only. A rigid drive is also rejected if `drive_scale` finds a
+    The friction is checked only for tendon-sheath drives. A rigid drive is also rejected if `drive_scale` returns a
     reason.
     """
     given, found = problem.base.given, base.hypothesis.model(base.point)
@@ -97,9 +96,9 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
 
 
 def refuse_without_friction(problem: Problem, base: Fit, named: bool) -> None:
-    """Raise InsufficientError if the friction of a plain drive does not show.
+    """Raise InsufficientError if the friction of a plain drive cannot be determined.
 
-    If a cause is identified (`named`), it may hide the friction, so the check is skipped.
+    An identified cause (`named`) may hide the friction, so the check is then skipped.
     """
     if problem.base.target == "tau_m" and not named:
         _refuse_unseen_friction(problem, base)
@@ -135,8 +134,8 @@ def refuse_unrelated(
 def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
     """Raise InsufficientError if the identified causes predict held-out torque no better than a simpler model.
 
-    The simpler models are the recalibrated model, the nominal model, a constant and a straight line. The straight line
-    does not count for a geared drive.
+    The simpler models are the recalibrated model, the nominal model, a constant and a straight line. A geared drive is
+    accepted if the straight line is the best of them.
     """
     best, error = errors.simplest
     if best == "line" and isinstance(problem.base.given, GearedDrive):

@@ -18,7 +18,7 @@ CONNECT = 10.0  # s to reach a scheduler
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor of concurrent.futures, the number of its parallel jobs, and True if it can read the local files."""
+    """A concurrent.futures executor, the number of its parallel jobs, and whether it can read the local files."""
 
     executor: Executor
     count: int
@@ -27,9 +27,9 @@ class Workers:
 
 @contextlib.contextmanager
 def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep") -> Iterator[Workers]:
-    """Provide processes of this machine; each of them imports the module `preload` first.
+    """Provide processes of this machine, each of which first imports the module `preload`.
 
-    `jobs`: number of processes; default: one per core that this process may use.
+    `jobs`: number of processes; the default is one per core that this process may use.
     """
     count = jobs or len(os.sched_getaffinity(0))
     pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=_begin)

@@ -1,4 +1,4 @@
-"""Store the results of a fleet in a file with one line per log that survives interruptions, and write the table."""
+"""Store the results of a fleet in a file of one line per log, which survives interruptions, and write the table."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def append(folder: Path, row: Row) -> None:
     try:
         with path.open("a", encoding="utf-8") as file:
             if file.tell() and not _ends_with_a_line(path):
-                file.write("\n")  # the last run was cut off within a line
+                file.write("\n")  # the last run was interrupted within a line
             file.write(json.dumps(json_types(row), ensure_ascii=False) + "\n")
             file.flush()
             os.fsync(file.fileno())

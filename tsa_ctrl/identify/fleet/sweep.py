@@ -170,12 +170,12 @@ def _unreadable(path: Path, error: OSError) -> UsageError:
 
 
 def _reported(out: Path, row: Row) -> bool:
-    """Return True if the report of a result still exists; a result with an error has none."""
+    """Return True if the report of a result still exists; the result of a failed diagnosis needs none."""
     return row.verdict == "error" or (out / row.log / "diagnosis.json").is_file()
 
 
 def _file(folder: Path, done: Done) -> None:
-    """Write the files of a report; diagnosis.json is last and marks the others as complete."""
+    """Write the files of a report, with diagnosis.json last, because it marks the report as complete."""
     try:
         for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
             folder.mkdir(exist_ok=True)

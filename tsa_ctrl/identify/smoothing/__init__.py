@@ -1,4 +1,4 @@
-"""Derive position, velocity and acceleration from encoder counts by a zero-phase smoother; the data set its bandwidth.
+"""Derive position, velocity and acceleration from encoder counts by a zero-phase smoother of data-driven bandwidth.
 
 All commands that derive a velocity or an acceleration use this smoother (`identify.motion`).
 """

@@ -1,9 +1,9 @@
 """Estimate the noise of a measured velocity: white, or reduced at high frequencies if the drive averages.
 
-Drives and tachometers report means over a few samples, or filter with first order. An estimate from the highest
-frequencies alone would then be too small by an order of magnitude at the frequencies of the motion, and noise would be
-taken for motion. Each kind of averaging is therefore tried, and the kind whose noise is flat down to the lowest
-frequency is used. No averaging is assumed unless a kind reaches clearly lower.
+Drives and tachometers report means over a few samples, or apply a first-order filter. At the frequencies of the motion,
+an estimate from the highest frequencies alone would then be an order of magnitude too small. Noise would be mistaken
+for motion. Each kind of averaging is therefore tried, and the kind whose noise is flat down to the lowest frequency is
+used. No averaging is assumed unless another kind reaches clearly lower.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ import numpy as np
 
 from tsa_ctrl.model.functions import Array
 
-LONGEST = 65_536  # samples of a segment, a minute at 1 kHz: the window is then narrower than the bands above 1 Hz
-COVERED = 262_144  # samples used in the segments of one length: the density of a band is then known to a few per cent
-SHORTEST = 64  # samples of a segment; a shorter signal has no useful spectrum
-CYCLES = 64.0  # of a band's lower edge in a segment: the window blurs by 6.4 of them either way, a tenth of the edge
-WIDTH = 2.0**0.125  # of a band, upper over lower edge: a filter's gain changes little over it
-SHAPE = 20.0  # of the Kaiser window: side lobes 155 dB down, more than 24 bit
-FEWEST = 3  # resolved frequencies in a band
+LONGEST = 65_536  # samples of the longest segment, a minute at 1 kHz: its window is narrower than the bands above 1 Hz
+COVERED = 262_144  # samples used in the segments of one length: they determine the density of a band to a few per cent
+SHORTEST = 64  # samples of the shortest segment; a shorter signal has no useful spectrum
+CYCLES = 64.0  # cycles of a band's lower edge in a segment: the window blurs by 6.4 cycles, a tenth of the edge
+WIDTH = 2.0**0.125  # ratio of the edges of a band: a filter's gain changes little over it
+SHAPE = 20.0  # shape parameter of the Kaiser window: its side lobes are 155 dB down, more than 24 bit
+FEWEST = 3  # fewest resolved frequencies in a band
 
 
 @lru_cache(maxsize=16)
@@ -85,20 +85,26 @@ def _window(length: int) -> tuple[Array, Array, Array]:
     return line, window, line * window
 
 
-MEANS = range(2, 11)  # samples of a mean: longer ones would affect the frequencies at which joints move at 1 kHz
-CORNERS = (0.05, 0.07, 0.1, 0.14, 0.2)  # of the rate, corner of first-order filters: the same range of frequencies
-POINTS = 16  # in a band, over which a shape is averaged: the zeros of a mean are narrower than a band
+MEANS = range(2, 11)  # lengths of a mean in samples: longer ones would affect the frequencies of joint motion at 1 kHz
+CORNERS = (0.05, 0.07, 0.1, 0.14, 0.2)  # corners of first-order filters over the rate: the same range of frequencies
+POINTS = 16  # points per band over which a shape is averaged: the zeros of a mean are narrower than a band
 DEEPEST = 1e-3  # lower limit of a shape: rounding and white noise after the mean fill its zeros
-FLAT = 2.0  # ratio to the level, or its inverse, up to which a band counts as noise: neighbouring bands differ by less
+FLAT = 2.0  # largest ratio to the level, or its inverse, of a band that is noise: neighbouring bands differ by less
 MISSED = 2  # successive bands beyond this ratio that end the plateau, so that a single line or zero does not end it
-SUNK = 0.1  # of a shape: in its zeros all of the measured power is noise, including rounding
+SUNK = 0.1  # a shape below this value is near a zero, where all of the measured power is noise, including rounding
 FURTHER = 1.4  # factor (half an octave) by which a shape must reach lower than white noise to be used instead
 
 
 def plateau(measured: Array, count: int, period: float, top: float) -> tuple[float, Array]:
     """Return level and shape (bands,) of the noise in the `measured` density (bands,) of a velocity.
 
-    The shape is 1 without averaging. `count`: samples; `period`: s; `top`: upper end of the motion over the rate, 1.
+    The shape is 1 without averaging.
+
+    Args:
+        measured: density, (bands,).
+        count: number of samples.
+        period: s.
+        top: upper end of the motion as a share of the sampling rate.
     """
     shapes, centre = _shapes(count, period)
     high = centre > top / period

@@ -1,12 +1,12 @@
 """Choose the low-pass with the smallest expected error: lost motion plus remaining noise.
 
-With the spectral densities S of the motion and N of the noise, a zero-phase gain H has in the derivative of order r the
-mean square error
+Let S and N be the spectral densities of motion and noise. In the derivative of order r, a zero-phase filter of gain H
+has the mean square error
 
     integral of (2 pi f)^(2r) ((1 - H)^2 S + H^2 N) df
 
-S is the excess of the measured density over N. Above its peak it ends where no excess is significant for half an
-octave. Beyond that, only lines far above the noise and pairs of highly significant neighbours count.
+S is the excess of the measured density over N. Above its peak, S ends where the excess is not significant for half an
+octave. Beyond that, only lines far above the noise and pairs of highly significant neighbouring bands count as motion.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import fast_size
 
 RUN_IN = 4.0  # periods of the cut-off by which each end is extended: the slowest filter decays to 1e-3 within them
-AT_THE_END = 1.0  # period of the cut-off, over which the end's curvature is fitted
-DEGREE = 4  # of the polynomial of that fit
+AT_THE_END = 1.0  # periods of the cut-off over which the curvature at an end is fitted
+DEGREE = 4  # degree of the polynomial in that fit
 FADE = 4.0  # periods of the cut-off after which the extension has no curvature
 
 
 @dataclass(frozen=True)
 class LowPass:
-    """Hold a Butterworth low-pass run in both directions: gain 1/(1 + (f/cutoff)^(2 order)), cutoff in Hz."""
+    """Represent a Butterworth low-pass run in both directions: gain 1/(1 + (f/cutoff)^(2 order)), cutoff in Hz."""
 
     order: int
     cutoff: float
@@ -45,7 +45,7 @@ class LowPass:
 
 
 def filtered(y: Array, period: float, low_pass: LowPass, derivatives: Sequence[int] = (0,)) -> list[Array]:
-    """Return derivatives of these orders of the filtered signal, each (n,); y (n,) is sampled every `period` s.
+    """Return the derivatives of the given orders of the filtered signal y (n,), each (n,); `period` is in s.
 
     Both ends are extended with continuous value, slope, curvature and third derivative, because a log may start and end
     in full motion.
@@ -54,10 +54,10 @@ def filtered(y: Array, period: float, low_pass: LowPass, derivatives: Sequence[i
     run_in = min(n - 1, math.ceil(RUN_IN / (low_pass.cutoff * period)) + 16)
     longer = _carried_on(y, period, low_pass.cutoff, run_in)
     start, slope = float(longer[0]), float(longer[-1] - longer[0]) / (len(longer) - 1)
-    longer -= start + slope * np.arange(len(longer))  # without this line the ends would not meet
+    longer -= start + slope * np.arange(len(longer))  # after this, both ends meet
     size = fast_size(len(longer))
     spectrum = np.fft.rfft(longer, size)
-    del longer  # an hour at 1 kHz is 30 MB, and its spectrum 34
+    del longer  # an hour at 1 kHz takes 30 MB, and its spectrum takes 34 MB
     frequency = np.asarray(np.fft.rfftfreq(size, period), dtype=np.float64)
     spectrum *= low_pass.gain(frequency)
     inside = slice(run_in, run_in + n)
@@ -81,7 +81,7 @@ def _carried_on(y: Array, period: float, cutoff: float, count: int) -> Array:
 
 
 def _before(y: Array, period: float, cutoff: float, count: int) -> Array:
-    """Return an extension before y: its odd reflection about the end's smooth value, plus twice the curvature term."""
+    """Return the extension before y: the odd reflection about the smoothed end value, plus twice the curvature term."""
     length = min(len(y), max(2 * DEGREE, math.ceil(AT_THE_END / (cutoff * period))))
     if length <= DEGREE:
         return np.asarray(2.0 * y[0] - y[count:0:-1])
@@ -92,14 +92,14 @@ def _before(y: Array, period: float, cutoff: float, count: int) -> Array:
     return np.asarray((2.0 * value - y[1 : count + 1] + 2.0 * bend * past**2 * faded)[::-1])
 
 
-ORDERS = (2, 3, 4, 6)  # of the Butterworth filters: from one that hardly rings to one that ends with the motion
-PER_DECADE = 40  # cut-offs tried: 6 % apart, which costs less than 1 % of the least error
-HIGHEST = 0.35  # of the rate, of a cut-off: with a gain that is not 0 at half the rate a derivative rings without end
-CERTAIN = 3.0  # standard errors by which a band exceeds the noise: by chance one in 700
-STANDS_OUT = 0.3  # of the noise's density: a weaker motion is not worth its noise
-GAP = 4  # bands: half an octave without motion ends it (a zero in a motion's spectrum is narrower)
-LINE = 10.0  # times the noise: a line apart from the motion, no chance
-RESUMED = 4.0  # standard errors, of two neighbours: motion goes on beyond a gap (by chance one pair in 1e7)
+ORDERS = (2, 3, 4, 6)  # orders of the Butterworth filters: from hardly any ringing to a steep cut-off above the motion
+PER_DECADE = 40  # number of cut-offs tried per decade: they are 6 % apart, which increases the error by less than 1 %
+HIGHEST = 0.35  # highest cut-off over the rate: if the gain at half the rate is not 0, a derivative rings endlessly
+CERTAIN = 3.0  # standard errors above the noise at which a band is significant; by chance, one band in 700 is
+STANDS_OUT = 0.3  # least density relative to that of the noise: a weaker motion is not worth the noise that passes too
+GAP = 4  # bands, half an octave: a gap of this width ends the motion (a zero in its spectrum is narrower)
+LINE = 10.0  # times the noise: an isolated line of this size does not occur by chance
+RESUMED = 4.0  # standard errors of two neighbouring bands that show motion beyond a gap; chance: one pair in 1e7
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Choice:
 
 
 def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
-    """Return S in each band from the measured density, each a mean of `values` independent values."""
+    """Return S in each band; each measured density is the mean of `values` independent values."""
     level = noise.density
     above = measured - level
     error = np.hypot(level / np.sqrt(values), noise.spread)
@@ -134,7 +134,7 @@ def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
 
 
 def _end(sure: NDArray[np.bool_], start: int) -> int:
-    """Return the first band of GAP bands in a row that are not significant."""
+    """Return the index of the first of GAP consecutive bands that are not significant."""
     missing = 0
     for band in range(start, len(sure)):
         missing = 0 if sure[band] else missing + 1
@@ -148,7 +148,8 @@ def choose(
 ) -> tuple[Choice, ...]:
     """Return the best low-pass for all `derivatives` of a log, with the expected error for each of them.
 
-    The best one has the smallest maximum ratio of error to least possible error. `highest`: largest cut-off, Hz.
+    The best filter minimises, over the derivatives, the largest ratio of its error to the least error of any filter.
+    `highest`: largest cut-off, Hz.
     """
     edges = bands(count, period)
     filters, lost, passed = _tried(count, period)
@@ -169,7 +170,7 @@ def choose(
 
 @lru_cache(maxsize=16)
 def _tried(count: int, period: float) -> tuple[tuple[LowPass, ...], Array, Array]:
-    """Return all filters, the share of the motion's power that each removes, and of the noise's that each passes.
+    """Return all filters, the share of motion power that each removes, and the share of noise power that each passes.
 
     Both shares have the shape (k, bands). The motion counts at the upper edge of its band, where the gain is smallest.
     """

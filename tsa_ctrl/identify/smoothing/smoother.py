@@ -3,8 +3,8 @@
 The low-pass with the least expected error follows from the spectral densities of motion and noise (`bandwidth`).
 Rounding to counts is not white noise if the motion is slower than one count per sample. Its density is therefore
 measured: a smoothed copy of the recorded motion is rounded again at other positions between the counts. This is
-repeated until the resulting low-pass is one that was used before. The remaining power at the highest frequencies is
-white noise.
+repeated until it yields a low-pass that was already used. The remaining power at the highest frequencies is white
+noise.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from tsa_ctrl.identify.smoothing.averaged import SHORTEST, band_densities, bands
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 4  # random trials of the position between the counts, over which the noise density is averaged; more if short
-DRAWN = 65_536  # least number of samples in all trials: a minute at 1 kHz
+DRAWS = 4  # random positions between the counts over which the noise density is averaged; more for a short log
+DRAWN = 65_536  # least number of samples in all trials together: a minute at 1 kHz
 HELD = 2_000_000  # most samples of all trials in memory at once: for an hour they would require 120 MB
-ROUNDS = 8  # most repetitions of the rounding; two or three suffice except for encoders of a few counts
-MORE = 4.0  # times the rounding noise, as first estimate: a smaller one would treat the steps of the counts as motion
-TOP = 0.3  # of the rate: motion has lower frequencies
-WORTHWHILE = 0.5  # of a measured velocity's noise: a low-pass with a larger error may distort more than it improves
-WORTH = 0.1  # of the rounding's density: a smaller excess does not count as white noise
-GRID = 1e-3  # relative error of a step as a whole number of counts, because of the digits of a text file
-ORDERS = {"angle": ((0, 1), (2,)), "velocity": ((0,), (1,))}  # derivatives that share a low-pass
+ROUNDS = 8  # most repetitions of the rounding; two or three suffice unless the encoder moves by only a few counts
+MORE = 4.0  # first estimate in units of the rounding noise: with a smaller one, the counts' steps would pass as motion
+TOP = 0.3  # share of the sampling rate: motion has lower frequencies
+WORTHWHILE = 0.5  # largest error of a low-pass over the noise of a measured velocity: more may distort than it improves
+WORTH = 0.1  # share of the rounding noise density: a smaller excess does not count as white noise
+GRID = 1e-3  # largest relative deviation of a step from a whole number of counts: text files have few digits
+ORDERS = {"angle": ((0, 1), (2,)), "velocity": ((0,), (1,))}  # orders of the derivatives that share a low-pass
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Smoothed:
 
     `smooth` is the low-pass of an angle and its velocity, or of a velocity. `steep` is that of the acceleration.
     `errors` are the expected RMS errors of the value, the first and (for an angle) the second derivative, and `noises`
-    are the parts of the noise in them. `count` is the step between possible values, 0 without such a grid. If a
+    are the parts of the noise in them. `count` is the step between possible values, or 0 if they form no grid. If a
     low-pass is None, the signal is not filtered, and its derivatives are central differences.
     """
 
@@ -72,10 +72,10 @@ class Smoothed:
         return filtered(self.raw, self.period, self.smooth, (0, 1) if self.kind == "angle" else (0,))
 
     def within(self, cutoff: float) -> Smoothed:
-        """Return the angle with value and rate limited to `cutoff` (Hz); the acceleration stays.
+        """Return the angle with value and rate limited to `cutoff` (Hz); the acceleration is not changed.
 
-        The RMS of white noise after a low-pass is proportional to the cut-off to the power r + 1/2, for a derivative of
-        order r. The removed motion is not included in `errors`, because the limit is intended.
+        For a derivative of order r, the RMS of white noise after a low-pass is proportional to cutoff^(r + 1/2). The
+        removed motion is not included in `errors`, because the limit is intended.
         """
         if self.smooth is None or self.smooth.cutoff <= cutoff:
             return self
@@ -100,10 +100,10 @@ def smoothed(y: Array, period: float, kind: str = "angle", cutoff: float | None 
     """Return `y` (n,), an "angle" or a "velocity" sampled every `period` s, with its low-passes.
 
     A signal that never changes or has fewer than SHORTEST samples is not filtered. A measured velocity is not filtered
-    either if a low-pass would remove too little noise; its acceleration is.
+    either if a low-pass would remove too little noise, but its acceleration is.
 
     Args:
-        cutoff: Hz, replaces the cut-off that follows from the data.
+        cutoff: Hz; replaces the cut-off that follows from the data.
     """
     step = grid(y)
     shared, apart = ORDERS[kind]
@@ -135,7 +135,7 @@ def _noise(
     orders: tuple[int, ...],
     cutoff: float | None,
 ) -> Noise:
-    """Return the noise: that of rounding a similar motion, and white noise, which may be averaged for a velocity."""
+    """Return the noise: the error of rounding a similar motion plus white noise, which a drive may have averaged."""
     edges = bands(len(y), period)
     top = np.sqrt(edges[1:] * edges[:-1]) > TOP / period
     if not top.any():
@@ -145,7 +145,7 @@ def _noise(
     if kind == "velocity":
         level, shape = plateau(measured, len(y), period, TOP)
     white = max(0.0, level - rounding)
-    held = len(y) / max(1, int(np.count_nonzero(np.diff(y))))  # samples per count, which slow the noise down
+    held = len(y) / max(1, int(np.count_nonzero(np.diff(y))))  # samples per count: the noise is slower by it
     first = rounding if step == 0.0 else MORE * held * rounding
     noise = Noise(first + white * shape, np.zeros(len(measured)))
     if step == 0.0:

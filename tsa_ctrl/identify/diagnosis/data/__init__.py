@@ -1,1 +1,1 @@
-"""Prepare the logs for a diagnosis: denoised and reduced, audited, split into learned from and held out."""
+"""Prepare the logs for a diagnosis: denoise, reduce and audit them, and hold out a part of the data."""

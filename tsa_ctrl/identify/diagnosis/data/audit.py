@@ -1,6 +1,4 @@
-"""Determine the information in a log, before anything is fitted: suspicions, occupancy, and whether it excites the
-drive.
-"""
+"""Audit the logs before anything is fitted: suspicions, occupancy, and whether they excite the drive sufficiently."""
 
 from __future__ import annotations
 
@@ -15,20 +13,25 @@ from tsa_ctrl.identify.energy import is_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
-SHORTEST = 3.0  # s: a slow reversal and what comes before and after it
-FEWEST = 60  # score samples: two and a half in each of the blocks (frame.BLOCKS) that every test counts by
-CLEAR = 6.0  # times the velocity's noise, above which a motion is not noise
-LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
-# Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
+SHORTEST = 3.0  # s: a slow reversal with the motion before and after it
+FEWEST = 60  # score samples: two and a half in each of the blocks (frame.BLOCKS) that all tests use
+CLEAR = 6.0  # times the velocity noise: faster motion is not noise
+LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # least shares of the time; SHORTEST s in all are also sufficient
+# Share of the samples of a torque that repeat the previous one: a larger share was held, because noise changes the last
+# digit
 STUCK = 0.5
-FEWEST_HELD = 20  # samples at the largest value: so many are a limit, and no chance
+FEWEST_HELD = 20  # fewest samples at the largest value that indicate a limit rather than chance
 HELD, MOVED = 0.3, 0.05  # s, and share of the range: the torque of a moving joint changes earlier
-SPEED_BINS, LOAD_BINS = 8, 8  # a picture that is read at a glance; no verdict hangs on it
+SPEED_BINS, LOAD_BINS = 8, 8  # bins of the picture: few enough to read at a glance; no verdict depends on them
 
 
 @dataclass(frozen=True)
 class Audit:
-    """`insufficient`: why these logs cannot be diagnosed, empty if they can; `suspicions`: what looks wrong."""
+    """Result of an audit of the logs.
+
+    `insufficient` is the reason why the logs cannot be diagnosed, or empty if they can. `suspicions` are possible
+    faults of the data.
+    """
 
     seconds: float
     rate: float
@@ -44,9 +47,12 @@ class Audit:
 
 
 def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) -> Audit:
-    """Return the occupancy and excitation of the samples that may be fitted. `notes`: previous changes of the logs.
+    """Return the occupancy and excitation of the logs.
 
-    `needs_motion`: False for a gear; a held joint shows its gain, offset and saturation.
+    Args:
+        frame: the logs.
+        notes: notes on previous changes of the logs.
+        needs_motion: False for a gear, because a locked joint also shows its gain, offset and saturation.
     """
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
@@ -79,7 +85,7 @@ def audit(frame: Frame, notes: Sequence[str] = (), needs_motion: bool = True) ->
 
 
 def _narrowed(frame: Frame) -> tuple[str, ...]:
-    """Return a note with the band to which the path of the friction was narrowed."""
+    """Return a note on the band to which derived motion was limited; empty without a limit."""
     band = min(run.band for run in frame.runs)
     if not np.isfinite(band):
         return ()
@@ -90,7 +96,7 @@ def _narrowed(frame: Frame) -> tuple[str, ...]:
 
 
 def _hidden(frame: Frame) -> tuple[str, ...]:
-    """Return a note on how long the direction was hidden, and on its treatment."""
+    """Return a note on the share of time with a hidden direction and on its treatment; empty without any."""
     lengths = np.array([len(run.signals) for run in frame.runs], dtype=np.float64)
     shares = np.array([run.hidden for run in frame.runs])
     share = float(shares @ lengths / lengths.sum())
@@ -112,9 +118,16 @@ def _steady(omega: Array, noise: float) -> Array:
 
 
 def _insufficient(moving: float, fast: float, clear: float, frame: Frame, needs_motion: bool) -> str:
-    """Why these logs cannot be diagnosed: shares of the time that it moves, and that it stands out of the noise.
+    """Return the reason why these logs cannot be diagnosed, or an empty string.
 
-    fast: rad/s, hardly exceeded. A sufficient part stays sufficient, however much standstill is added.
+    If a part of a log is sufficient, additional standstill does not make it insufficient.
+
+    Args:
+        moving: share of the time in which the joint moves.
+        fast: 95th percentile of the speed, rad/s.
+        clear: share of the time in which the speed clearly exceeds its noise.
+        frame: the logs.
+        needs_motion: True if the joint must move.
     """
     if frame.seconds < SHORTEST or len(frame) < FEWEST:
         return f"the logs hold {frame.seconds:.2g} s; at least {SHORTEST:g} s are needed"

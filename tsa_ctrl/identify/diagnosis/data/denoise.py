@@ -1,8 +1,8 @@
 """Remove most of the noise of a log's signals by zero-phase low-passes, which cut off where the noise floor begins.
 
 Angles and velocities are low-passed before they enter the model, because the sign of a noisy velocity is wrong near
-every standstill. The motor torque is hardly filtered: if a drive compensates friction, its jumps at the reversals are
-nearly its only content.
+every standstill. The motor torque is hardly filtered. If a drive compensates friction, jumps at the reversals are
+nearly the only content of this torque.
 """
 
 from __future__ import annotations
@@ -22,26 +22,23 @@ from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
 
-LOWEST = 8.0  # Hz, cut-off; joints move below 5 Hz and reverse within tens of milliseconds
-MARGIN = 8.0  # spectral density above the noise floor that still counts as motion
-SEGMENT = 4.0  # s, of one periodogram
-SHARP = 100.0  # Hz, of the motor torque, which jumps at a reversal; also the highest cut-off of angles
-VELOCITY_HIGHEST = (
-    40.0  # Hz, low-pass of a recorded velocity: five times the joint's bandwidth, so reversals keep their time
-)
-STANDSTILL = 0.05  # s at velocity 0, after which the joint counts as standing still
-RINGING = 0.1  # s next to a standstill or around a jump, in which the velocity is not filtered
-JUMP = 7.0  # standard deviations of a velocity's noise, which noise alone does not reach
+LOWEST = 8.0  # Hz, lowest cut-off: joints move below 5 Hz and reverse within tens of milliseconds
+MARGIN = 8.0  # ratio of spectral density to noise floor above which a frequency counts as motion
+SEGMENT = 4.0  # s, length of one periodogram
+SHARP = 100.0  # Hz, cut-off of the motor torque, which jumps at a reversal; also the highest cut-off of angles
+# Hz, highest cut-off of a recorded velocity: five times the joint's bandwidth, so that reversals keep their time
+VELOCITY_HIGHEST = 40.0
+STANDSTILL = 0.05  # s at velocity 0 after which the joint is at standstill
+RINGING = 0.1  # s next to a standstill or around a jump in which the velocity is not filtered
+JUMP = 7.0  # standard deviations of the velocity noise: noise alone does not reach this
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0, in steps of its resolution
-DERIVED = (("q_j", "omega_j"), ("q_m", "omega_m"))  # angles, and the velocities that come from them unless recorded
+DERIVED = (("q_j", "omega_j"), ("q_m", "omega_m"))  # angles, and the velocities derived from them unless recorded
 
 
 def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     """Return the denoised signals, the remaining noise of the joint velocity (rad/s), and its error (n,).
 
-    A plain drive has one velocity, which is used instead of the joint velocity.
-
-    An acceleration keeps its own low-pass.
+    A plain drive has one velocity, which is used instead of the joint velocity. An acceleration keeps its own low-pass.
     """
     signals = log.signals()
     clean: dict[str, Any] = {}
@@ -74,10 +71,10 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
 
 
 def denoised_within(log: Dataset, band: float) -> tuple[dict[str, Array], tuple[float, Array] | None]:
-    """Return the change if derived motion reaches up to `band` Hz only: angles and velocities by name, (n) each.
+    """Return the changed angles and velocities by name, (n,) each, if derived motion is limited to `band` Hz.
 
-    Beside them noise and error as of `denoised`, None where they stay as they are. Nothing changes where the data's own
-    band is lower.
+    The second value is the changed noise and error of the joint velocity as in `denoised`, or None if they are
+    unchanged. A signal whose own cut-off is lower is not changed.
     """
     clean: dict[str, Array] = {}
     uncertain = None
@@ -96,16 +93,17 @@ def _is_the_joint(log: Dataset, velocity: str) -> bool:
 
 
 def _uncertain(found: Smoothed, period: float) -> tuple[float, Array]:
-    """Return the noise (a number) and the error (n,) of a derived velocity, rad/s."""
+    """Return the noise (a number) and the error (n,) of a derived velocity in rad/s."""
     noise = found.errors[1]
     bent = 0.0 if found.smooth is None else _distortion(found.rate, period, found.smooth.cutoff)
     return noise, np.hypot(noise, bent) + np.zeros(len(found.raw))
 
 
 def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error: Array) -> tuple[Array, Array]:
-    """Return a recorded velocity without sign changes by noise, and its error, which is at least the speed there.
+    """Return a recorded velocity without sign changes due to noise, and its error, which is at least the speed there.
 
-    Otherwise friction would reverse repeatedly in slow motion. The angle (the integral of `omega`) shows the reversals.
+    With these sign changes, friction would reverse repeatedly in slow motion. The angle (the integral of `omega`) shows
+    the true reversals.
     """
     if noise <= 0.0 or not bool(np.any(np.abs(smooth) > SURE * noise)):
         return smooth, error
@@ -114,7 +112,7 @@ def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
-    """Return True (n,) in and next to long stretches with velocity 0, where a filter would ring across 0."""
+    """Return a mask (n,) of long standstills and their surroundings, where a filter would ring across velocity 0."""
     still = omega == 0.0
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     margin = round(RINGING / period)
@@ -126,7 +124,7 @@ def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
-    """Return True (n,) around jumps of a velocity: the filter removes far more than noise there, and distorts them."""
+    """Return a mask (n,) around jumps of a velocity, where the filter removes far more than noise and distorts them."""
     noise = float(np.median(np.abs(taken))) / 0.6745
     jumped = np.abs(taken) > JUMP * noise if noise > 0.0 else np.zeros(len(taken), dtype=np.bool_)
     margin = min(round(0.5 * RINGING / period), (len(taken) - 1) // 2)
@@ -134,16 +132,16 @@ def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
 
 
 def _count(omega: Array) -> float:
-    """Return the resolution of a recorded velocity, rad/s; 0 if its values lie on no grid."""
+    """Return the resolution of a recorded velocity in rad/s, or 0 if its values lie on no grid."""
     values = np.unique(omega)
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
 
 
 def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, float | None]:
-    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of the remaining noise.
+    """Return `y` low-passed where its spectrum reaches the noise, the remaining noise, and the cut-off in Hz.
 
-    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. The last: the cut-off in Hz, None
-    without one.
+    The remaining noise is a standard deviation. If the cut-off would be near half the rate, `y` is returned unchanged,
+    and the cut-off is None. `highest`: highest permitted cut-off, Hz.
     """
     if len(y) < 128 or not np.ptp(y) > 0.0:
         return y, 0.0, None
@@ -151,43 +149,44 @@ def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, 
     cutoff = min(highest, max(LOWEST, 1.5 * edge))
     if cutoff > 0.2 / period:
         return y, float(np.sqrt(floor * 0.5 / period)), None
-    passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # noise that was averaged sinks beyond
+    passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # averaged noise is lower above the cut-off
     floor = max(floor, float(np.median(passed))) if passed.size else floor
     return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff)), cutoff
 
 
 def _at_ends(y: Array, smooth: Array, period: float, cutoff: float) -> Array:
-    """Return the noise left at both ends (n,), where the low-pass depends mainly on the first and last sample."""
+    """Return the noise remaining at both ends (n,), where the low-pass depends mainly on the first and last sample."""
     first = np.zeros(len(y))
     first[0] = 1.0
-    share = low_pass(first, period, cutoff)  # of the first sample's noise
+    share = low_pass(first, period, cutoff)  # weight of the first sample's noise
     return np.asarray(float(np.std(y - smooth)) * np.hypot(share, share[::-1]))
 
 
 def _averaged(y: Array, period: float, cutoff: float) -> float:
-    """Return the noise after a low-pass at `cutoff` Hz if the drive has averaged the signal before; otherwise 0.
+    """Return the noise after a low-pass at `cutoff` Hz if the drive has averaged the signal, and 0 otherwise.
 
-    Such a signal has more noise below the cut-off than its higher frequencies indicate.
+    An averaged signal has more noise below the cut-off than its higher frequencies indicate.
     """
     measured, _ = band_densities(y, period)
     level, shape = plateau(measured, len(y), period, TOP)
     if float(shape.min()) == 1.0:
         return 0.0
     edges = bands(len(y), period)
-    gain = 1.0 / (1.0 + (np.sqrt(edges[1:] * edges[:-1]) / cutoff) ** 4)  # of model.signals.low_pass
+    gain = 1.0 / (1.0 + (np.sqrt(edges[1:] * edges[:-1]) / cutoff) ** 4)  # gain of model.signals.low_pass
     return float(np.sqrt(level * np.sum(shape * gain**2 * np.diff(edges))))
 
 
 def _distortion(smooth: Array, period: float, cutoff: float) -> Array:
-    """Return the part that a low-pass at `cutoff` Hz removes from a signal, (n): about what it takes once more, as a
-    local RMS.
+    """Return the local RMS (n,) of the motion that a low-pass at `cutoff` Hz removes from a signal.
+
+    It is estimated by the part that a second pass of the filter removes.
     """
     taken = (smooth - low_pass(smooth, period, cutoff)) ** 2
     return np.sqrt(np.maximum(low_pass(taken, period, 0.5 * cutoff), 0.0))
 
 
 def _spectrum(y: Array, period: float) -> tuple[Array, Array, float, float]:
-    """Frequencies in Hz, density per Hz, the frequency above which noise covers the signal, and the noise's density."""
+    """Return frequencies (Hz), density per Hz, the frequency above which noise hides the signal, and its density."""
     length = min(len(y), round(SEGMENT / period))
     window = np.hanning(length)
     slope = np.linspace(0.0, 1.0, length)
@@ -199,7 +198,7 @@ def _spectrum(y: Array, period: float) -> tuple[Array, Array, float, float]:
     density = 2.0 * period * np.mean(parts, axis=0) / float(window @ window)
     frequency = np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64)
     top = float(np.median(density[frequency > 0.3 / period]))
-    middle = density[(frequency > 0.06 / period) & (frequency < 0.2 / period)]  # averaged noise has sunk at the top
+    middle = density[(frequency > 0.06 / period) & (frequency < 0.2 / period)]  # averaged noise is lower at the top
     floor = max(top, float(np.quantile(middle, 0.25))) if middle.size else top
     above = np.flatnonzero(density > MARGIN * max(floor, 1e-30))
     return frequency, density, float(frequency[above[-1]]) if above.size else 0.0, floor

@@ -1,12 +1,13 @@
 """Estimate the direction of slow motion, a hidden state, from the torque where noise hides the velocity's sign.
 
-The two states, forward and backward, change seldom. The evidence at a moment is the velocity, and the torque compared
-with a line through the certain samples. A forward and a backward sweep give the direction's probability
-from the whole log. Only stretches in which the velocity alone is undecided for long are changed. If the odds are large
-and the torque fits the direction, it counts as known, except for the reversals themselves: they were placed by the
-torque, and do not show its delay. Held-out errors leave all such stretches out. If the torque fits neither direction,
-friction is somewhere within its band, and the direction stays unknown. A plain drive at rest is always in this state,
-so its rest is neither fitted nor counted.
+The two states, forward and backward, change rarely. The evidence at each moment is the velocity, and the torque
+compared with a linear fit to the certain samples. A forward and a backward sweep compute the probability of the
+direction from the whole log. Only intervals in which the velocity alone is undecided for long are changed.
+
+If the odds are large and the torque fits the direction, it counts as known. The reversals themselves are an exception:
+they were placed by the torque and do not show its delay. Held-out errors omit all these intervals. If the torque fits
+neither direction, friction is somewhere within its band, and the direction remains unknown. A plain drive at rest is
+always in this state, so its rest is neither fitted nor counted.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ Mask = NDArray[np.bool_]
 
 
 def long(mask: Mask, least: int) -> Mask:
-    """Return `mask` (n,) without its runs of fewer than `least` samples.
+    """Return `mask` (n,) without runs of True that have fewer than `least` samples.
 
-    scipy.ndimage has the same opening and closing operations, but its import takes longer than reading a log.
+    scipy.ndimage has opening and closing operations for this, but its import takes longer than reading a log.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
     out = np.zeros(len(mask), dtype=np.bool_)
@@ -44,7 +45,7 @@ def joined(mask: Mask, window: int) -> Mask:
     """Return `mask` (n,) with gaps of fewer than `window` samples filled, and False in half a window at both ends."""
     inside = mask.copy()
     edges = np.flatnonzero(np.diff(mask))
-    gaps = edges[0 if mask[0] else 1 :]  # from a change downwards on
+    gaps = edges[0 if mask[0] else 1 :]  # begins with a change from True to False
     for start, stop in zip(gaps[::2], gaps[1::2], strict=False):
         if stop - start < window:
             inside[start + 1 : stop + 1] = True
@@ -53,19 +54,19 @@ def joined(mask: Mask, window: int) -> Mask:
     return inside
 
 
-UNKNOWN = 2.5  # times a velocity's error: a slower motion has no direction of its own
+UNKNOWN = 2.5  # times the error of a velocity: the direction of a slower motion is unknown
 LONG = 0.1  # s: at ordinary speed a joint reverses in less time, and a motion between two rests lasts longer
 TURNS = 1.0  # s, approximate time between reversals; it enters as a logarithm: a factor of 3 changes the log odds by 1
 SURE = 50.0  # log odds of a direction that the velocity shows
-BAND = 40.0  # Hz, of a recorded velocity after its low-pass: noise is new in half a period of it
-CREEPING = 4.0  # standard errors of a median, by which it is not 0
-KNOWN = math.log(1000.0)  # odds from which on a direction is known: a sample in a thousand may be wrong
-FITS = 2.0  # standard deviations, RMS over LONG, that the torque of a known direction may be off
-FEWEST = 60  # score samples that must be left to learn from
+BAND = 40.0  # Hz, bandwidth of a recorded velocity after its low-pass: its noise is independent after half a period
+CREEPING = 4.0  # standard errors by which the median of a slow motion must differ from 0
+KNOWN = math.log(1000.0)  # log odds above which a direction is known: a sample in a thousand may be wrong
+FITS = 2.0  # standard deviations, RMS over LONG, by which the torque of a known direction may be off
+FEWEST = 60  # fewest score samples that must remain for the fit
 
 
 def with_hidden_direction(data: Split, model: Model) -> Split:
-    """Estimate the direction in stretches in which noise hides it; masks exclude the stretches that stay hidden."""
+    """Return the data with the estimated direction where noise hides it; masks exclude intervals that stay hidden."""
     rigid = isinstance(model, RigidDrive)
     hidden = [_hidden(run, rigid) for run in data.frame.runs]
     slow = hidden if rigid else [each | _long_rest(run) for run, each in zip(data.frame.runs, hidden, strict=True)]
@@ -118,10 +119,10 @@ def _sticks(slow: NDArray[np.bool_], off: Array) -> NDArray[np.bool_]:
 
 
 def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
-    """Return True (n,) at the compute rate in long stretches without a known direction.
+    """Return a mask (n,) at the compute rate of long intervals without a known direction.
 
-    For tendons only a recorded velocity is considered, because an encoder shows a rest. For a plain drive a rest alone
-    leaves the friction unknown.
+    For tendons only a recorded velocity is considered, because an encoder shows a rest. The friction of a plain drive
+    at rest is always unknown.
     """
     omega = run.signals.omega_j
     slow = np.abs(omega) <= UNKNOWN * run.velocity_error
@@ -130,13 +131,13 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
         if "omega_j" in run.raw.derived:
             return np.zeros(len(omega), dtype=np.bool_)
     least = max(1, round(LONG / run.signals.period))
-    around = np.pad(long(slow, least), least, mode="edge")  # a log that begins with slow motion was slow before
+    around = np.pad(long(slow, least), least, mode="edge")  # a log that begins with slow motion was slow before it
     hidden = joined(around, least)[least:-least]
     return hidden & ~_creeping(run, hidden) if rigid else hidden
 
 
 def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return True (n,) in stretches with visible slow motion: the median speed exceeds that of noise at rest."""
+    """Return a mask (n,) of hidden intervals with visible slow motion: the median speed exceeds that of noise."""
     omega, error = run.signals.omega_j, max(run.velocity_noise, np.finfo(np.float64).tiny)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
     out = np.zeros(len(hidden), dtype=np.bool_)
@@ -147,16 +148,17 @@ def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _odds(frame: Frame, hidden: Sequence[NDArray[np.bool_]], sure: NDArray[np.bool_]) -> list[tuple[Array, Array]]:
-    """Log odds of forward motion, and by how many deviations the torque is off then, (n) each for each run.
+    """Return for each run the log odds of forward motion and the residual of the torque, (n,) each.
 
-    `sure`: score samples to learn from, none of them hidden.
+    The residual is in standard deviations and holds for the likelier direction. `sure`: score samples to fit, none of
+    them hidden.
     """
     features = [_features(run, hold_direction(run.signals.omega_j)) for run in frame.runs]
     columns, target = frame.stack(features)[sure], frame.target[sure]
     factors = np.linalg.lstsq(columns, target, rcond=None)[0]
     rest = target - columns @ factors
     variance = max(float(np.mean(rest**2)), np.finfo(np.float64).tiny)
-    alike = _correlated(rest / math.sqrt(variance))  # score samples that tell as much as one
+    alike = _correlated(rest / math.sqrt(variance))  # number of score samples with the information of one
     out = []
     for run, each in zip(frame.runs, hidden, strict=True):
         s = run.signals
@@ -171,15 +173,16 @@ def _odds(frame: Frame, hidden: Sequence[NDArray[np.bool_]], sure: NDArray[np.bo
 
 
 def _features(run: Run, sigma: Array) -> Array:
-    """Return the components of a tendon-sheath's torque, (n, k): (3.55) with friction that may depend on the load, a
-    spring.
+    """Return the components of a tendon-sheath's torque, (n, k).
+
+    They are the terms of (3.55), with friction that may depend on the load, and a spring.
     """
     tau_m = run.signals.tau_m
     return np.column_stack([np.ones(len(sigma)), tau_m, sigma, sigma * np.abs(tau_m), np.abs(tau_m), run.angle])
 
 
 def _correlated(y: Array) -> float:
-    """Return the correlation length of a series in samples: the sum of its autocorrelation up to its first zero."""
+    """Return the correlation length of a series in samples: the sum of the autocorrelation up to its first zero."""
     spectrum = np.abs(np.fft.rfft(y, 2 * len(y))) ** 2
     correlation = np.fft.irfft(spectrum)[: len(y)] / max(float(np.sum(y**2)), np.finfo(np.float64).tiny)
     crossed = np.flatnonzero(correlation <= 0.0)
@@ -187,7 +190,10 @@ def _correlated(y: Array) -> float:
 
 
 def _smoothed(evidence: Array, turn: float) -> Array:
-    """Log odds of the first of two states that turn with probability `turn` per sample, from evidence (n) of each."""
+    """Return the log odds (n,) of the first of two states from the evidence (n,) of each sample.
+
+    `turn`: probability of a change of state per sample.
+    """
     after, before = _swept(evidence, turn), _swept(evidence[::-1], turn)[::-1]
     return after + before - evidence
 
@@ -202,7 +208,7 @@ def _swept(evidence: Array, turn: float) -> Array:
 
 
 def _directed(run: Run, hidden: NDArray[np.bool_], odds: Array, off: Array) -> Run:
-    """Return the run with the likelier direction in hidden stretches; where it is certain, the velocity error falls."""
+    """Return the run with the likelier direction in hidden intervals, and a smaller velocity error if it is certain."""
     if not hidden.any():
         return run
     from scipy.ndimage import binary_dilation, uniform_filter1d  # slow to import

@@ -1,4 +1,4 @@
-"""The logs as a diagnosis sees them: denoised runs, stacked at the rate at which torques are compared."""
+"""Define the data of a diagnosis: denoised runs, stacked at the score rate, at which torques are compared."""
 
 from __future__ import annotations
 
@@ -15,49 +15,49 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, last_reversal
 
-BLOCKS = 24  # for block-robust statistics
-SHORT_BIN = 8  # samples, below which column sums take a quarter of the time of means over rows, in the same order
+BLOCKS = 24  # number of blocks for block-robust statistics
+SHORT_BIN = 8  # samples below which column sums take a quarter of the time of means over rows, with equal results
 
 
 @dataclass(frozen=True)
 class Run:
-    """One log: `signals` and `target` (n) at the compute rate, `bin` of them to one score sample.
+    """One log: `signals` and `target` (n,) at the compute rate, with `bin` samples per score sample.
 
-    `full` and `full_target` are the same at the log's own rate, `full_bin` of them to one score sample.
+    `full` and `full_target` are the same at the log's own rate, with `full_bin` samples per score sample.
     """
 
     name: str
     signals: Signals
-    target: Array  # N*m, measured; what the model predicts
+    target: Array  # N*m, measurement of the torque that the model predicts
     bin: int
-    velocity_noise: float  # rad/s, of the denoised velocity
-    velocity_error: Array  # (n) rad/s: noise, and possible distortion by denoising and differentiation
+    velocity_noise: float  # rad/s, noise of the denoised velocity
+    velocity_error: Array  # (n,) rad/s: noise, and possible distortion by denoising and differentiation
     raw: Dataset
     full: Signals
     full_target: Array
     full_bin: int
-    band: float = math.inf  # Hz, to which derived motion was narrowed because friction follows no more of it
+    band: float = math.inf  # Hz, limit of derived motion, because friction does not follow faster motion
     hidden: float = 0.0  # share of the time in which the velocity shows no direction
-    told: float = math.nan  # mean probability of the direction that is taken there; nan where none is
+    told: float = math.nan  # mean probability of the direction assumed there; nan if none is assumed
 
     @property
     def target_name(self) -> str:
-        """The column that the model predicts."""
+        """Return the name of the column that the model predicts."""
         return "tau_m" if self.full_target is self.raw.columns.get("tau_m") else "tau_j"
 
     @property
     def count(self) -> int:
-        """Number of score samples."""
+        """Return the number of score samples."""
         return len(self.target) // self.bin
 
     @property
     def period(self) -> float:
-        """Of the score samples, s."""
+        """Return the period of the score samples, s."""
         return self.signals.period * self.bin
 
     @property
     def angle(self) -> Array:
-        """Joint angle at the compute rate, rad; the integral of the velocity where the log has none."""
+        """Return the joint angle at the compute rate, rad; it is the integral of the velocity if the log lacks it."""
         s = self.signals
         return s.q_j if s.q_j is not None else np.asarray(np.cumsum(s.omega_j) * s.period)
 
@@ -73,7 +73,7 @@ class Run:
         bins = y[: self.count * self.bin].reshape(self.count, self.bin, *y.shape[1:])
         if self.bin >= SHORT_BIN or y.ndim > 1:
             return np.asarray(bins.mean(axis=1))
-        total = bins[:, 0] + 0.0  # as a mean begins: -0.0 is 0.0
+        total = bins[:, 0] + 0.0  # a mean also starts from 0.0, so that -0.0 becomes 0.0
         for k in range(1, self.bin):
             total += bins[:, k]
         return np.asarray(total / self.bin)
@@ -81,25 +81,25 @@ class Run:
 
 @dataclass(frozen=True)
 class Frame:
-    """All runs stacked at the score rate; `train` (n) masks the samples to learn from."""
+    """All runs stacked at the score rate; `train` (n,) is the mask of the samples to fit."""
 
     runs: tuple[Run, ...]
     train: NDArray[np.bool_]
-    blocks: NDArray[np.int64]  # (n), block number of each sample, over the train samples about equal in length
+    blocks: NDArray[np.int64]  # (n,), block number of each sample; all blocks have about as many train samples
 
     @property
     def period(self) -> float:
-        """Of the score samples, s."""
+        """Return the period of the score samples, s."""
         return self.runs[0].period
 
     @cached_property
     def slices(self) -> list[slice]:
-        """Return the place of each run in a stacked array."""
+        """Return the slice of each run in a stacked array."""
         edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
         return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
     def logs(self, used: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Return the log number of each used sample, counted from 0 over the logs with used samples."""
+        """Return the log number of each used sample, counted from 0 among the logs with used samples."""
         log = np.repeat(np.arange(len(self.runs)), [run.count for run in self.runs])
         return np.asarray(np.unique(log[used], return_inverse=True)[1], dtype=np.int64)
 
@@ -119,7 +119,7 @@ class Frame:
 
     @cached_property
     def target(self) -> Array:
-        """N*m, measured, at the score rate, (n,)."""
+        """Return the measured torque at the score rate, (n,) in N*m."""
         return self.stack([run.target for run in self.runs])
 
     @property
@@ -128,7 +128,7 @@ class Frame:
 
 
 def block_numbers(counts: Sequence[int], used: NDArray[np.bool_], blocks: int = BLOCKS) -> NDArray[np.int64]:
-    """Return the block of each sample. A block is contiguous within one run, and includes its unused samples."""
+    """Return the block number of each sample; a block is contiguous within one run and includes unused samples."""
     total = int(used.sum())
     labels = np.zeros(sum(counts), dtype=np.int64)
     start, number = 0, 0

@@ -1,12 +1,12 @@
-"""The motion that friction in a sheath follows: the band of it to which the measured torque answers.
+"""Limit derived motion to the band to which the measured torque responds, because the friction of a sheath follows it.
 
-An encoder may show motion at 50 Hz that is not noise: a motor that sticks and jumps. But the sheath's friction turns
-over along its whole length, and at the joint it does not turn at once when the motor jumps. A smoother cannot detect
-this, because it looks for motion. So the torque is asked: friction that builds up over a displacement, with the rest
-of
-the torque fitted linearly, follows the derived angle in a band narrower by an octave at a time, until the residual
-grows. That band is taken if it leaves less than the data's own one, in more blocks of time than by chance; if friction
-follows the sharp motion, or does not show it, the data stay. Held-out samples do not count.
+An encoder may show motion at 50 Hz that is not noise, for example a motor that sticks and jumps. However, the friction
+of the sheath reverses along its whole length, so at the joint it does not reverse at once when the motor jumps. A
+smoother cannot detect this, because it only separates motion from noise. The band is therefore determined from the
+torque. Friction that builds up over a displacement follows the derived angle, and the other parts of the torque are
+fitted linearly. The band of the angle is halved until the residual grows. The best band is used if its residual is
+smaller than with the data's own band, by more than the scatter between blocks of time explains. Otherwise the data are
+not changed. Held-out samples do not count.
 """
 
 from __future__ import annotations
@@ -24,9 +24,13 @@ from tsa_ctrl.model.effects.search import geometric
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
-SURE = 3.0  # t of 23 degrees of freedom: 0.3 % by chance; of 17 blind logs without such friction the largest had 1.9
-DISTANCES = 24  # of presliding: 1.34 apart, so that the nearest is off by 16 %, and its friction by a tenth, at most
-SHORTEST, LONGEST = 0.0006, 0.5  # of half the range of an angle: the distances that presliding is looked for at
+# Student's t with 23 degrees of freedom: 0.3 % by chance. The largest value in 17 blind logs without this friction was
+# 1.9.
+SURE = 3.0
+# Number of presliding distances: their ratio is 1.34, so that the nearest one is off by 16 % and its friction by a
+# tenth at most
+DISTANCES = 24
+SHORTEST, LONGEST = 0.0006, 0.5  # range of the presliding distances, as shares of half the range of an angle
 
 
 def along_gross_motion(data: Split, model: Model) -> Split:
@@ -53,7 +57,7 @@ def along_gross_motion(data: Split, model: Model) -> Split:
 
 
 def _widest(frame: Frame) -> float:
-    """Hz, the highest cut-off of a derived motion; 0 where none is."""
+    """Return the highest cut-off of a derived motion in Hz, or 0 if no motion is derived."""
     cutoffs = [0.0]
     for run in frame.runs:
         for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
@@ -96,7 +100,7 @@ def _presliding(frame: Frame) -> list[PreslidingHysteresis]:
 
 
 def _friction(frame: Frame, effect: PreslidingHysteresis) -> tuple[Array, Array]:
-    """Return the friction terms of (3.55): the state z, and z times the motor torque, as friction may depend on it."""
+    """Return the friction terms of (3.55): the state z, and z times the motor torque, on which friction may depend."""
     states = []
     for run in frame.runs:
         path = effect.path(run.signals)

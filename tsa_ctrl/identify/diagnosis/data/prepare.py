@@ -1,7 +1,7 @@
-"""Logs made ready for scoring: admitted, denoised at the compute rate, torques averaged to the score rate.
+"""Prepare logs for scoring: check them, denoise them at the compute rate, and average torques to the score rate.
 
-Averaging is linear and the same for the measured torque and for every prediction, so comparing averages loses nothing
-but resolution: a pulse shorter than one average keeps its area.
+Averaging is linear and the same for the measured torque and for every prediction. Comparing averages therefore only
+loses resolution: a pulse shorter than one average keeps its area.
 """
 
 from __future__ import annotations
@@ -24,16 +24,22 @@ from tsa_ctrl.model.parameters import Model
 Log = Dataset | Mapping[str, ArrayLike]
 Logs = Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]
 
-COMPUTE_RATE = 500.0  # Hz at most: reversals are placed to 2 ms
-COMPUTE_SAMPLES = 90_000  # of all logs together at most: three minutes at COMPUTE_RATE
-SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
-SCORE_SAMPLES = 12_000  # of all logs together at most: whitened columns of a thousand responses then fit into 100 MB
+COMPUTE_RATE = 500.0  # Hz, highest compute rate: it resolves the time of a reversal to 2 ms
+COMPUTE_SAMPLES = 90_000  # most compute samples of all logs together: three minutes at COMPUTE_RATE
+SCORE_RATE = 125.0  # Hz, approximate rate at which torques are compared
+SCORE_SAMPLES = 12_000  # most score samples of all logs: whitened columns of a thousand responses then fit into 100 MB
 
 
 def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
-    """Check, select, denoise and downsample the logs. Raises UsageError with one line that names log and column.
+    """Return the logs after checking, selecting, denoising and downsampling them.
 
-    hold_out: pattern of the logs that are held out; if logs must be left out, some of these are kept.
+    Args:
+        logs: datasets or columns by name.
+        model: the nominal model.
+        hold_out: pattern of the held-out logs; if some logs must be omitted, a part of these is kept.
+
+    Raises:
+        UsageError: a log cannot be used; the message names log and column in one line.
     """
     target = model.target
     datasets = _datasets(logs)
@@ -76,9 +82,13 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
 
 
 def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
-    """Return one log with `factor` of its samples per compute sample and `bin_` compute samples per score sample.
+    """Return the run of one log.
 
-    `measured` (n,): measurement of the torque that the model predicts, N*m.
+    Args:
+        log: the log.
+        measured: measurement of the torque that the model predicts, (n,) in N*m.
+        factor: number of samples of the log per compute sample.
+        bin_: number of compute samples per score sample.
     """
     full, noise, error = denoised(log)
     signals = full.means(factor)
@@ -109,25 +119,25 @@ def _means(y: Array, factor: int) -> Array:
     return np.asarray(y[:whole].reshape(-1, factor).mean(axis=1))
 
 
-# Select the most informative of many logs; whole logs are left out if others repeat them.
+# Select the most informative of many logs; whole logs are omitted if others repeat them.
 #
-# A lower sample rate would lose information: at 900 s a reversal would be placed to 10 ms, in an hour to 40 ms. A log
-# counts by its seconds in cells of speed, direction, load, angle, temperature, wrap angle and time since its start.
-# Each cell counts less the longer other logs have been there. The greedy choice is within 1 - 1/e of the best choice of
-# that length (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978).
+# A lower sample rate would lose information: for 900 s, the time of a reversal would be resolved to 10 ms, and for an
+# hour to 40 ms. A log is valued by its seconds in cells of speed, direction, load, angle, temperature, wrap angle and
+# time since its start. A cell counts less the longer other logs have been in it. The value of the greedy choice is at
+# least 1 - 1/e of the value of the best choice of that length (Nemhauser, Wolsey, Fisher, Math. Programming 14, 1978).
 
-LONGEST = 600.0  # s, of all logs together: up to here reversals are placed to 7 ms (prepare.COMPUTE_SAMPLES)
-HELD = 1.0 / 3.0  # of LONGEST, for logs that a pattern holds out: the share that is held out without one
-PERIOD = 0.1  # s between the samples that are counted: at 5 Hz a motion is still seen in each of its cells
-BINS = 6  # of each signal over its range in all logs: a pair has 36 cells, of which a log of 20 s can see each
-ENOUGH = 1.0  # s in a cell, from which on more of it counts for half: a second holds tens of score samples
+LONGEST = 600.0  # s, limit for all logs together: it resolves the time of a reversal to 7 ms (COMPUTE_SAMPLES)
+HELD = 1.0 / 3.0  # share of LONGEST for logs that a pattern holds out: the same share as without a pattern
+PERIOD = 0.1  # s between the counted samples: a motion at 5 Hz still reaches each of its cells
+BINS = 6  # bins of each signal over its range in all logs: a pair has 36 cells, and a log of 20 s can reach all of them
+ENOUGH = 1.0  # s in a cell above which further time counts for less than half: a second has tens of score samples
 PAIRS = (("speed", "load"), ("angle", "load"), ("warmth", "speed"), ("bending", "load"), ("age", "load"))
 
 
 def informative(logs: Sequence[Dataset], hold_out: str | None, longest: float = LONGEST) -> list[Dataset]:
-    """Return the most informative logs, at most `longest` s, in the given order; all where there are few.
+    """Return the most informative logs, at most `longest` s, in the given order; few or short logs are all returned.
 
-    hold_out: pattern of the logs that are held out; of these and of the others as many stay as their shares allow.
+    hold_out: pattern of the held-out logs. They and the other logs are selected separately, within their shares.
     """
     if sum(log.seconds for log in logs) <= longest or len(logs) <= FEWEST_LOGS:
         return list(logs)
@@ -143,7 +153,7 @@ def informative(logs: Sequence[Dataset], hold_out: str | None, longest: float = 
 
 
 def left_out(given: int, runs: Sequence[Run]) -> tuple[str, ...]:
-    """Return the note on the logs that were left out of the `given` ones; nothing where none was."""
+    """Return a note if some of the `given` logs were omitted; empty otherwise."""
     if len(runs) == given:
         return ()
     seconds = sum(run.raw.seconds for run in runs)
@@ -151,9 +161,10 @@ def left_out(given: int, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def _chosen(own: Sequence[int], cells: Array, seconds: Sequence[float], longest: float) -> list[int]:
-    """Return the numbers of the logs, of `own`, that add most information per second, as long as they fit.
+    """Return the numbers of the logs among `own` that add most information per second, up to `longest` s.
 
-    cells (logs, k): seconds of each log in each cell. At least FEWEST_LOGS stay, as whole logs are held out.
+    At least FEWEST_LOGS are kept, because whole logs are held out. `cells`: time of each log in each cell, (logs, k)
+    in s.
     """
     known, used, chosen, left = np.zeros(cells.shape[1]), 0.0, list[int](), list(own)
     while left:
@@ -187,14 +198,14 @@ def _cells(logs: Sequence[Dataset]) -> Array:
 
 
 def _signals(log: Dataset) -> Mapping[str, Array]:
-    """Return the states of a log, once per PERIOD: velocity, motor torque, angle, temperature, bending, age."""
+    """Return the state of a log once per PERIOD: velocity, motor torque, angle, temperature, wrap angle and age."""
     step = max(1, round(PERIOD / log.period))
     columns = {name: log[name][::step] for name in log.columns if name not in log.derived}
     angle = columns.get("q_j", columns.get("q_m"))
     velocity = columns.get("omega_j", columns.get("omega_m"))
     if velocity is None and angle is not None:
         velocity = np.gradient(angle, step * log.period) if len(angle) > 1 else np.zeros(len(angle))
-    age = np.log1p(columns["t"] - columns["t"][0])  # what relaxes or warms up changes by the logarithm of time
+    age = np.log1p(columns["t"] - columns["t"][0])  # relaxation and warm-up change with the logarithm of time
     found = {
         "speed": velocity,
         "load": columns.get("tau_m"),

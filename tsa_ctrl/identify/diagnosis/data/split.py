@@ -1,8 +1,8 @@
-"""Which samples a diagnosis learns from and which it is checked with.
+"""Split the samples of a diagnosis into fitted and held-out samples.
 
-With several logs, whole logs are held out: those that match a pattern, else every third by name. With one or two logs,
-every third of some stretches is held out, with gaps. The selection still learns from these stretches: without them
-three of 82 short blind logs had a worse answer.
+With several logs, whole logs are held out: those that match a pattern, or else every third by name. With one or two
+logs, every third of STRETCHES parts of each log is held out, with gaps. The selection still uses these parts: without
+them, three of 82 short blind logs had a worse answer.
 """
 
 from __future__ import annotations
@@ -16,30 +16,34 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import held_out_blocks, held_out_logs
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
-STRETCHES = 12  # of one log; every third is held out
+STRETCHES = 12  # number of parts of one log, every third of them held out
 GAP = 0.3  # s between fitted and held-out samples, in which the effect of a reversal on the torque decays
-# s at either end of a log whose motion was derived: a low-pass of the joints' motion sees that far beyond it
+# s excluded at either end of a log with derived motion: the low-pass of the motion reaches this far beyond the log
 ENDS = 0.15
-FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
-FIRST_TRAVEL = 0.02  # of half the range, after which the friction no longer depends on the motion before a rest
+FIRST_SPEED = 0.01  # share of the 95th percentile of speed: slower motion at the start of a log is standstill
+FIRST_TRAVEL = 0.02  # share of half the range after which friction no longer depends on the motion before a rest
 
 
 @dataclass(frozen=True)
 class Split:
-    """`frame` learns from all samples that selection may use; `fit` and `held` (n) are for the held-out figures.
+    """Hold the frame with all samples that the selection may use, and the masks (n,) of other fits.
 
-    Shipped numbers are fitted on `shipped` (n).
+    The held-out errors are fitted on `fit` and measured on `held`. The reported parameters are fitted on `shipped`.
     """
 
     frame: Frame
     fit: NDArray[np.bool_]
     held: NDArray[np.bool_]
     shipped: NDArray[np.bool_]
-    held_logs: tuple[str, ...]  # empty: stretches were held out
+    held_logs: tuple[str, ...]  # empty if parts of each log were held out
 
 
 def split(runs: Sequence[Run], hold_out: str | None) -> Split:
-    """Split the runs into fitted and held-out samples; raise UsageError if the pattern matches no log or all logs."""
+    """Return the runs split into fitted and held-out samples.
+
+    Raises:
+        UsageError: the pattern matches no log, or every log.
+    """
     names = [run.name for run in runs]
     chosen = held_out_logs(names, hold_out)
     counts = [run.count for run in runs]
@@ -56,7 +60,10 @@ def _frame(runs: Sequence[Run], train: NDArray[np.bool_]) -> Frame:
 
 
 def settled(run: Run) -> NDArray[np.bool_]:
-    """Score samples that no derivative's filter reached beyond the log for."""
+    """Return a mask of the score samples with valid derivatives and known friction.
+
+    It excludes the ends of a log with derived motion, where the filters reach beyond the log.
+    """
     out = np.ones(run.count, dtype=np.bool_)
     if {"omega_j", "omega_m"} & run.raw.derived or "tau_j" not in run.raw:
         ends = min(round(ENDS / run.period), run.count // 20)
@@ -66,7 +73,7 @@ def settled(run: Run) -> NDArray[np.bool_]:
 
 
 def _unknown(run: Run) -> int:
-    """Return the number of first score samples with unknown friction of a log that begins at standstill."""
+    """Return the number of score samples with unknown friction at the start of a log that begins at standstill."""
     omega = run.average(run.signals.omega_j)
     travel = np.cumsum(np.abs(omega)) * run.period
     if abs(omega[0]) > FIRST_SPEED * float(np.quantile(np.abs(omega), 0.95)):
@@ -75,7 +82,10 @@ def _unknown(run: Run) -> int:
 
 
 def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Hold out the stretches 1, 4, 7 ... of each log; the gap on either side belongs to neither part."""
+    """Return the masks of fitted and held-out samples; parts 1, 4, 7 ... of each log are held out.
+
+    The gap on either side of a held-out part belongs to neither mask.
+    """
     fit, held = [], []
     for count in counts:
         gap = min(round(GAP / period), count // (8 * STRETCHES))

@@ -1,1 +1,1 @@
-"""A hypothesis against the data: whitened residuals, bounded least squares, the score test, the noise that is left."""
+"""Compare a hypothesis with the data: whitened residuals, bounded least squares, score test and noise model."""

@@ -1,4 +1,4 @@
-"""Bounded Gauss-Newton (Levenberg-Marquardt) on whitened residuals, with what later stages need of the optimum."""
+"""Fit a hypothesis to whitened residuals by a bounded Gauss-Newton method (Levenberg-Marquardt)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
 from tsa_ctrl.model.functions import Array
 
-ITERATIONS = 12  # of Gauss-Newton: it ends earlier where a step gains less than ENOUGH
-ENOUGH = 0.05  # decrease of the sum of squares (white units): a twentieth of the decrease by one coordinate of noise
-TRIES = 5  # of damping within one iteration: ten to the fifth between a Newton step and hardly any
+ITERATIONS = 12  # most Gauss-Newton iterations; the fit ends earlier if a step gains less than ENOUGH
+ENOUGH = 0.05  # decrease of the sum of squares (white units): a twentieth of what one coordinate gains on noise
+TRIES = 5  # damping values tried in one iteration: a factor of 1e5 from a Newton step to hardly any step
 
 
 @dataclass(frozen=True)
 class Fit:
-    """`residual` (m,) white; `jacobian` (m, free) of the prediction by the coordinates that no bound holds."""
+    """The optimum of a hypothesis.
+
+    `residual` (m,) is white. `jacobian` (m, free) has the derivatives of the prediction with respect to the coordinates
+    that no bound holds, which are True in `free`.
+    """
 
     hypothesis: Hypothesis
     point: Array
@@ -33,7 +37,7 @@ class Fit:
 
 
 def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int = ITERATIONS) -> Fit:
-    """Minimise the whitened residual's sum of squares over the coordinates within their bounds, from `start`."""
+    """Return the fit that minimises the sum of squares of the whitened residual within the bounds, from `start`."""
     point = np.clip(start, hypothesis.low, hypothesis.high)
     residual = problem.measured - problem.whiten(problem.predicted(hypothesis.model(point)))
     rss = float(residual @ residual)
@@ -46,7 +50,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
         small = False  # True if the last step gained too little for another one
         nonsmooth = hypothesis.nonsmooth
         for attempt in range(2 * TRIES if nonsmooth.any() else TRIES):
-            if attempt == TRIES:  # along some coordinates a gradient means little: try without them
+            if attempt == TRIES:  # a gradient is not reliable along some coordinates, so try without them
                 damping = 1e-4
             used = jacobian if attempt < TRIES else np.where(nonsmooth, 0.0, jacobian)
             step = bounded_step(used, residual, hypothesis.low - point, hypothesis.high - point, damping)
@@ -81,7 +85,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
 
 
 def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: Array) -> Array:
-    """d prediction / d coordinates, white, by one-sided differences away from the nearer bound."""
+    """Return d prediction / d coordinates (m, k), white, by one-sided differences that stay within the bounds."""
     if len(point) == 0:
         return np.zeros((problem.count, 0))
     steps, improved = [], []
@@ -95,7 +99,7 @@ def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: 
 
 
 def gradients(problem: Problem, fitted: Fit) -> Array:
-    """d prediction / d coordinates at the optimum, white, also of those that a bound holds."""
+    """Return d prediction / d coordinates at the optimum (m, k), white, including coordinates that a bound holds."""
     return _jacobian(problem, fitted.hypothesis, fitted.point, fitted.residual)
 
 
@@ -128,7 +132,7 @@ def bounded_step(jacobian: Array, residual: Array, low: Array, high: Array, damp
 
 
 def fit_or_none(problem: Problem, hypothesis: Hypothesis, start: Array) -> Fit | None:
-    """`fit`, or None where the effects exclude each other or the model cannot be computed there."""
+    """Return `fit`, or None if the effects exclude each other or the model cannot be computed."""
     try:
         return fit(problem, hypothesis, start)
     except (UsageError, np.linalg.LinAlgError, FloatingPointError):

@@ -1,7 +1,7 @@
-"""The noise model: from the part that the whole catalogue cannot explain, before the first cause and after each.
+"""Estimate the noise from the part that the whole catalogue cannot explain, before the first cause and after each.
 
-A spectrum taken from the residual of the base model would hold the hidden effect and hide it; so all responses are
-projected out first, then, in the colours found so, only those that matter.
+A spectrum of the residual of the base model would contain the hidden effect and hide it. All responses are therefore
+projected out first. Under the resulting noise model, only the relevant responses are then projected out.
 """
 
 from __future__ import annotations
@@ -23,12 +23,13 @@ from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-# Of the torque: assumed white noise, which only the first fit uses as a weight; its residual replaces it
+# Share of the torque: assumed white noise, which only the first fit uses as a weight; its residual replaces it
 PILOT_NOISE = 0.02
-# Of the sum of squares: the best of a thousand columns of noise takes 12 (twice the logarithm, less its own)
+# Least decrease of the sum of squares: the best of a thousand columns of noise takes 12 (twice the logarithm, less its
+# own)
 LEAST_DECREASE = 12.0
-MOST_COLUMNS = 16  # several for each of the possible causes (selection.forward.MOST_CAUSES)
-# Of the samples, that saturation may span: a larger share would reduce the noise whose level is estimated
+MOST_COLUMNS = 16  # most projected responses: several for each of the possible causes (selection.forward.MOST_CAUSES)
+# Largest number of projected directions as a share of the samples: more would remove a part of the estimated noise
 MOST_SHARE = 0.1
 
 
@@ -68,7 +69,7 @@ def _noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
 
 
 def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
-    """Basis of the fitted parameters and the leading directions of all responses."""
+    """Return a basis of the fitted parameters and the leading directions of all responses."""
     columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
     norms = np.linalg.norm(columns, axis=0)
     columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
@@ -80,7 +81,7 @@ def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Arra
 
 
 def _pursuit(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
-    """Basis of the fitted parameters and of the responses that orthogonal matching pursuit picks."""
+    """Return a basis of the fitted parameters and of the responses that orthogonal matching pursuit selects."""
     basis = orthonormal(fitted.jacobian)
     columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)

@@ -1,4 +1,4 @@
-"""A hypothesis (base model and effects) turned into residuals that compare: whitened, nuisance projected out."""
+"""Turn a hypothesis (base model and effects) into comparable residuals: whitened, with the nuisance projected out."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tsa_ctrl.model.predict import predict_each
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """The base model with these effects; `wide_prior` frees recalibration from [uncertainty]."""
+    """The base model with these effects; with `wide_prior`, recalibration ignores [uncertainty]."""
 
     base: Base
     variants: tuple[Variant, ...] = ()
@@ -51,18 +51,18 @@ class Hypothesis:
 
     @cached_property
     def nonsmooth(self) -> NDArray[np.bool_]:
-        """Return True for coordinates along which the prediction jumps: those of effects without an amplitude."""
+        """Return a mask of the coordinates along which the prediction jumps: those of effects without an amplitude."""
         own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
         return np.array([False] * len(self.base.coordinates(self.wide_prior)) + own, dtype=np.bool_)
 
     @cached_property
     def places(self) -> tuple[slice, ...]:
-        """Return the coordinates of each variant."""
+        """Return the slice of each variant's coordinates."""
         ends = np.cumsum([len(self.base.coordinates()), *(len(variant.coordinates) for variant in self.variants)])
         return tuple(slice(int(start), int(end)) for start, end in pairwise(ends))
 
     def own(self, point: Array) -> list[Array]:
-        """Return the coordinates of each variant."""
+        """Return the values of each variant's coordinates."""
         return [point[place] for place in self.places]
 
     def effects(self, point: Array) -> dict[str, dict[str, Value]]:
@@ -86,7 +86,7 @@ class Problem:
     base: Base
     noise: Noise
     nuisance: Nuisance
-    mask: NDArray[np.bool_]  # (n) samples that count
+    mask: NDArray[np.bool_]  # (n,), samples that count
 
     @cached_property
     def projection(self) -> Projection:
@@ -99,7 +99,7 @@ class Problem:
 
     @cached_property
     def blocks(self) -> NDArray[np.int64]:
-        """Block numbers of the samples that count, 0 .. B - 1."""
+        """Return the block numbers of the samples that count, 0 .. B - 1."""
         return np.unique(self.frame.blocks[self.mask], return_inverse=True)[1].astype(np.int64)
 
     def predicted(self, model: Model) -> Array:
@@ -107,7 +107,11 @@ class Problem:
         return self.frame.stack(predict_each(model, [run.signals for run in self.frame.runs]))
 
     def whiten(self, y: Array) -> Array:
-        """(n,) or (n, k) in N*m to white units over the samples that count, the nuisance projected out."""
+        """Return `y`, (n,) or (n, k) in N*m, in white units at the samples that count, with the nuisance projected out.
+
+        Raises:
+            FloatingPointError: a torque is not finite.
+        """
         if not np.isfinite(y).all():
             raise FloatingPointError("a torque that is not finite")
         return self.projection.apply(self.noise.whiten(y, self.frame.slices)[self.mask])

@@ -1,8 +1,8 @@
-"""Find the effect that would explain a residual best: the exact responses of all candidates, one projection each.
+"""Find the effect that would explain a residual best, by one projection on the exact response of each candidate.
 
-A response is the model's own difference with and without the effect, not its linearisation: a linearised delay brought
-a false second cause in ten of ten logs. Only amplitudes, which are nearly linear, are solved for; everything else is
-refined by a fit afterwards.
+A response is the difference between the model with and without the effect, not a linearisation: a linearised delay
+caused a false second cause in ten of ten logs. Only amplitudes, which are nearly linear, are solved for. All other
+coordinates are refined by a subsequent fit.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from tsa_ctrl.model.functions import Array
 
 # Amplitude (in units of the torque) of a nearly linear response: small, so that it is linear; far above rounding
 TRIAL = 0.02
-STRETCH = 1.6  # a grid point may stand for an effect so many times its own, before the fit refines it
+STRETCH = 1.6  # largest factor by which the response of a grid point may be scaled before the fit refines it
 
 
 @dataclass(frozen=True)
 class Response:
-    """Hold the contribution of one start of one variant to the prediction: (n, k) N*m at the score rate, per unit of
-    amplitude.
+    """Hold the contribution of a variant to the prediction from one start.
+
+    `columns` (n, k) are in N*m at the score rate, per unit of each amplitude.
     """
 
     variant: Variant
@@ -36,18 +37,19 @@ class Response:
 
 @dataclass(frozen=True)
 class Score:
-    """Hold the expected gain of a response: decrease of the sum of squares, and where to start the fit."""
+    """Hold the expected gain of a response (decrease of the sum of squares), and the start values for a fit."""
 
     variant: Variant
     start: Array
     gain: float
-    columns: Array  # (m, k) white, the fitted parameters projected out
-    whole: float  # decrease by the response as it is, neither shrunk nor stretched
+    columns: Array  # (m, k), white, with the fitted parameters projected out
+    whole: float  # decrease by the response without scaling
 
 
 def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
-    """Return the responses of each start of each variant in addition to the effects of `fitted`; impossible
-    combinations left out.
+    """Return the response of each start of each variant in addition to the effects of `fitted`.
+
+    Impossible combinations are omitted.
     """
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
     out = []
@@ -115,7 +117,7 @@ def best_by_effect(found: Iterable[Score]) -> list[Score]:
 
 
 def _whole(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
-    """Return start and gain of an effect without an amplitude; the response may be scaled where the grid is coarse."""
+    """Return start and gain of an effect without an amplitude; its response may be scaled, as the grid is coarse."""
     size = float(columns[:, 0] @ columns[:, 0])
     overlap = float(columns[:, 0] @ residual)
     share = min(max(overlap / size, 0.0), STRETCH) if variant.coordinates and size > 1e-9 else 1.0

@@ -1,6 +1,6 @@
-"""The simulation error: the error as a user of the model sees it, not whitened, and its least squares.
+"""Compute and minimise the simulation error: the error of the model for its user, without whitening.
 
-Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of this error.
+Whitened fits are the more sensitive test, but they weight the frequencies by the noise, not by this error.
 """
 
 from __future__ import annotations
@@ -22,15 +22,17 @@ from tsa_ctrl.model.predict import predict
 
 
 def models_reversals(found: Fit) -> bool:
-    """Return True if the hypothesis determines the friction in a reversal, so that no moment is unknown."""
+    """Return True if the hypothesis determines the friction during a reversal, so that no moment is uncertain."""
     return "presliding_hysteresis" in found.names
 
 
 def on_simulation_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
-    """Return the problem whose residual is the simulation error over `mask` (default: its own samples), per noise RMS.
+    """Return the problem whose residual is the simulation error divided by the noise RMS.
 
-    `reversals`: True if the samples at reversals count. Compare the errors of two hypotheses only with the same value
-    for both.
+    Args:
+        problem: the logs with the noise model.
+        reversals: True if the samples at reversals count. Two hypotheses can be compared only with the same value.
+        mask: samples that count, (n,); default: those of `problem`.
     """
     used = problem.mask if mask is None else mask
     plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
@@ -40,7 +42,10 @@ def on_simulation_error(problem: Problem, reversals: bool, mask: NDArray[np.bool
 def fit_on_simulation_error(
     problem: Problem, found: Fit, reversals: bool | None = None, mask: NDArray[np.bool_] | None = None
 ) -> Fit:
-    """Fit the same hypothesis `on_simulation_error`, from `found`. `reversals`: default `models_reversals(found)`."""
+    """Return the fit of the same hypothesis on the simulation error, started from `found`.
+
+    `reversals` and `mask` are as in `on_simulation_error`; by default `reversals` is `models_reversals(found)`.
+    """
     plain = on_simulation_error(problem, models_reversals(found) if reversals is None else reversals, mask)
     return fit(plain, found.hypothesis, found.point)
 
@@ -48,13 +53,13 @@ def fit_on_simulation_error(
 def simulation_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
     """Return the sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
 
-    `reversals` as for `fit_on_simulation_error`.
+    `reversals` is as in `fit_on_simulation_error`.
     """
     return fit_on_simulation_error(problem, fitted, reversals).rss * problem.noise.rms**2
 
 
 def full_residuals(frame: Frame, model: Model) -> list[Array]:
-    """Measured minus predicted torque of each run at the log's own rate, N*m."""
+    """Return measured minus predicted torque of each run at the log's own rate, N*m."""
     return [run.full_target - predict(model, run.full) for run in frame.runs]
 
 
@@ -69,7 +74,7 @@ def noise_rms(problem: Problem, fitted: Fit) -> float:
     fast = []
     for run, residual in zip(problem.frame.runs, residuals, strict=True):
         bins = residual[: run.count * run.full_bin].reshape(run.count, run.full_bin)
-        bins -= bins.mean(axis=1, keepdims=True)  # in place: an hour of it is not held twice
+        bins -= bins.mean(axis=1, keepdims=True)  # in place, so that an hour of data is not stored twice
         fast.append(bins.ravel())
     return min(whole, float(np.hypot(problem.noise.rms, _deviation(fast))))
 

@@ -1,3 +1,1 @@
-"""Define the possible causes: the base model and what recalibration frees in it, and the catalogue's effects as
-candidates.
-"""
+"""Define the possible causes: the base model with the parameters that recalibration frees, and candidate effects."""

@@ -1,9 +1,12 @@
-"""The base model as a seam: its prediction, the parameters of a recalibration, and their file format.
+"""Define the interface of a base model: its prediction, the parameters of a recalibration, and their file format.
 
-The bases are the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty],
-the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, and the geared drive
-tau_J = eta^s N tau_M - tau_c sigma - b omega_J. Recalibration frees all parameters that the file of a drive contains,
-except the ratio.
+There are three base models:
+
+- the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty];
+- the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c;
+- the geared drive tau_J = eta^s N tau_M - tau_c sigma - b omega_J.
+
+For both kinds of drives, recalibration frees Coulomb friction and all parameters in the file except the ratio.
 """
 
 from __future__ import annotations
@@ -23,11 +26,11 @@ from tsa_ctrl.model.parameters import Effects, GearedDrive, Model, RigidDrive, T
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
-WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to test the effect of wrong parameters
+WIDE_PRIOR = 20.0  # factor by which recalibration may move if it ignores [uncertainty], to test for wrong parameters
 
 
 STANDSTILL = 1e-6  # rad/s; a joint that moves is faster
-MOVES = 3.0  # times the velocity noise; a joint with a smaller 95th percentile of the speed is held
+MOVES = 3.0  # times the velocity noise; a joint whose 95th percentile of the speed is smaller is locked
 
 
 class Base(Protocol):
@@ -38,31 +41,31 @@ class Base(Protocol):
 
     @property
     def target(self) -> str:
-        """Column that is predicted."""
+        """Return the name of the predicted column."""
         ...
 
     def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]: ...
 
     def start(self) -> Array:
-        """The file's own values."""
+        """Return the coordinates of the file's values."""
         ...
 
     def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
-        """Return a model with these coordinates; `effects` are added to those of the file."""
+        """Return the model with these coordinates; `effects` are added to the effects of the file."""
         ...
 
     def direction_weight(self, model: Model, signals: Signals) -> Array:
-        """Torque by which the prediction changes when sigma goes from 0 to 1, shape (n,), N*m."""
+        """Return the change of the prediction when sigma changes from 0 to 1, (n,) in N*m."""
         ...
 
     def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
-        """name: (nominal, value, unit) of the file's parameters for the coordinates, and combinations of them."""
+        """Return (nominal, value, unit) of the parameters for these coordinates, and of their combinations, by name."""
         ...
 
 
 @dataclass(frozen=True)
 class TendonBase:
-    """Coordinates: ln(x / nominal x), ln(T_p0 / nominal T_p0)."""
+    """A tendon-sheath with the coordinates ln(x / nominal x) and ln(T_p0 / nominal T_p0)."""
 
     given: TendonSheath
     target: str = "tau_j"
@@ -72,7 +75,7 @@ class TendonBase:
 
     @cached_property
     def _coordinates(self) -> tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]]:
-        """Return the coordinates without and with a wide prior; each of a thousand predictions needs them."""
+        """Return the coordinates without and with a wide prior, cached because every prediction needs them."""
         return self._freed(False), self._freed(True)
 
     def _freed(self, wide_prior: bool) -> tuple[Coordinate, ...]:
@@ -91,7 +94,7 @@ class TendonBase:
 
     def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
         model = self.given.with_effects({**self.given.effects, **effects}) if effects else self.given
-        changed = {  # T_ref stays at the file's pretension
+        changed = {  # T_ref keeps the file's pretension
             coordinate.name: getattr(model, coordinate.name) * math.exp(float(value))
             for coordinate, value in zip(self.coordinates(), values, strict=True)
         }
@@ -126,11 +129,11 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {"torque_offset": (-math.inf, math.
 
 @dataclass(frozen=True)
 class DriveBase:
-    """Coordinates: the drive's parameters that the file names, in units of `scales`; Coulomb friction always."""
+    """A drive whose coordinates are Coulomb friction and the parameters in the file, in units of `scales`."""
 
     given: RigidDrive | GearedDrive
-    scales: Mapping[str, float]  # size of each parameter that moves this log's torque
-    moves: bool = True  # False: the joint is held, and its losses cannot be identified
+    scales: Mapping[str, float]  # size of each parameter that changes the torque of these logs noticeably
+    moves: bool = True  # False if the joint is locked, so that its losses cannot be identified
 
     @property
     def target(self) -> str:

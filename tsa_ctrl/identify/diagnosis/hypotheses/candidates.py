@@ -1,4 +1,4 @@
-"""The catalogue's effects as candidates on these logs: what can be tested, and why the rest cannot."""
+"""Determine which effects of the catalogue these logs can test, and why they cannot test the others."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import missing_for
 from tsa_ctrl.model.signals import Signals
 
-LEAST_REACH = 0.02  # rad, of another joint: less bends a sheath by less than its friction is known
-SAME_JOINT = 0.02  # 1, of the range: encoder noise that smoothing removes; two joints that agree so well are one
+LEAST_REACH = 0.02  # rad, least half range of another joint: the effect of less is within the friction's uncertainty
+SAME_JOINT = 0.02  # share of the range: columns that differ by less are one joint; smoothing removes encoder noise
 
-Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs can test
+Catalogue = Mapping[str, tuple[Variant, ...]]  # variants of each effect that these logs can test
 
 
 def all_but(names: Sequence[str], catalogue: Catalogue) -> list[Variant]:
-    """Return the variants of all effects except these."""
+    """Return the variants of all effects except those in `names`."""
     return [variant for name, variants in catalogue.items() if name not in names for variant in variants]
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Variants by effect, and the effects that these logs cannot test, with the reason: together the catalogue."""
+    """Hold the variants of each testable effect, and the reason for each effect that these logs cannot test."""
 
     catalogue: Catalogue
     not_testable: Mapping[str, str]
 
 
 def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
-    """Return the effects of the catalogue for the torque of these logs."""
+    """Return the effects of the catalogue that the torque of these logs can test, and the reasons for the others."""
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
     for name, spec in CATALOGUE.items():
         if not spec.hypothesis:
-            continue  # the user's own formula is no hypothesis
+            continue  # a formula of the user is not a hypothesis
         reason = _untestable(spec, frame, model, scales)
         if spec.stage is Stage.STRETCH and not reason:
-            continue  # no torque shows it
+            continue  # the torque does not show it
         variants = () if reason else tuple(variant for variant in spec.search(name, scales) if variant.starts)
         if variants:
             found[name] = variants
@@ -74,7 +74,7 @@ def _untestable(spec: Specification, frame: Frame, model: Model, scales: Scales)
 
 
 def scales_of(frame: Frame, model: Model) -> Scales:
-    """Return the speeds, torques and travels that occur in these logs, which scale the grids of candidates."""
+    """Return the speeds, torques and travels in these logs, which scale the grids of the candidates."""
     signals = [run.signals for run in frame.runs]
     speed = np.concatenate([np.abs(s.omega_j) for s in signals])
     fast = float(np.quantile(speed, 0.95))
@@ -109,7 +109,7 @@ def scales_of(frame: Frame, model: Model) -> Scales:
 
 
 def _other_joints(logs: Sequence[Signals]) -> dict[str, float]:
-    """Return the half range, rad, of each joint that all logs have as q_j.NAME, that moved and that is not this one."""
+    """Return the half range (rad) of each other joint that moved and that all logs have as q_j.NAME."""
     names = [name for name in logs[0].joints if all(name in log.joints for log in logs)]
     ranges = {name: max(0.5 * float(np.ptp(log.joints[name])) for log in logs) for name in names}
     own = [name for name in names if all(log.q_j is not None and _alike(log.q_j, log.joints[name]) for log in logs)]
@@ -117,12 +117,12 @@ def _other_joints(logs: Sequence[Signals]) -> dict[str, float]:
 
 
 def _alike(own: Array, other: Array) -> bool:
-    """Return True if both columns are one joint; q_j is denoised, q_j.NAME is not."""
+    """Return True if both columns are the same joint; q_j is denoised, but q_j.NAME is not."""
     return float(np.std(own - other)) < SAME_JOINT * max(float(np.ptp(own)), 1e-9)
 
 
 def _step(angles: Sequence[Array]) -> float:
-    """90 % of the steps from sample to sample are below, rad."""
+    """Return the 90 % quantile of the steps from sample to sample, rad."""
     return float(np.quantile(np.abs(np.concatenate([np.diff(angle) for angle in angles])), 0.9))
 
 

@@ -1,1 +1,1 @@
-"""Model the parts that are not to be explained: coloured noise of the torque, and errors from an unknown direction."""
+"""Model the errors that need no explanation: coloured noise of the torque, and errors from an unknown direction."""

@@ -1,8 +1,8 @@
-"""The noise of the torque: its spectrum, the autoregressive filter that whitens it, and random samples of it.
+"""Model the noise of the torque: its spectrum, and the autoregressive filter that whitens it.
 
 Noise of drives and sensors is coloured. A fit removes a part of it from the residual, so the spectrum is corrected by
 the share that the fitted columns span at each frequency. Every test and interval of the diagnosis assumes white
-residuals. If they are not white, 95 % intervals cover only 27-59 %.
+residuals. With residuals that are not white, 95 % intervals contain the true value in only 27-59 % of cases.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ from scipy.linalg.lapack import dtrtrs
 
 from tsa_ctrl.model.functions import Array
 
-# s, longest whitening filter: slower noise is drift, for which there is a separate test (residual.changes)
+# s, length of the longest whitening filter: slower noise is drift, for which there is a separate test
+# (residual.changes)
 MEMORY = 1.0
 MOST_LAGS = 120  # about MEMORY at the usual score rate (prepare.SCORE_RATE)
-BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum: three and a half to an octave
-FLOOR = 0.04  # of the mean density: lower bound of a band's density, which limits the weight of a quiet band
+BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum: three and a half bands to an octave
+FLOOR = 0.04  # share of the mean density: lower bound of a band's density, which limits the weight of a quiet band
 FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep: its level then has an error of 45 %
 # Hz, band whose slope is extrapolated downwards: a log has too few periods below it, and joints shake above it
 REFERENCE = (0.7, 5.0)
-STEEPEST = 1.2  # largest power of 1/f of noise: electronics have 1; motion and effects have steeper slopes
-LOWEST = 0.15  # Hz, below which the density is flat: a log of seconds contains only a part of such a wave
-FEW_COLUMNS = 4  # below which a sum over a hundred taps takes less time than three Fourier transforms
+STEEPEST = 1.2  # largest exponent of 1/f noise: electronics have 1; motion and effects have steeper slopes
+LOWEST = 0.15  # Hz, below which the density is flat: a log of seconds contains only a part of a slower wave
+FEW_COLUMNS = 4  # number of columns below which direct sums over a hundred taps are faster than Fourier transforms
 TOGETHER = 8  # columns transformed at a time, so that the buffers fit into the cache
 
 
@@ -38,7 +39,7 @@ class Noise:
     """Autoregressive noise: e_t = -sum a_k e_(t-k) + deviation * white; `filter` is (1, a_1, ...), shape (p + 1,)."""
 
     filter: Array
-    deviation: float  # N*m, of the innovations
+    deviation: float  # N*m, standard deviation of the innovations
     covariance: Array  # (p,), of the noise itself at lags 0 .. p - 1, (N*m)^2
 
     @property
@@ -47,7 +48,7 @@ class Noise:
         return float(np.sqrt(self.covariance[0]))
 
     def whiten(self, y: Array, slices: Sequence[slice]) -> Array:
-        """Return stacked noise `y`, shape (n,) or (n, k), as white noise of unit variance; runs are independent."""
+        """Return stacked noise `y`, (n,) or (n, k), filtered to white noise of unit variance, each run separately."""
         out = np.empty_like(y)
         lags = len(self.filter) - 1
         for part in slices:
@@ -67,13 +68,13 @@ class Noise:
 
     @cached_property
     def _factors(self) -> dict[int, Array]:
-        """Return the cache of Cholesky factors by size; all runs that are longer than the filter share one size."""
+        """Return the cache of Cholesky factors by size; all runs longer than the filter share one size."""
         return {}
 
     def whiten_short(self, start: int, values: Array, part: slice) -> tuple[int, Array]:
-        """Whiten a column that is 0 except for `values` from stacked sample `start` on, within one run.
+        """Return the start and the values of the whitened column for a short column within one run.
 
-        Returns the start of the white column and its values.
+        The column is `values` from stacked sample `start` on, and 0 elsewhere.
         """
         lags = len(self.filter) - 1
         stop = min(start + len(values) + lags, part.stop)
@@ -97,9 +98,10 @@ class Noise:
 
 
 def _solved(factor: Array, y: Array) -> Array:
-    """x of factor x = y, the factor lower triangular, by LAPACK without the checks of scipy.
+    """Return the solution x of factor x = y for a lower triangular factor, by LAPACK without the checks of scipy.
 
-    Raises FloatingPointError where y is not finite, by which a fit is given up.
+    Raises:
+        FloatingPointError: the solution is not finite; the fit is then abandoned.
     """
     if factor.flags.f_contiguous:
         found = np.asarray(dtrtrs(factor, y, lower=1)[0])
@@ -120,7 +122,7 @@ def _filtered(taps: Array, y: Array) -> Array:
         return np.column_stack([_filtered(taps, column) for column in y.T])
     length = next_fast_len(len(y) + len(taps) - 1, real=True)
     response = np.fft.rfft(taps, length)
-    rows = np.zeros((TOGETHER, length))  # transposed: two thirds of the time of a transform along the columns
+    rows = np.zeros((TOGETHER, length))  # transposed, which takes two thirds of the time of transforming columns
     filtered = np.empty((y.shape[1], len(y)))
     for start in range(0, y.shape[1], TOGETHER):
         columns = y.T[start : start + TOGETHER]
@@ -132,17 +134,24 @@ def _filtered(taps: Array, y: Array) -> Array:
 
 
 def white_noise(deviation: float) -> Noise:
-    """Return white noise, as ordinary least squares assumes it."""
+    """Return the noise model of ordinary least squares: white noise of this standard deviation, N*m."""
     return Noise(np.ones(1), deviation, np.array([deviation**2]))
 
 
 def estimate(
     residual: Array, basis: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, prior: Noise
 ) -> Noise:
-    """Estimate the noise from a residual of stacked runs.
+    """Estimate the noise from the residual of stacked runs.
 
-    residual: (n,), whitened with `prior` after the columns `basis` (n, k; orthonormal over the masked samples, whitened
-    as well) were projected out. The spectrum found multiplies the prior's.
+    The estimated spectrum of the whitened residual is multiplied by the spectrum of `prior`.
+
+    Args:
+        residual: residual whitened with `prior`, after `basis` was projected out, (n,).
+        basis: projected columns, whitened and orthonormal over the samples of `mask`, (n, k).
+        mask: samples that count, (n,).
+        slices: place of each run among the samples.
+        period: period of the samples, s.
+        prior: noise model with which the residual was whitened.
     """
     length = 1 << int(np.ceil(np.log2(2 * max(part.stop - part.start for part in slices))))
     frequency = np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64)
@@ -155,7 +164,7 @@ def estimate(
         room += float(inside.sum()) - np.sum(spread.real**2 + spread.imag**2, axis=1)
     samples = float(mask.sum())
     room = np.maximum(room, 0.02 * samples)
-    waves = room / length  # independent pairs per frequency line that the fit has left
+    waves = room / length  # independent pairs per frequency line after the fit
     ratio = _banded(frequency, power, room, waves)
     density: Array = _continued(frequency, ratio * _density(prior, frequency))
     density = np.maximum(density, FLOOR * float(np.mean(density)))
@@ -164,7 +173,7 @@ def estimate(
 
 
 def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
-    """Return smoothed power/room on every line: means over bands that widen with frequency, interpolated."""
+    """Return smoothed power/room on every line, interpolated between means over bands that widen with frequency."""
     centres, values = [], []
     start = 0
     while start < len(frequency):
@@ -183,10 +192,10 @@ def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
 
 
 def _continued(frequency: Array, density: Array) -> Array:
-    """Return a density whose lowest lines are at least the extrapolation of its slope above them.
+    """Return the density with its lowest lines raised to at least the extrapolation of its slope above them.
 
-    Slow noise and slow effects look alike, and few periods of either fit into a log. From these lines alone the noise
-    would be underestimated, and the significance of effects overestimated.
+    Slow noise and slow effects are similar, and few periods of either fit into a log. From these lines alone, the noise
+    would be underestimated and the significance of effects overestimated.
     """
     band = (frequency > REFERENCE[0]) & (frequency < REFERENCE[1])
     if np.count_nonzero(band) < 4:
@@ -199,7 +208,7 @@ def _continued(frequency: Array, density: Array) -> Array:
 
 
 def _density(noise: Noise, frequency: Array) -> Array:
-    """Return the spectral density of the noise on the lines of a real FFT, (N*m)^2; white noise of variance 1 has 1."""
+    """Return the spectral density of the noise on the lines of a real FFT, (N*m)^2; it is 1 for unit white noise."""
     response = np.fft.rfft(noise.filter, 2 * (len(frequency) - 1))
     return np.asarray(noise.deviation**2 / np.maximum(np.abs(response) ** 2, 1e-12))
 

@@ -1,14 +1,13 @@
-"""Nuisance parameters, always projected out: torque errors from an unknown direction of motion.
+"""Compute nuisance columns, which are always projected out: torque errors from an unknown direction of motion.
 
-Near standstill the sign of a noisy velocity is wrong; that is not an effect, but imitates Stribeck friction and lags.
-Two
-kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
-velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
-sample. The latter are many but short, and are kept as such.
+Near standstill the sign of a noisy velocity is wrong. This is not an effect, but it imitates Stribeck friction and
+lags. Two kinds of columns remove it. The first kind is E[sigma(v + eta)] - sigma(v), in closed form for Gaussian eta,
+at 1 and 2.5 times the velocity noise. The second kind is one column for the moment of each reversal, which a sampled
+velocity determines only to one sample. These columns are many but short, and are stored in short form.
 
-The effect of the noise of the measured motor torque is also one: a regressor with noise is trusted less than it
-deserves, and any
-effect that can stand in for it would be named. So its fast part, which is mostly noise, is projected out as well.
+The noise of the measured motor torque is a nuisance too. The coefficient of a noisy regressor is underestimated, and
+any effect that can replace it would be identified as a cause. The fast part of the motor torque is mostly noise, so it
+is projected out as well.
 """
 
 from __future__ import annotations
@@ -42,16 +41,16 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 # Factors of the velocity noise: as estimated, and for an estimate that is too low. Without them, 31 of 40 null logs had
 # a false Stribeck effect.
 NOISE_FACTORS = (1.0, 2.5)
-UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
-FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
+UNKNOWN = 2.5  # times the velocity noise: the direction of a slower motion is uncertain
+FAST = (0.5, 1.5, 6.0)  # Hz, edges above which the content of the motor torque may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, additional edges for tests that search only for structure
 STEP_CUTOFF = 8.0  # Hz, separates steps from noise: the lowest cut-off for joint motion (denoise.LOWEST)
-STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
-STEP_MARGIN = 0.04  # s: five score samples, in which a filtered step is neither
-MOST_COLUMNS = 800  # a projection costs the square of them; further moments share a column
+STEEP = 3.0  # times the rate of change that is exceeded for a fifth of the time
+STEP_MARGIN = 0.04  # s, five score samples around a step, in which it is neither slow nor noise after the filter
+MOST_COLUMNS = 800  # the cost of a projection grows with its square; further moments share a column
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
-TAIL = 0.05  # of the maximum of a moment after a slow sensor; smaller values are ignored
-RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
+TAIL = 0.05  # share of the maximum of a moment after a slow sensor: smaller values are ignored
+RIDGE = 1e-9  # share of a column's square: it keeps nearly equal columns separable
 
 
 @dataclass(frozen=True)
@@ -64,13 +63,13 @@ class Moment:
 
 @dataclass(frozen=True)
 class Nuisance:
-    """`smooth` (n, k) over all score samples, N*m, and short columns."""
+    """Hold the nuisance columns: `smooth` (n, k) in N*m over all score samples, and the short `moments`."""
 
     smooth: Array
     moments: tuple[Moment, ...] = ()
 
     def told(self, count: int) -> NDArray[np.bool_]:
-        """Return True (count,) for score samples outside the short columns, where the direction is known."""
+        """Return a mask (count,) of the score samples outside the short columns, where the direction is known."""
         out = np.ones(count, dtype=np.bool_)
         for moment in self.moments:
             out[moment.start : moment.start + len(moment.values)] = False
@@ -109,7 +108,7 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class Projection:
-    """Takes the nuisance out of white vectors (m,) or (m, k)."""
+    """Remove the nuisance from white vectors (m,) or (m, k) by projection."""
 
     short: csc_matrix | None
     factor: tuple[Array, bool] | None
@@ -130,7 +129,7 @@ class Projection:
 
 
 def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
-    """Return nuisance columns in N*m at the score rate; `model` gives the torque that depends on the direction.
+    """Return nuisance columns in N*m at the score rate; `model` determines the torque that depends on the direction.
 
     A lag of the velocity and a delay of the torque in `model` shift the times at which the direction is unknown.
     """
@@ -156,7 +155,7 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
 
 
 def _engaging(run: Run, model: Model) -> Array:
-    """Return the torque (N*m) that backlash withholds, at the samples next to a change, as its time is uncertain."""
+    """Return the torque (N*m) that backlash withholds, near its changes only, because their time is uncertain."""
     tight = dataclasses.replace(model, effects={k: v for k, v in model.effects.items() if k != "backlash"})
     held = predict(model, run.signals) - predict(tight, run.signals)
     flips = np.flatnonzero(np.diff(held != 0.0))
@@ -168,7 +167,7 @@ def _engaging(run: Run, model: Model) -> Array:
 
 
 def fast(frame: Frame, edge: float) -> list[Array]:
-    """Return each run's motor torque above `edge` Hz, without its steps, at the compute rate."""
+    """Return the motor torque of each run above `edge` Hz, without its steps, at the compute rate."""
     out = []
     for run in frame.runs:
         level = _without_steps(run.signals.tau_m, run.signals.period)
@@ -177,7 +176,7 @@ def fast(frame: Frame, edge: float) -> list[Array]:
 
 
 def _without_steps(y: Array, period: float) -> Array:
-    """Return `y` held constant where it changes much faster than usual: the remainder is slow, or noise."""
+    """Return `y` held constant where it changes much faster than usual, so that only slow changes and noise remain."""
     rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
     steep = rate > STEEP * np.quantile(rate, 0.8)
     margin = round(STEP_MARGIN / period)
@@ -194,7 +193,7 @@ def _velocity(run: Run, model: Model) -> Array:
 
 
 def _late(run: Run, pattern: Array, model: Model) -> Array:
-    """Return a pattern of the true torque as the sensor measures it."""
+    """Return a pattern of the true torque (n,) as the sensor measures it."""
     for effect in Stack.of(model.effects).sensor:
         pattern = effect.apply(pattern, run.signals.t)
     return pattern
@@ -207,7 +206,7 @@ def _delayed(run: Run, pattern: Array, model: Model) -> Array:
 
 
 def _smeared(frame: Frame, moments: Sequence[Moment], lag: float) -> tuple[Moment, ...]:
-    """Return the short columns as measured by a sensor of time constant `lag` (s), cut off at TAIL of their peak."""
+    """Return the short columns as measured by a sensor of time constant `lag` (s), truncated at TAIL of their peak."""
     longest = math.ceil(-math.log(TAIL) * lag / frame.period)
     out = []
     for moment in moments:
@@ -228,7 +227,7 @@ def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
 
 
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
-    """Return True (n,) at the compute rate where the direction is not known: below the noise and at each reversal."""
+    """Return a mask (n,) at the compute rate where the direction is unknown: below the noise and at each reversal."""
     out = np.abs(omega) < UNKNOWN * run.velocity_error
     out |= _by_chance(out, np.abs(omega) > SURE * run.velocity_error, run.signals.period)
     still = np.append(omega == 0.0, False)
@@ -244,7 +243,10 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
 
 
 def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: float) -> NDArray[np.bool_]:
-    """Return True (n,) where noise alone interrupts an unknown stretch: too short for a reversal, no sample certain."""
+    """Return a mask (n,) where only noise interrupts a part of unknown direction.
+
+    The interruption is too short for a motion between two reversals, and none of its samples has a certain direction.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[True], unknown, [True]]).astype(np.int8)))
     out = np.zeros(len(unknown), dtype=np.bool_)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
@@ -253,7 +255,10 @@ def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: floa
 
 
 def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:
-    """Return a column for each stretch in which a pattern is not 0, several for a long one; at most MOST_COLUMNS."""
+    """Return one column for each interval in which a pattern is not 0, or several if it is long.
+
+    The number of columns is at most MOST_COLUMNS.
+    """
     stretches: list[tuple[int, int, Array]] = []
     for part, run, pattern in zip(frame.slices, frame.runs, patterns, strict=True):
         level = run.average(pattern)

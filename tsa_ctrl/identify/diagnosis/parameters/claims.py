@@ -1,4 +1,4 @@
-"""Decide the reported causes, and search again without each one that is dropped."""
+"""Decide which causes are reported, and repeat the search without each dropped cause."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ from tsa_ctrl.identify.diagnosis.selection.meaning import SIMPLER, meaningless, 
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
-# Causes that a formula explains clearly better: the true cause is outside the catalogue.
+# If a formula explains the logs clearly better than a cause, the true cause is outside the catalogue.
 #
-# Examples: sheaths that differ are fitted to a torque sensor with two gains, an offset to a zero that follows the
-# temperature, and a spring to a tendon that creeps. The rest would be reported as structure. The formula is compared on
-# held-out data with the cause and the cause's own formula. It replaces the cause if its error is clearly smaller, or if
-# it has an equal error and fewer terms. No formula describes an effect of the catalogue better, or with fewer terms,
-# than the effect itself.
+# For example, the search may fit differing sheaths to a torque sensor with two gains, an offset to a zero that follows
+# the temperature, or a spring to a tendon that creeps, and report the remainder as structure. The formula is compared
+# on held-out data with the cause together with the cause's own formula. It replaces the cause if its error is clearly
+# smaller, or if it has an equal error and fewer terms. No formula describes an effect of the catalogue better, or with
+# fewer terms, than the effect itself.
 
-# Ratio of the mean square residuals of cause and formula from which on the formula replaces the cause: half of the RMS.
-# A cause from the catalogue leaves only noise, and no formula removes half of that.
+# Least ratio of the mean square residuals of cause and formula at which the formula replaces the cause: half the RMS.
+# A true cause leaves only noise, and no formula removes half of that.
 FAR = 4.0
-SAME = 0.99  # correlation of formula and cause from which on they are the same: the rest is 2 % of the mean square
-BLOCKS = 24  # blocks of the held-out samples: as many as for the evidence of a cause
+SAME = 0.99  # least correlation at which formula and cause are the same: they differ by 2 % of the mean square
+BLOCKS = 24  # number of blocks of the held-out samples: as many as for the evidence of a cause
 
 
 def stand_in(
@@ -64,9 +64,9 @@ def stand_in(
 ) -> int | None:
     """Return the index of the cause that a formula replaces, or None if no formula is clearly better.
 
-    `formula` describes the residual of `found` and is reported with it. A cause with alternatives is less specific, so
-    only a formula with a single term that is better than each alternative replaces it. Logs of one program share the
-    times of their events without a physical reason, so a formula of time needs an improvement by the factor `FAR`.
+    `formula` describes the residual of `found` and is reported with it. A cause with alternatives is less specific. It
+    is replaced only by a formula with a single term that is also better than each alternative. Logs of one program
+    share the times of their events without a physical reason, so a formula of time must be better by the factor `FAR`.
     """
     held = with_direction(problem, found, split.held)
     model = _described(problem, found, formula, split)
@@ -155,7 +155,7 @@ class Claims:
 
 
 def claims(problem: Problem, base: Fit, catalogue: Catalogue, split: Split, rng: np.random.Generator) -> Claims:
-    """Return the causes that the data require, that are meaningful, and that reduce the error on held-out data."""
+    """Return the causes that the data require, if they are meaningful and reduce the error on held-out data."""
     return _without(problem, base, base, catalogue, (), split, rng)
 
 
@@ -212,12 +212,12 @@ def _without(
 def _searched(
     problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator
 ) -> tuple[Selection, tuple[Finding, ...]]:
-    """Return the selected causes and the structure of what they leave.
+    """Return the selected causes and the structure of their residual.
 
-    If structure is left, the noise model contains it, and comparisons under this model are unreliable. With at least
-    FEWEST_LOGS logs the selection then starts again from other first causes. If one of these selections leaves more
-    than noise, the selection also starts from other second causes after the same first one. The causes that predict
-    logs not used in the fit best are returned, if they are clearly better than those of the first selection.
+    If structure remains, the noise model contains it, and comparisons under this model are unreliable. With at least
+    FEWEST_LOGS logs the selection is then repeated from other first causes. If one of these selections leaves more than
+    noise, it is also repeated from other second causes after the same first one. The selection with the best prediction
+    of logs not used in the fit is returned, if it is clearly better than the first selection.
     """
     greedy = select(problem, start, catalogue, rng)
     found = [residual_structure(greedy, catalogue, rng)]
@@ -238,10 +238,7 @@ def _searched(
 
 
 def _not_flat(problem: Problem, found: Fit, split: Split, noise: float) -> Finding | None:
-    """Return the signal on which the sliding error depends after the best fit of these causes, or None.
-
-    None means that the error is flat.
-    """
+    """Return the signal on which the sliding error depends after the best fit of these causes; None if it is flat."""
     best = fit_on_simulation_error(problem, found, mask=split.shipped)
     residuals = full_residuals(problem.frame, best.hypothesis.model(best.point))
     learned = [bool(split.shipped[part].any()) for part in problem.frame.slices]
@@ -254,7 +251,7 @@ def _dropped(before: Sequence[str], after: Sequence[str]) -> list[str]:
     return [name for name in before if name not in after] if len(after) < len(before) else []
 
 
-# The alternatives of each cause, and the causes that these logs do not support.
+# Determine the alternatives of each cause, and drop the causes that these logs do not support.
 
 CLEARLY_BETTER = 0.9  # ratio of the mean squares: 5 % of the RMS, which is visible in a plot of both
 
@@ -262,7 +259,7 @@ CLEARLY_BETTER = 0.9  # ratio of the mean squares: 5 % of the RMS, which is visi
 def alternatives(
     chosen: Selection, catalogue: Catalogue, findings: Sequence[Finding]
 ) -> tuple[Selection, tuple[Group, ...]]:
-    """Return the selection with the causes that are more than a guess, and the group of each cause.
+    """Return the selection without causes that would be a guess, and the group of each remaining cause.
 
     `findings` is the structure of the residual.
     """
@@ -283,18 +280,15 @@ def alternatives(
 
 
 def _takes_the_place(rival: Rival) -> bool:
-    """Return True if an alternative is an effect of the catalogue.
-
-    A wider recalibration or an unrecorded input is not.
-    """
+    """Return True if an alternative is an effect of the catalogue, not a wider recalibration or unrecorded input."""
     return not rival.fitted.hypothesis.wide_prior and rival.fitted.names[-1] == rival.name != UNRECORDED
 
 
 def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
     """Return the fit with one cause replaced by its simpler limit, if the logs do not exclude that.
 
-    For example, a spring whose stiffness may be zero is a constant torque. The spring stays only if its simulation
-    error is clearly smaller. Return None if no cause has such a limit.
+    For example, a spring whose stiffness may be zero is a constant torque. The spring is kept only if its simulation
+    error is clearly smaller. The result is None if no cause is replaced.
     """
     reversals = models_reversals(fitted)
     for group in grouped:
@@ -310,10 +304,10 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
 def _less_than_structure(
     problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
 ) -> list[int]:
-    """Return the indices of the causes without alternatives that explain less than the unexplained structure.
+    """Return the indices of those causes without alternatives that explain less than the unexplained structure.
 
-    The cause must explain less both of the white residual and of the simulation error, because structure distorts the
-    noise model.
+    A cause is listed only if it explains less of the white residual and also less of the simulation error, because
+    structure distorts the noise model.
     """
     shares = [finding.share for finding in findings if finding.found and finding.what != DRIFT]
     left = min(max(shares, default=0.0), 1.0)

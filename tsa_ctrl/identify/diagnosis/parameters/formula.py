@@ -1,7 +1,7 @@
 """Describe the residual by a formula of the log's signals, for `[effects.custom]` of a model file.
 
 The method is sparse regression by forward selection of terms (Brunton, Proctor, Kutz, PNAS 2016, use it for a whole
-model). The causes stay as they are. Each term (`terms`; `memory_terms`) must remove a minimum share of the simulation
+model). The causes are kept. Each term (`terms`; `memory_terms`) must remove a minimum share of the simulation
 error on logs or blocks that it was not fitted on. The selected terms are fitted with their inner constants, such as the
 position of a bump, the width of a dead zone or the time constant of a lag. A formula describes the residual but does
 not identify a cause.
@@ -44,15 +44,16 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict_each
 
-# Terms of the load with memory that a formula of the residual may have: searched on a grid, then refined.
+# Terms of the load with memory that a formula of the residual may have: they are searched on a grid, then refined.
 #
 # They describe a tendon that creeps or a slow torque sensor (`LAG`), a sensor that oscillates on its mount (`RING`),
-# and a sensor with hysteresis (`DAHL`). One term of each kind is tried, with the constants at which it explains most.
-# In this search the effect of a term on the prediction is linear in the load. The subsequent fit uses the model itself.
+# and a sensor with hysteresis (`DAHL`). One term of each kind is tried, with the constants that explain most of the
+# residual. In this search the effect of a term on the prediction is linear in the load. The subsequent fit uses the
+# model itself.
 
 LAG, RING, DAHL = "(tau - lag(tau, {0}))", "(tau - ring(tau, {0}, {1}))", "dahl(tau, {0})"
-# Shortest and longest time constant of a lag (s), and their number: from a sensor filter to creep that a log of a
-# minute still shows
+# Shortest and longest time constant of a lag (s), and their number: from a sensor filter to the slowest creep that is
+# visible in a log of a minute
 TIMES = (0.02, 5.0, 9)
 LONGER = 3.0  # least duration of a log as a multiple of the time constant
 FREQUENCIES = (2.0, 25.0)  # Hz: slower changes are the motion itself, and faster ones are removed by denoising
@@ -62,7 +63,7 @@ DAMPINGS = (0.03, 0.1, 0.3)
 FEWEST = 4.0  # score samples in a period of an oscillation
 # Shares of the RMS torque for a hysteresis: a wider one is a straight line, a narrower one a dead zone
 WIDTHS = (0.05, 1.6, 6)
-# Share of a column's square: a column of which less remains after projection on the others duplicates them
+# Least share of a column's square that remains after projection on the others: with less, the column duplicates them
 TWINS = 1e-6
 HALVINGS = 6  # halvings of the distance between two grid points: the best point is then known to a hundredth of it
 
@@ -99,7 +100,7 @@ def memory_terms(
 ) -> list[Term]:
     """Return the term of each kind that explains most of the residual in addition to other columns.
 
-    A kind without a grid point that explains anything has no term.
+    A kind is omitted if none of its grid points explains anything.
 
     Args:
         problem: the logs with the noise model.
@@ -177,7 +178,7 @@ def _around(grid: Grid, place: tuple[float, ...], steps: Array) -> Iterator[tupl
         yield grid.inside(np.array(place) * factors)
 
 
-MOST_TERMS = 3  # terms that a reader still recognises as a law; a wave with its phase is one
+MOST_TERMS = 3  # largest number of terms that a reader recognises as a law; a wave with its phase is one term
 # Share of the remaining mean square that a term must remove on other folds: less is not worth a line in a file
 LEAST_PART = 0.05
 # Share of the mean square on held-out data for a formula to be reported: less is not visible in a plot
@@ -268,7 +269,7 @@ def _ranges(
 def _exact(q: Quantity) -> str:
     """Return the value as text, with digits down to a hundredth of its interval, and at least six digits.
 
-    A time on a clock needs more than six.
+    An absolute time needs more than six digits.
     """
     span = q.high - q.low
     digits = math.ceil(math.log10(abs(q.value) / span)) + 3 if span > 0.0 and q.value != 0.0 else 6
@@ -276,9 +277,9 @@ def _exact(q: Quantity) -> str:
 
 
 def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formula | None:
-    """Return a formula that describes the residual of `found`, also on held-out data.
+    """Return a formula that describes the residual of `found` on held-out data as well as on fitted data.
 
-    Return None if no short formula does, or if the model already has a formula.
+    The result is None if no short formula does so, or if the model already has a formula.
     """
     learned = fit_on_simulation_error(problem, found, mask=split.fit)
     model = learned.hypothesis.model(learned.point)
@@ -345,7 +346,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
 def with_direction(problem: Problem, found: Fit, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the samples of `mask` (n,) at which the direction of motion is known.
 
-    Return `mask` unchanged if these are not more than half of its samples. With the wrong sign, one sample has an error
+    If these are at most half of its samples, `mask` is returned unchanged. With the wrong sign, a sample has an error
     of twice the friction, which is hundreds of times the contribution of a formula.
     """
     known = mask if models_reversals(found) else mask & problem.nuisance.told(len(mask))
@@ -394,8 +395,8 @@ def _selected(
 ) -> list[int]:
     """Return the numbers of the parts of the selected terms, the best term first.
 
-    Terms are added as long as the next one removes LEAST_PART of the remaining squares on folds that it was not fitted
-    on, up to MOST_TERMS.
+    Up to MOST_TERMS terms are added. Each must remove LEAST_PART of the remaining squares on folds that it was not
+    fitted on.
 
     Args:
         columns: responses of the parts, (m, parts).

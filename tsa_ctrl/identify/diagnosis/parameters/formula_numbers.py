@@ -20,17 +20,17 @@ from tsa_ctrl.model.parameters import Model
 TRIAL = 1e-3
 SINGULAR = 1e-9  # share of a column's square, added to the normal equations because terms may be nearly identical
 # Largest number of steps for all constants, each from the last result. A base that has absorbed much of the formula is
-# far from its final values and is not linear in friction and pretension. Gauss-Newton steps double the number of
-# correct digits
+# far from its final values and is not linear in friction and pretension. Each Gauss-Newton step doubles the number of
+# correct digits.
 REFITS = 8
-HALVINGS = 4  # halvings of a step that is too long: if a sixteenth of it gains nothing, the constants stay
+HALVINGS = 4  # tries of a step, each half as long as the last: if an eighth gains nothing, the constants are kept
 SETTLED = 1e-4  # share of the squares: a step that gains less ends the search
 CONSTANTS = "abcdefghijkl"  # names for two coefficients and two inner constants of each term
 
 
 @dataclass(frozen=True)
 class Sought:
-    """Formula whose constants are to be fitted.
+    """A formula whose constants are to be fitted.
 
     Attributes:
         expression: the formula.
@@ -73,7 +73,7 @@ class Sought:
     def tangents(self, problem: Problem, model: Model, constants: Array, predicted: Array) -> Array:
         """Return d prediction / d constant, (n, constants); `predicted` is the prediction with the formula, (n,)."""
         columns = []
-        reach = self.high - self.low  # A step relative to a time on a clock would be too long.
+        reach = self.high - self.low  # A step relative to an absolute time would be too long.
         for i, value in enumerate(constants):
             there = constants.copy()
             there[i] += (step := TRIAL * (reach[i] if np.isfinite(reach[i]) else max(abs(value), TRIAL)))
@@ -84,7 +84,7 @@ class Sought:
 def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the coordinates and the constants of the formula with the least error on the samples of `fitting`.
 
-    Both are fitted together. With the formula, a coordinate may leave the bound that held it before.
+    Both are fitted together. With the formula, a coordinate may leave a bound that held it before.
     """
     hypothesis, target = learned.hypothesis, problem.frame.target[fitting]
     at, split = np.concatenate([learned.point, sought.start]), len(learned.point)

@@ -1,11 +1,11 @@
 """Compute the errors of the models on held-out data, and of references that use no model of the drive.
 
 The models are the nominal, the recalibrated and the extended model; the noise floor is computed as well. The references
-are a constant and a straight line. A cause that does not beat them and the nominal model is not an explanation: logs of
-another quantity (PWM instead of torque) leave most of the torque unexplained by any model.
+are a constant and a straight line. A cause that does not beat them and the nominal model is not an explanation. For
+example, logs of another quantity (PWM instead of torque) leave most of the torque unexplained by any model.
 
-A constant or a line is fitted on one part and tested on the other, and vice versa, and the larger error counts. For
-example, the mean of four loads equals the fifth load by chance if that load lies in the middle.
+A constant or a line is fitted on one part and tested on the other, and vice versa, and the larger error counts. In one
+direction it may be small by chance: the mean of four loads equals the fifth load if that load lies in the middle.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from tsa_ctrl.identify.three_errors import known_direction, pooled, sensor_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-ROUNDING = 1e-9  # share of the gain: rounding causes such a loss for a cause without any; 4e-15 was observed
+ROUNDING = 1e-9  # share of the gain: a smaller loss is rounding; 4e-15 was observed
 MOST_STRUCTURE = 0.95  # share of the mean square: some of the residual is noise
 # Mean square change of the torque by a cause in the held-out samples, relative to the fitted ones. Below half, held-out
-# logs contain little information about the cause. At the middle one of five loads, for example, recalibration has the
-# same effect as friction that grows with the load. With half or more, a true cause shows no loss by chance only if the
-# residual is as large as the cause and similar to it.
+# logs contain little information about the cause. For example, at the middle one of five loads, recalibration has the
+# same effect as friction that grows with the load. With half or more, a true cause can show no loss only if the
+# residual is by chance as large as the cause and similar to it.
 HARDLY_SHOWN = 0.5
 
 
@@ -50,8 +50,8 @@ class HeldOut:
         extended: error of the model with all causes.
         lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause.
 
-    The held-out samples may show no loss because they hardly show the cause, or because a cause moves the reversals.
-    `lost` is then computed by cross-validation on the other samples.
+    The held-out samples may show no loss because they hardly show the cause, or because a cause shifts the reversals in
+    time. `lost` is then computed by cross-validation on the other samples.
     """
 
     as_given: float
@@ -163,7 +163,7 @@ def _whole_bins(run: Run, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Split) -> Fit:
     """Return the fit without a cause on the samples `split.fit`.
 
-    The fit starts from the fit on all samples. A start at `extended` replaces it if it leads to a better fit. If the
+    The fit starts from the fit on all samples. A fit that starts from `extended` replaces it if it is better. If the
     moments of reversals do not count, the data hardly constrain a lag, and a fit may move far along it without a gain.
     """
     starts = (backward_step(problem, each, index) for each in (found, extended))
@@ -179,10 +179,10 @@ def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -
 
 
 def _is_late(found: Fit) -> bool:
-    """Return True if a lag, a delay or backlash moves the reversals.
+    """Return True if a lag, a delay or backlash shifts the reversals in time.
 
-    If a reversal is missed by one or two samples, this is most of the error. A cause that reduces the error by less is
-    then judged where the moments of the reversals do not count.
+    An error of one or two samples in the time of a reversal is then most of the simulation error. A cause with a
+    smaller effect must be judged on samples without the moments of the reversals.
     """
     return not models_reversals(found) and any(name in (*LATE_REVERSALS, "backlash") for name in found.names)
 
@@ -190,7 +190,7 @@ def _is_late(found: Fit) -> bool:
 def _among_the_learned(problem: Problem, base: Fit, found: Fit, index: int) -> float:
     """Return the share of the gain that is lost without a cause, by cross-validation on the problem's samples.
 
-    Return 0 if the loss is not clearly larger than its scatter between blocks.
+    The result is 0 if the loss is not clearly larger than its scatter between blocks.
     """
     reversals = models_reversals(found)
     none, less, more = (

@@ -1,12 +1,12 @@
 """Refine parameters that are a time or a width (lag, delay, backlash, presliding) on their profile.
 
-Along such a parameter the prediction jumps at every reversal, so a gradient determines neither the best value nor its
+Along these parameters the prediction jumps at every reversal, so a gradient determines neither the best value nor its
 uncertainty. The columns that free the time of each reversal remove exactly the pulses that determine the parameter.
 These columns are therefore omitted here. The sum of squares of each block is computed along the parameter, and all
 other parameters are solved for linearly.
 
-The interval comes from blocks drawn with replacement (a block bootstrap, Efron and Tibshirani 1993). If the residual
-has structure, states of motion are drawn as well, and the wider spread counts (`refit`).
+The interval comes from resampling blocks with replacement (a block bootstrap, Efron and Tibshirani 1993). If the
+residual has structure, states of motion are resampled as well, and the larger spread is used (`refit`).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from tsa_ctrl.model.functions import Array
 # Points of a profile: the step is a twentieth of its half width, and a parabola finds the minimum between points
 POINTS = 41
 FIRST_SPAN = 2.0  # steps of the coordinate to either side; the span is doubled if this is too narrow
-DOUBLINGS = 6  # spans that are tried, each twice the last: beyond 32 times the first one, the parameter is unknown
+DOUBLINGS = 6  # number of spans tried, each twice the last: beyond 32 times the first one, the parameter is unknown
 HIGH_ENOUGH = 60.0  # rise above the minimum at which a profile may end, white units: 7 standard deviations
 DRAWS = 400  # resamples: they determine a standard deviation to 4 %
-# Least half span of a profile in standard deviations, if these are known: hardly one of 400 resamples lies beyond
+# Least half span of a profile in standard deviations, if these are known: hardly any of 400 resamples lies beyond it
 REACH = 4.0
 # Largest ratio of the sum of squares after and before refinement: a larger one belongs to other parameters
 MOST_RSS = 1.1
@@ -38,9 +38,9 @@ UNEVEN = 0.5  # share of a grid step: jumps of single samples limit the smoothne
 
 
 def profile_refined(problem: Problem, reported: Refit) -> Refit:
-    """Return `reported` with the parameters that are a time or a width at the best of their profiles.
+    """Return `reported` with each parameter that is a time or a width moved to the minimum of its profile.
 
-    Their variances come from resampled blocks.
+    The variances of these parameters come from resampled blocks.
     """
     found = reported.fitted
     nonsmooth = np.flatnonzero(found.hypothesis.nonsmooth & found.free)

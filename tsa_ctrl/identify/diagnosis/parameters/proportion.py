@@ -1,9 +1,10 @@
 """Keep x and T_p together if the logs determine only their product, and report active bounds.
 
-In one configuration friction determines only 2 T_p r_J sinh x. The two are separated by the slope cosh x, which is an
-effect of one per cent that any model error disturbs. Least squares then moves along the product until [uncertainty]
-limits it, which gives a pretension exactly at its bound. No log supports that value. In that case `tsa calibrate` moves
-x and T_p together from the file's values, in proportion to their uncertainties (`keep_split`), and so does this module.
+In one configuration friction determines only 2 T_p r_J sinh x. Only the slope cosh x separates x from T_p, and this is
+an effect of one per cent, which any model error disturbs. Least squares then moves along the product until
+[uncertainty] limits it, so that the pretension lies exactly at its bound. No log supports that value. In that case
+`tsa calibrate` moves x and T_p together from the file's values, in proportion to their uncertainties (`keep_split`).
+This module does the same.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 BENDING_VARIED = 0.05  # share of the wrap angle: with a smaller variation there is only one configuration
 PARTED = 0.5  # share of [uncertainty]: x and T_p are reported separately if their intervals are narrower
-# Largest increase of the RMS error: a slope that reduces the error by more contains information. The slope in the demo,
-# which shaking distorts, is worth 3 %
+# Largest increase of the RMS error: a slope that reduces the error by more contains information. In the demo, where
+# shaking distorts the slope, it reduces the error by 3 %.
 MOST_COST = 0.05
 AT_BOUND = 1e-6  # distance in ln: a fit that a bound holds lies on the bound
 SPLIT = ("friction_angle", "pretension")
@@ -36,8 +37,11 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
     """Return `reported` with x and T_p moved together from the file's values to the fitted friction torque.
 
     They move in proportion to their uncertainties in the file, within [uncertainty]. `reported` is returned unchanged
-    in three cases: the model is not a tendon-sheath drive with both parameters free, the logs identify one of them
-    separately (`parted`), or the move increases the RMS error by more than MOST_COST.
+    in three cases:
+
+    - The model is not a tendon-sheath drive with both parameters free.
+    - The logs identify one of the parameters separately (`parted`).
+    - The move increases the RMS error by more than MOST_COST.
     """
     fitted, base = reported.fitted, reported.fitted.hypothesis.base
     model = base.given
@@ -56,7 +60,7 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
 
 
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
-    """Return the names of those of x and T_p that the logs identify separately.
+    """Return the names of the parameters among x and T_p that the logs identify separately.
 
     The wrap angle must vary in the logs, and the half width of the parameter's interval must be at most PARTED times
     the uncertainty in the file.

@@ -1,8 +1,8 @@
 """Fit the reported parameters by least squares on the simulation error, with intervals.
 
-Whitened fits are the more sensitive test, but they weight the frequencies of the noise, not those of the error that a
-user sees. Parameters from a whitened fit can lose the whole gain. The causes are therefore refitted on the simulation
-error.
+Whitened fits are the more sensitive test, but they weight the frequencies by the noise. The error that matters to a
+user has other frequencies. Parameters from a whitened fit can lose the whole gain, so the causes are refitted on the
+simulation error.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.effects.specification import Parameter
 from tsa_ctrl.model.functions import Array
 
-# Largest factor by which blocks widen an interval: 24 blocks of noise alone reach 1.4, and a single burst, which is
-# detected separately, could reach any value
+# Largest factor by which blocks widen an interval: 24 blocks of noise alone reach 1.4. A single burst could reach any
+# value, but it is detected separately
 WIDEST = 3.0
-# Largest step of a base coordinate, if nothing is known about it: a tenth of x or T_p, within which quantities are
-# still linear
+# Largest step of a base coordinate whose deviation is unknown: a tenth of x or T_p, within which quantities are still
+# linear
 WIDEST_STEP = 0.1
-STEP = 0.05  # share of a standard deviation, for derivatives of parameters
+STEP = 0.05  # step for derivatives of parameters, as a share of a standard deviation
 # Largest half interval of the logarithm of a positive number: with a factor of 150 either way, not even its order of
 # magnitude is known.
 WIDEST_RATIO = 5.0
@@ -46,9 +46,9 @@ class Refit:
         covariance: covariance of the coordinates, (p, p). It is 0 for coordinates of effects that a bound holds.
         factor: ratio of an interval's half width to the standard deviation (Student's t).
         structured: True if the residual is more than noise, so that passes over the same motion add no information.
-        learned: coordinates by least squares, (p,), if `fitted` moves x and T_p together from the file's values
-            (`proportion`); otherwise None. Slope and friction torque are computed from them, because the logs determine
-            only these two.
+        learned: least-squares coordinates, (p,), if `fitted` moves x and T_p together from the file's values
+            (`proportion`); otherwise None. Slope and friction torque are computed from these coordinates, because the
+            logs determine only these two combinations.
     """
 
     fitted: Fit
@@ -79,7 +79,7 @@ def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
     count = len(best.point)
     covariance = np.zeros((count, count))
     base = len(best.hypothesis.base.coordinates())
-    index = np.flatnonzero(best.free | (np.arange(count) < base))  # A bound gives no interval of x and T_p.
+    index = np.flatnonzero(best.free | (np.arange(count) < base))  # A bound does not determine x and T_p.
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(
             problem, plain, best, gradients(plain, best)[:, index], structured
@@ -147,8 +147,8 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
 def _told(found: Quantity, parameter: Parameter) -> bool:
     """Return True if the interval excludes a possible value of the parameter.
 
-    The interval must be narrower than a full turn for a phase, than the range of the parameter, and than the widest
-    ratio WIDEST_RATIO for a positive value.
+    The interval of a phase must be narrower than a full turn. Any other interval must be narrower than the range of the
+    parameter, and for a positive value also narrower than the ratio WIDEST_RATIO.
     """
     if parameter.name == "phase":
         return found.high - found.low < 2.0 * math.pi
@@ -162,7 +162,7 @@ def _gradients(
 ) -> dict[str, Array]:
     """Return d parameter / d coordinate, (k,) by name of the parameter.
 
-    Central differences with a step of a fraction of a standard deviation are used.
+    They are central differences with a step of a fraction of a standard deviation.
     """
     deviations = np.sqrt(np.maximum(np.diag(result.covariance)[index], 0.0))
     out: dict[str, Array] = {}
@@ -212,9 +212,9 @@ def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, fl
     return {name: (*central[name], gradients[name]) for name in central}
 
 
-# Intervals with a structured residual: a model error repeats in every pass over the same state of motion.
+# If the residual is structured, a model error repeats in every pass over the same state of motion.
 #
-# Stretches of time contain the same motion, so such an error does not scatter between them. Resampling by stretches
+# Blocks of time contain the same motion, so this error does not scatter between them. Resampling blocks of time
 # therefore widens no interval, even in a long log. For this reason samples at the same velocity and angle are one
 # cluster as well (clusters in several directions: Cameron, Gelbach, Miller, J. Bus. Econ. Stat. 29, 2011). The interval
 # has as many degrees of freedom as clusters that determine the parameter (Bell, McCaffrey, Surv. Methodol. 28, 2002).
@@ -222,11 +222,11 @@ def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, fl
 # Halves of the velocity and quarters of the angle. An error varies smoothly over the motion, so smaller cells would
 # duplicate each other. In 150 random trials with errors of a spring, friction and drag
 # (tests/identify/diagnosis/parameters/test_passes), intervals over 8 cells contain the value in 92 to 94 % of cases,
-# over 16 cells in 87 %, over 24 in 80 to 83 %, and in 12 % without cells. 6 cells are not better than 8
+# over 16 cells in 87 %, over 24 in 80 to 83 %, and in 12 % without cells. 6 cells are not better than 8.
 VELOCITIES, ANGLES = 2, 4
 LEAST_FREEDOM = 2.0  # degrees of freedom: t with one cluster is 12.7, which is of no use; with two it is 4.3
-# Share of the largest variance, in units of each coordinate's standard deviation: rounding leaves this of a zero
-# variance
+# Share of the largest variance, in units of each coordinate's standard deviation: a zero variance becomes this large by
+# rounding
 SINGULAR = 1e-12
 
 
@@ -246,10 +246,16 @@ def states(velocity: Array, angle: Array) -> NDArray[np.int64]:
 
 
 def widened(covariance: Array, influence: Array, residual: Array, cells: NDArray[np.int64]) -> Array:
-    """Return the covariance (k, k) of coordinates, widened where the residual (m,) scatters more between cells.
+    """Return the covariance (k, k) of coordinates, widened where the residual scatters more between cells.
 
-    influence (m, k): d coordinates / d residual. Only some directions become wider: a sum that the logs determine well
-    keeps its interval, although its parts may replace each other.
+    Only some directions become wider: a sum that the logs determine well keeps its interval, although its parts may
+    replace each other.
+
+    Args:
+        covariance: covariance of the coordinates, (k, k).
+        influence: d coordinates / d residual, (m, k).
+        residual: residual, (m,).
+        cells: number of the cell of each sample, (m,).
     """
     units = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(units, units))

@@ -1,9 +1,14 @@
 """List the terms that a formula of the residual may have: known effects of transmissions that the catalogue lacks.
 
-They are lever arms, eccentric pulleys and friction that changes with the angle (products of the load or the direction
-with harmonics of q_j or q_m); friction at one place in the sheath; losses that grow with speed and load; sensors that
-saturate or have a dead zone; and zeros or losses that depend on temperature. One physical effect is one term of one or
-more parts. Examples are a wave with its phase, and a zero with the temperature at which it is correct.
+- Lever arms, eccentric pulleys and friction that changes with the angle are products of the load or the direction with
+  harmonics of q_j or q_m.
+- Friction may act at one place in the sheath.
+- Losses may grow with speed and load.
+- Sensors may saturate or have a dead zone.
+- Zeros or losses may depend on temperature.
+
+One physical effect is one term of one or more parts. Examples are a wave with its phase, and a zero with the
+temperature at which it is correct.
 """
 
 from __future__ import annotations
@@ -30,8 +35,8 @@ FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
 # Effect of a dead zone on a torque: it removes the whole torque up to a limit, and a constant beyond
 DEAD_ZONE = "(abs(tau + {0}) - abs(tau - {0}))"
-# Limits as shares of the RMS torque: a narrower dead zone is an offset of either sign, a wider one removes most of the
-# torque
+# Limits as shares of the RMS torque: a narrower dead zone acts like an offset of either sign, and a wider one removes
+# most of the torque
 DEAD_ZONES = (0.1, 0.3)
 CUT = "sign(tau)*(abs(tau) - {0} + abs(abs(tau) - {0}))"  # Torque beyond a limit, which saturation removes
 CUTS = (0.05, 0.2)  # shares of the samples beyond the limit: fewer show no law, and more are not the limit of a sensor
@@ -40,7 +45,7 @@ PLACES, RUB = 9, "sigma*exp(-((q_j - {0})/{1})**2)"
 SPEEDS = ("omega_j", "abs(omega_j)", "omega_j*abs(omega_j)", "omega_j*abs(tau)", "tau*abs(omega_j)")
 WARMTH = ("*sigma", "*omega_j", "*tau")
 ONE = "1"
-FURTHER = 3.0  # factor by which a width may become narrower or wider than its start value: beyond, it is another term
+FURTHER = 3.0  # factor by which a width may differ from its start value: beyond that, it is another term
 
 
 @dataclass(frozen=True)
@@ -65,11 +70,11 @@ class Term:
 
 
 def terms(problem: Problem, model: Model, predicted: Array) -> list[Term]:
-    """Return the terms for which these logs have the signals. `predicted`: predicted torque, (n,) N*m.
+    """Return the terms for which these logs have the signals; `predicted` is the predicted torque, (n,) in N*m.
 
-    If a tendon-sheath drive has both angles, the joint's angle is used, together with the motor's angle as it would be
-    with stiff tendons. The difference of the measured angles is the tendon elongation, which is a second measurement of
-    the torque to be explained. With both angles, the difference of two waves could replace any cause.
+    If a tendon-sheath drive has both angles, the joint angle is used, together with the motor angle that stiff tendons
+    would have. The difference of the measured angles is the tendon elongation, which is a second measurement of the
+    torque to be explained. With both measured angles, the difference of two waves could replace any cause.
     """
     frame = problem.frame
     rigid = isinstance(model, RigidDrive)
@@ -104,22 +109,22 @@ def _wide(text: str, number: float) -> Term:
 
 # Terms of time that a formula of the residual may have: a step and a wave.
 #
-# An anchor slips, a tensioner oscillates, a fan starts: torque, friction or gain changes at a moment or periodically.
-# One term of each kind is tried, at the moment or the frequency where it explains most. It describes these logs only,
-# because other logs have other moments.
+# Torque, friction or gain may change at one moment or periodically, for example if an anchor slips, a fan starts, or a
+# tensioner oscillates. One term of each kind is tried, at the moment or the frequency at which it explains most. It
+# describes only these logs, because other logs have other moments.
 
 STEP = "(1 + tanh((t - {{0}})/{0:g}))"
-WIDTH = 0.05  # s, of a step: shorter than a reversal, and long enough to find the time of the step by its slope
+WIDTH = 0.05  # s, width of a step: shorter than a reversal, and long enough to find the time of the step by its slope
 # Times in a log at which a step is tried: in a log of 20 s every tenth of a second, twice the width of the step
 MOMENTS = 200
-END = 0.1  # share of a log at either end: a step with less data on one side fits only that stretch
+END = 0.1  # share of a log at either end: a step with less data on one side fits only that part of the log
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
 CYCLES = 3.0  # least number of periods of a wave in a log: fewer are drift
 FASTEST = 3.0  # Hz: faster oscillations are ripple and ringing, which have separate terms
-# Share of the rate to which a long log is averaged: above half of that rate a wave has a slower alias
+# Highest frequency as a share of the score rate: above half of that rate, a wave appears as a slower alias
 MOST_OF_RATE = 0.4
 FINER = 5  # halvings of the distance between two frequencies: the phase at a log's end is then correct to 3 degrees
-PER_LINE = 4  # frequencies tried within the width of a line: the best one loses a twentieth at most
+PER_LINE = 4  # number of frequencies tried within the width of a line: the best one loses a twentieth at most
 # Frequencies kept after the Fourier transform, which ignores the other terms: five lines with their neighbours
 LIKELY = 40
 
@@ -129,8 +134,8 @@ def time_terms(
 ) -> list[Term]:
     """Return the steps and waves that explain most of the residual in addition to other columns.
 
-    For each of torque, friction and gain, one step and one wave are returned. The wave is omitted if the logs are too
-    short for it.
+    One step and one wave are returned for each of torque, friction and gain. The wave is omitted if the logs are too
+    short.
 
     Args:
         problem: the logs with the noise model.

@@ -1,1 +1,1 @@
-"""The result of a diagnosis as data, sentences, pictures and a page, and the proposal for the next experiment."""
+"""Present the result of a diagnosis as data, sentences, pictures and a page, and propose the next experiment."""

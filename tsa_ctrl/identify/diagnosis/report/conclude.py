@@ -1,4 +1,4 @@
-"""The conclusion: the results of all stages as one object, with its verdict and its first sentence."""
+"""Combine the results of all stages into one object with a verdict and a first sentence."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def _formula(outcome: Outcome, worse: bool) -> Formula | None:
 
 
 def _by_stretch(found: StretchCause) -> Cause:
-    """Return an effect that only the elongation shows as a cause, with no share in the gain of the torque error."""
+    """Return an effect that only the elongation shows as a cause without a share in the gain of the torque error."""
     where = {"log": found.log} if found.log else {}
     return Cause(found.effect, found.alternatives, found.probability, {**found.parameters, **where}, 0.0)
 
@@ -148,7 +148,7 @@ def _with_more(model: Model, effects: Effects) -> Model:
 
 
 def _verdict(named: bool, left: bool, held: bool) -> Verdict:
-    """Return the verdict; a parameter that is `held` at its bound leaves a part of the error to the causes."""
+    """Return the verdict; if a parameter is `held` at its bound, the causes absorb a part of its error."""
     if named:
         return Verdict.PARTLY_EXPLAINED if left or held else Verdict.EXPLAINED
     return Verdict.UNEXPLAINED if left else Verdict.CONSISTENT

@@ -1,4 +1,4 @@
-"""The results of all stages of a diagnosis, and the curves and tables for the pictures and the page."""
+"""Collect the results of all stages of a diagnosis, and the curves and tables for the pictures and the page."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ LAGS = 60  # lags of the autocorrelation: as many as the picture shows clearly
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of the stages of a diagnosis, one field for each stage."""
+    """Hold the results of the stages of a diagnosis, one field for each stage."""
 
     data: Split
     audit: Audit
@@ -73,7 +73,7 @@ class Curves:
     as_given: Array
     recalibrated: Array
     extended: Array
-    described: Array | None  # by the model with the formula; None without a formula
+    described: Array | None  # prediction of the model with the formula; None without a formula
     omega: Array
     sigma: Array
     angle: Array
@@ -85,7 +85,7 @@ class Curves:
 
 @dataclass(frozen=True)
 class Details:
-    """Data of the pictures."""
+    """Hold the data of the pictures."""
 
     target: str
     curves: tuple[Curves, ...]
@@ -105,7 +105,10 @@ class Details:
 def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -> Details:
     """Return the curves and tables of an outcome.
 
-    grouped: groups in the order of the report. lost: share of the gain that is lost without the cause of each group.
+    Args:
+        outcome: results of all stages.
+        grouped: groups in the order of the report.
+        lost: share of the gain that is lost without the cause of each group.
     """
     data, found, reported = outcome.data, outcome.audit, outcome.reported
     base, selection, findings = outcome.base, outcome.selection, outcome.findings
@@ -175,7 +178,7 @@ def _curves(run: Run, models: tuple[Model, Model, Model], formula: Formula | Non
 def _causes(grouped: Sequence[Group], lost: Sequence[float]) -> tuple[Ranked, ...]:
     """Return the bars of the causes in the order of the report.
 
-    Each cause is followed by the competing hypotheses to which it was compared on data outside the fit.
+    Each cause is followed by the competing hypotheses that were compared with it on data outside the fit.
     """
     out = []
     for number, (group, share) in enumerate(zip(grouped, lost, strict=True)):

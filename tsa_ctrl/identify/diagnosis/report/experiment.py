@@ -1,4 +1,4 @@
-"""The next experiment: the motion that would resolve the open questions, in words and as a set-point file.
+"""Propose the next experiment: the motion that would resolve the open questions, in words and as a set-point file.
 
 The actuator follows a joint torque, and the motion depends on the load at the joint. The set-point file can therefore
 vary only the torque: the speed of its reversals, its level, its sign and its rests. The words describe the changes that
@@ -21,7 +21,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
 PERIOD = 0.01  # s between two rows of a set-point file
-FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals: they cover slow and fast motion
+FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, frequencies of the reversals: they cover slow and fast motion
 LEVELS = (0.25, 0.5, 1.0)  # relative to the RMS torque in the logs, which the actuator has already delivered
 CYCLES = 3  # cycles at each frequency and level: enough to repeat each reversal
 LONGEST = 12.0  # s, longest time at one frequency and level: it limits the length of the file
@@ -42,11 +42,17 @@ def advice(
 ) -> Experiment:
     """Return the next experiment: the motion that separates most of the alternatives, with a set-point.
 
-    If no cause has an alternative, an unexplained residual calls for a repetition, or for other operating points if a
+    If no cause has an alternative, an unexplained residual requires a repetition, or other operating points if a
     formula describes it. Otherwise the experiment is the motion that the logs lack.
 
-    torque: RMS of the change of the measured torque, N*m.
-    formula: True if a formula describes the residual.
+    Args:
+        model: the nominal model.
+        verdict: verdict of the diagnosis.
+        causes: identified causes.
+        found: audit of the logs.
+        not_testable: effects that the logs cannot test, with the reason.
+        torque: RMS of the change of the measured torque, N*m.
+        formula: True if a formula describes the residual.
     """
     pairs = [pair for cause in causes for pair in itertools.combinations((cause.effect, *cause.alternatives), 2)]
     if pairs:
@@ -61,7 +67,7 @@ def advice(
 
 
 def first_motion(model: Model) -> Experiment:
-    """Return the experiment for logs from which nothing can be determined.
+    """Return the experiment for logs that determine nothing.
 
     The RMS torque of the set-point is half the friction torque of the model file. A model without tendons or without
     friction gets no set-point.
@@ -81,14 +87,14 @@ def _playable(text: str, torque: Array) -> Experiment:
 def _parting_most(pairs: Sequence[tuple[str, str]]) -> tuple[Motion, list[tuple[str, str]]]:
     """Return the motion that separates most of these pairs, and the pairs that it separates.
 
-    Of several equal motions, it is the least costly one.
+    Of several equally good motions, the least costly one is returned.
     """
     parted = {motion: [pair for pair in pairs if motion in _parting(*pair)] for motion in Motion}
     return max(parted.items(), key=lambda entry: len(entry[1]))  # the members are in the order of cost
 
 
 def parted_by(names: Sequence[str]) -> list[str]:
-    """Return the motions that separate the pairs of a group, each one once, as text."""
+    """Return the motions that separate the pairs of a group, each motion once, as text."""
     pairs = itertools.combinations(names, 2)
     return list(dict.fromkeys(motion.value for first, second in pairs for motion in _parting(first, second)))
 
@@ -96,7 +102,7 @@ def parted_by(names: Sequence[str]) -> list[str]:
 def _parting(first: str, second: str) -> tuple[Motion, ...]:
     """Return the motions that separate two effects, as listed in the catalogue for one of them.
 
-    Without an entry, it returns two motions that separate most pairs.
+    Without an entry, two motions that separate most pairs are returned.
     """
     for name, other in ((first, second), (second, first)):
         if name in CATALOGUE and (motions := CATALOGUE[name].parted_from(other)):
@@ -107,8 +113,8 @@ def _parting(first: str, second: str) -> tuple[Motion, ...]:
 def _gap(found: Audit, not_testable: Mapping[str, str], kind: Kind) -> str:
     """Return the motion that the logs lack.
 
-    It is the second direction, reversals, the second sign of the load, or else the motion that most of the untestable
-    effects require.
+    This is the second direction, reversals, or the second sign of the load. If the logs have all of these, it is the
+    motion that most of the untestable effects require.
     """
     if not found.both_directions:
         return "move in both directions"

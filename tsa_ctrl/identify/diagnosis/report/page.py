@@ -61,10 +61,18 @@ def write(
 ) -> None:
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
-    If a formula describes the rest of the error, formula.toml is written as well. Each file is written under another
-    name and then renamed, so a crash leaves no partial file. `template`: the model file whose comments
-    extended.toml keeps. `plot`: function that draws the pictures (default: in this process). `origin`: origin of the
-    measurements (default: logs, which may belong to any joint). Raises UsageError if the folder cannot be written.
+    If a formula describes the residual, formula.toml is written as well. Each file is written under another name and
+    then renamed, so a crash leaves no partial file.
+
+    Args:
+        result: the diagnosis.
+        folder: folder of the report; it is created if necessary.
+        template: model file whose comments extended.toml keeps.
+        plot: function that draws the pictures (default: in this process).
+        origin: origin of the measurements (default: logs, which may belong to any joint).
+
+    Raises:
+        UsageError: the folder cannot be written.
     """
     folder, template = Path(folder), None if template is None else Path(template)
     try:
@@ -96,7 +104,10 @@ def drawn_here(result: Diagnosis, folder: Path) -> dict[str, Path]:
 def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = None) -> str:
     """Return the text of report.html, with the embedded pictures and the name of the model file.
 
-    pictures: paths by caption. template: the model file; None stands for the source of the result's model.
+    Args:
+        result: the diagnosis.
+        pictures: paths of the pictures by caption.
+        template: the model file; None stands for the source of the result's model.
     """
     given = template or result.model.source
     environment = Environment(
@@ -164,11 +175,11 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
-# Draw the pictures in other processes, which load the drawing code while the search for causes runs. Loading and
-# drawing takes about a tenth of the search.
+# The pictures are drawn in other processes, which load the drawing code while the search for causes runs. Loading and
+# drawing take about a tenth of the time of the search.
 
 PICTURES = "tsa_ctrl.identify.diagnosis.report.pictures"
-PROCESSES = 2  # the search has ended when they draw, and three of the pictures take most of the time
+PROCESSES = 2  # the search has ended when they draw, and three of the pictures take most of their time
 
 
 @contextlib.contextmanager
@@ -183,14 +194,14 @@ def drawing() -> Iterator[Plot]:
     from tsa_ctrl.identify.fleet.executors import local  # its package imports this module
 
     with local(PROCESSES, PICTURES) as workers:
-        # The first job starts the process that loads the drawing code. It is accepted only after the code is loaded, so
-        # a thread waits for it.
+        # The first job starts the process that loads the drawing code. The executor accepts a job only after the code
+        # is loaded, so a thread submits it.
         threading.Thread(target=_begin, args=(workers.executor,), daemon=True).start()
         yield partial(_plot_by, workers.executor)
 
 
 def _begin(executor: Executor) -> None:
-    with contextlib.suppress(RuntimeError, OSError):  # drawing meets the same error, and falls back
+    with contextlib.suppress(RuntimeError, OSError):  # drawing runs into the same error and falls back to this process
         executor.submit(os.getpid)
 
 
@@ -198,7 +209,7 @@ def _plot_by(executor: Executor, result: Diagnosis, folder: Path) -> dict[str, P
     try:
         made = {caption: executor.submit(_draw, result, name, folder) for name, caption in captions(result).items()}
         return {caption: path.result() for caption, path in made.items()}
-    except (RuntimeError, OSError):  # the processes have ended, perhaps for lack of memory
+    except (RuntimeError, OSError):  # the processes have ended, possibly for lack of memory
         return drawn_here(result, folder)
 
 

@@ -1,4 +1,4 @@
-"""The pictures of a diagnosis, drawn from `details`; only averages for display are computed here."""
+"""Draw the pictures of a diagnosis from `details`; this module computes only averages for display."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tsa_ctrl.model.functions import Array
 
 DPI = 150  # dots per inch: enough for a sharp picture on paper and on a screen
 WIDTH = 6.2  # inches: letters of 9 points remain readable on a page of 400 px
-# Inches. LEFT holds a label and numbers of seven letters, RIGHT a margin, BOTTOM numbers and a label, and TOP a title
-# of two lines. BETWEEN separates two rows: it holds the numbers of the upper row and the title of the lower row.
+# Inches. LEFT has room for a label and numbers of seven letters, and RIGHT is a margin. BOTTOM has room for numbers and
+# a label, TOP for a title of two lines, and BETWEEN for the numbers of the upper row and the title of the lower row.
 LEFT, RIGHT, BOTTOM, TOP, BETWEEN = 0.8, 0.12, 0.48, 0.4, 0.55
 LETTER = 0.075  # inches, width of a letter of 8 points, for names next to an axis
 SEGMENT = 4.0  # s, length of a segment with large errors: single reversals remain visible
@@ -71,8 +71,8 @@ def _figure(
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with rows x columns axes, and its axes row by row.
 
-    height, left, top, between: height of the figure, its margins and the space between rows, inches. The margins are
-    fixed because an automatic layout takes as long as all drawing.
+    `height`, `left`, `top` and `between` are the height of the figure, its margins and the space between rows in
+    inches. The margins are fixed because an automatic layout takes as long as all the drawing.
     """
     figure = Figure(figsize=(WIDTH, height))
     across = (WIDTH - left - RIGHT - (columns - 1) * left) / columns  # width of one of the axes
@@ -143,7 +143,7 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
 def worst_segments(details: Details) -> list[tuple[Curves, slice]]:
     """Return up to SEGMENTS segments with the largest errors after recalibration, worst first, without overlap.
 
-    A segment takes SEGMENT s, or less at the end of a log.
+    A segment lasts SEGMENT s, or less at the end of a log.
     """
     width = max(2, round(SEGMENT / details.period))
     scored = []
@@ -183,7 +183,7 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
     left = LETTER * max(map(len, names), default=0) + 0.2
     figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0, left=left, top=RIGHT)
     across = WIDTH - left - RIGHT
-    ends = [1.1 * entry.gain for entry in ranked]  # of the axis, with room for bars and labels
+    ends = [1.1 * entry.gain for entry in ranked]  # possible ends of the axis, with room for bars and labels
     seen: set[int] = set()
     for place, entry in enumerate(ranked):
         named = entry.group >= 0 and entry.group not in seen
@@ -207,7 +207,7 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
 def _span(values: Array) -> tuple[float, float]:
     """Return the limits of an axis that shows 99 % of the values, with a margin.
 
-    Without this, single large values at reversals would hide the others.
+    On a full axis, single large values at reversals would hide the others.
     """
     low, high = (float(value) for value in np.quantile(values, [0.005, 0.995]))
     margin = 0.15 * (high - low) or 1.0

@@ -1,4 +1,4 @@
-"""The result of a diagnosis: the object that `diagnose` returns and from which `diagnosis.json` is written."""
+"""Define the result of a diagnosis: the object that `diagnose` returns and from which diagnosis.json is written."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SCHEMA = 2  # version of diagnosis.json: it changes if a program for the previous version would misread the file
-DIGITS = 6  # significant digits of every number written: further digits depend on the rounding of the machine
+DIGITS = 6  # significant digits of every written number: further digits depend on the rounding of the machine
 
 
 class Verdict(Enum):
-    """Conclusion about the model from the logs."""
+    """List the possible conclusions about the model from the logs."""
 
     CONSISTENT = "consistent"
     EXPLAINED = "explained"
@@ -37,7 +37,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Cause:
-    """Identified cause: either `effect` acts, or one of `alternatives` acts in its place.
+    """An identified cause: either `effect` acts, or one of `alternatives` acts in its place.
 
     A parameter is a number with its interval, or a choice as a word. An interval is infinite if the logs do not
     constrain the parameter within its bounds.
@@ -102,8 +102,8 @@ class Diagnosis(Displayed):
     `to_json` returns the contents of diagnosis.json. `report.page.write` writes the whole report.
 
     `model` is the extended model, which contains the causes. If no cause of the torque error is identified, it is based
-    on the recalibrated or the nominal model, whichever has the smaller error on held-out data. If the logs are
-    insufficient, it is the nominal model.
+    on the recalibrated or the nominal model, whichever has the smaller error on held-out data. For insufficient logs,
+    it is the nominal model.
     """
 
     verdict: Verdict
@@ -122,7 +122,7 @@ class Diagnosis(Displayed):
     formula: Formula | None = None  # of the residual; None if no formula describes it
     stretch: StretchRms | None = None  # None if the elongation could not be tested, for example without an angle
     errors: ThreeErrors = field(default_factory=ThreeErrors)  # of `model` over all samples, as `tsa simulate` prints
-    gain_all: float = 0.0  # as `gain`, on all held-out samples
+    gain_all: float = 0.0  # same as `gain`, but on all held-out samples
     details: Details | None = field(default=None, compare=False, repr=False)  # curves for `report.pictures.plot`
 
     @property
@@ -205,7 +205,7 @@ class Diagnosis(Displayed):
         }
 
     def to_json(self) -> str:
-        """Return the text of diagnosis.json; the same input gives the same text."""
+        """Return the text of diagnosis.json; the same input always yields the same text."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Sentences of the report: the first line, the remarks that follow, and their parts."""
+"""Write the sentences of the report: the first line, the remarks that follow, and their parts."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE, ThreeErrors
 from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 
-MOST_WORDS = 35  # largest number of words in the first sentence: a longer one is not understood at the first reading
+MOST_WORDS = 35  # largest number of words in the first sentence: a longer one needs a second reading
 # Ratio of the largest to the smallest detection limit: below it, a single number describes both
 ALIKE = 1.5
 EXCLUDED = 3  # largest number of excluded effects in the remarks; the report lists all of them
 MOSTLY = 0.5  # share of the mean square of the residual: the first sentence mentions a formula that explains more
-NO_MORE = 1.1  # ratio to the sensor noise within which an error counts as noise: the accuracy of the noise estimate
+NO_MORE = 1.1  # ratio to the sensor noise up to which an error counts as noise: the accuracy of the noise estimate
 SMALL = 0.1  # N*m, RMS below which torques are printed in mN*m
 
 
@@ -38,7 +38,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 def told_torque(value: float | None) -> str:
     """Return a torque, N*m, as text with three digits: in mN*m below SMALL, in N*m otherwise, or "unknown" for None.
 
-    Text, tables and pictures therefore show the same digits.
+    All texts, tables and pictures use this function, so that they show the same digits.
     """
     if value is None:
         return "unknown"
@@ -58,7 +58,7 @@ def recalibration_is_worse(rms: Rms) -> bool:
 def sentence(result: Diagnosis) -> str:
     """Return the first line of the report: the error, its size, the causes and the improvement.
 
-    It contains as many details as fit into MOST_WORDS.
+    The line contains as many details as fit into MOST_WORDS.
     """
     rms = result.rms
     best = rms.as_given if recalibration_is_worse(rms) else rms.recalibrated
@@ -163,8 +163,8 @@ def of_the_written_model(errors: ThreeErrors) -> str:
 def remarks(result: Diagnosis) -> tuple[str, ...]:
     """Return the sentences that follow the first line.
 
-    As far as they apply, they state the errors, the detection limits, the gain, the residual, parameters at a bound,
-    the formula and the excluded effects.
+    Where applicable, they state the errors, the detection limits, the gain, the residual, parameters at a bound, the
+    formula and the excluded effects.
     """
     out = []
     if recalibration_is_worse(result.rms):
@@ -269,7 +269,9 @@ def summary_of(name: str) -> str:
 def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
     """Return the description of the residual from the three largest findings; empty without a finding.
 
-    left: findings, largest first. suspicions: possible faults of the data, which are appended.
+    Args:
+        left: findings, largest first.
+        suspicions: possible faults of the data, which are appended.
     """
     if not left:
         return ""

@@ -1,1 +1,1 @@
-"""Tests of the residual after the causes are identified: dependence on signals, and changes in time."""
+"""Test the residual after the causes are identified: dependence on signals, and changes in time."""

@@ -1,6 +1,6 @@
-"""Tests of the residual for changes in time: steps, periodic parts, slow drift and bursts.
+"""Test the residual for changes in time: steps, periodic parts, slow drift and bursts.
 
-No function of the signals shows such changes. Steps and periodic parts are searched for in the residual itself and in
+No function of the signals shows these changes. Steps and periodic parts are searched for in the residual itself and in
 its parts proportional to the direction and to the load. For example, a pretension that drops or oscillates changes only
 the part proportional to the direction.
 """
@@ -17,31 +17,33 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
 from tsa_ctrl.model.functions import Array
 
 STEP_TIMES = 60  # possible times of a step in all runs, at least 12 in each: a single run is resolved to 2 %
-STEP_MARGIN = 0.06  # of the run's length at either end: a step there is an end effect and does not show two levels
+STEP_MARGIN = 0.06  # share of the run excluded at either end: a step there is an end effect without two levels
 CHANCE = 1e-4  # probability of a false finding per test: with three tests, one log in 3,000 has one
-# Random trials of the largest value: its tail is a Gumbel distribution, whose mean and deviation are then known to 7 %
+# Random trials of the largest value: they determine the mean and deviation of its Gumbel tail to 7 %
 DRAWS = 200
 LINE_BAND = (0.1, 25.0)  # Hz: at least two cycles in 20 s, and low enough for little aliasing at the score rate
 BURST = 0.25  # s, length of a burst: a reversal with its presliding
-BURST_SHARE = 0.03  # of the time, largest share that bursts may take: more would not be a burst
-# Share of the mean square in the bursts, beyond the share for pure noise: a reader notices larger bursts first in a
-# picture
+BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would not be a burst
+# Least share of the mean square in the bursts, beyond the share for pure noise: in a picture, a reader notices bursts
+# of this size first
 BURST_ENERGY = 0.12
 DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
-REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here to lower frequencies, as in noise.autoregressive
+REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here downwards; noise.autoregressive begins at 0.7 Hz
 STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
-DRIFT_SHARE = 0.55  # of the noise RMS, least drift: a third of the noise power, below which a user does not notice it
-# Least ratio of the slow power to the extrapolated noise: the error of the exponent, 0.3, may cause a factor of 2
+DRIFT_SHARE = 0.55  # least drift relative to the noise RMS: a user does not notice less than a third of the noise power
+# Least ratio of the slow power to the extrapolated noise: an exponent that is off by 0.3 may cause a factor of 2
 DRIFT_RATIO = 4.0
 
 
 def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[str, Array], noise: Array) -> Finding:
     """Return the most significant step in time: a jump of one of the `factors` at one moment of one run.
 
-    residual: white residual, (m,).
-    jacobian: white columns that do not count as structure, (m, p).
-    factors: signals at the score rate by name, (n,): a constant, the direction and the load.
-    noise: random normal numbers, (m, DRAWS).
+    Args:
+        problem: the logs with the noise model.
+        residual: white residual, (m,).
+        jacobian: white columns that do not count as structure, (m, p).
+        factors: signals at the score rate by name, (n,): a constant, the direction and the load.
+        noise: random normal numbers, (m, DRAWS).
     """
     slices = problem.frame.slices
     times = [run.count * run.period for run in problem.frame.runs]
@@ -115,7 +117,7 @@ def lines(residual: Array, factors: Mapping[str, Array], mask: NDArray[np.bool_]
 def bursts(residual: Array, period: float) -> Finding:
     """Return the finding of bursts: short periods with far more than their share of the mean square.
 
-    residual: white residual, (m,). period: of its samples, s.
+    residual: white residual, (m,). period: period of its samples, s.
     """
     length = max(3, round(BURST / period))
     count = len(residual) // length
@@ -130,9 +132,12 @@ def bursts(residual: Array, period: float) -> Finding:
 def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, rms: float) -> Finding:
     """Return the finding of slow drift beyond the extrapolated 1/f noise.
 
-    residual: not whitened, with interpolated gaps, (n,) in N*m.
-    mask: samples that count, (n,). Logs without any, and logs of fewer than 64 samples, are ignored.
-    rms: RMS of the noise, N*m.
+    Args:
+        residual: residual without whitening, with interpolated gaps, (n,) in N*m.
+        mask: samples that count, (n,). Logs without any, and logs of fewer than 64 samples, are ignored.
+        slices: place of each log among the samples.
+        period: period of the samples, s.
+        rms: RMS of the noise, N*m.
     """
     excess, expected, lines_ = 0.0, 0.0, 0
     for part in slices:

@@ -1,9 +1,9 @@
-"""Test for a dependence of the residual on signals, by blocked cross-validation against two null distributions.
+"""Test whether the residual depends on signals, by blocked cross-validation against two null distributions.
 
 A family of columns is fitted to some blocks of the white residual and predicts the other blocks. On pure noise this
-prediction increases the sum of squares. Two null distributions show by how much. One uses new white noise. The other
-uses the blocks of the residual with random signs, which keeps the true properties of the noise within a block. The gain
-on the residual must exceed both null distributions and be large enough to matter.
+prediction increases the sum of squares. Two null distributions determine the increase. One uses new white noise. The
+other uses the blocks of the residual with random signs, which keeps the true properties of the noise within a block.
+The gain on the residual must exceed both null distributions and be large enough to matter.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 200  # random trials of a null distribution: its standard deviation is then known to 7 %
+DRAWS = 200  # random trials of a null distribution: they determine its standard deviation to 7 %
 # Prior precision of a coefficient, white units, for strong, weak and very weak dependence: the best of them counts
 RIDGES = (3.0, 30.0, 300.0)
 # Standard deviations above the null: with ten families, chance produces a finding in at most 1 % of the logs
 SURE = 5.0
-DISTINCT = 1e-2  # of a column's size: smaller differences between columns are noise of the signals behind them
+DISTINCT = 1e-2  # share of a column's size: smaller differences between columns are noise of the underlying signals
 # Least share of the mean square of the white residual: 2.5 % of its RMS has no practical use. A smaller share also gets
 # no term in a formula (parameters.formula.LEAST_PART).
 LEAST_SHARE = 0.05
@@ -44,10 +44,12 @@ def dependence(
 ) -> list[Finding]:
     """Return one finding for each family.
 
-    residual: white residual, (m,).
-    jacobian: white gradients of the fit, (m, p).
-    columns: white columns of each family by its name, (m, k).
-    blocks: block number of each sample, (m,).
+    Args:
+        residual: white residual, (m,).
+        jacobian: white gradients of the fit, (m, p).
+        columns: white columns of each family by its name, (m, k).
+        blocks: block number of each sample, (m,).
+        rng: generator of the random trials.
     """
     basis = orthonormal(jacobian)
     rest = residual - basis @ (basis.T @ residual)
@@ -75,9 +77,9 @@ def _drawn(count: int, k: int, rng: np.random.Generator) -> tuple[Array, Array]:
 def _predictable(
     residual: Array, columns: Array, blocks: NDArray[np.int64], draws: tuple[Array, Array]
 ) -> tuple[float, float]:
-    """Return the predicted share of the residual on blocks outside the fit, and its distance from the nulls.
+    """Return the share of the residual predicted on blocks outside the fit, and its distance from the nulls.
 
-    The distance is in standard deviations, to the nearer of the two null distributions.
+    The distance is measured to the nearer of the two null distributions, in standard deviations.
     """
     normal, signs = draws
     count, k, _ = normal.shape

@@ -1,4 +1,4 @@
-"""Families of columns, computed from the signals of the log, for the test of the residual.
+"""Compute families of columns from the signals of the log for the test of the residual.
 
 Each family stands for one statement that a reader can act on ("depends on the joint angle"). Random features cover the
 remaining dependences, which are interactions of two or three signals.
@@ -15,11 +15,11 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
 RANDOM = 90  # random features: a dozen for each of the signals that they combine
-# s, time constants of a memory in the torque, a factor of 2.5 apart: neighbours together reproduce the values between
+# s, time constants of a memory in the torque, a factor of 2.5 apart: two neighbours reproduce the values between them
 HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)
 ECHO = 0.4  # s, longest delay of the torque in single steps: it covers delays of a bus and waves in a tendon
 DRIVER_CUTOFF = 5.0  # Hz, low-pass filter of the load: it removes the fast noise of the torque
-AFTER = (0.01, 0.03, 0.08, 0.2)  # s or share of the reach, decay after a reversal, as closely spaced as HISTORY
+AFTER = (0.01, 0.03, 0.08, 0.2)  # decays after a reversal in s, or in shares of the reach, spaced as closely as HISTORY
 
 
 def families(frame: Frame, predicted: Array, rng: np.random.Generator) -> dict[str, Array]:
@@ -50,7 +50,7 @@ def families(frame: Frame, predicted: Array, rng: np.random.Generator) -> dict[s
 def time_family(frame: Frame, sigma: Array, load: Array) -> Array:
     """Return columns for slow changes with time: the constant and cosines of 1 to 11 half periods over each run.
 
-    The columns follow three times: alone, times the direction `sigma`, and times the load, (n, 3 k).
+    The shape is (n, 3 k): the columns alone, times the direction `sigma`, and times the load.
     """
     columns = np.zeros((len(frame), 12 * len(frame.runs)))
     for number, (part, run) in enumerate(zip(frame.slices, frame.runs, strict=True)):
@@ -60,7 +60,7 @@ def time_family(frame: Frame, sigma: Array, load: Array) -> Array:
 
 
 def direction_and_load(frame: Frame, predicted: Array) -> tuple[Array, Array]:
-    """Return the direction of motion and the scaled load of every sample, as in the random features, (n,) in 1."""
+    """Return the direction of motion and the scaled load of every sample, as in the random features, (n,) each."""
     drivers = _drivers(frame, predicted)
     return drivers["direction"], drivers["load"]
 
@@ -86,9 +86,9 @@ def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
 
 
 def _slow(frame: Frame, y: Array) -> Array:
-    """Return `y` (n,) after a low-pass filter: noise in a signal would predict the same noise in the residual.
+    """Return `y` (n,) after a low-pass filter, because noise in a signal would predict the same noise in the residual.
 
-    Logs with a low sampling rate are returned without the filter.
+    If the sampling rate of the logs is low, `y` is returned unchanged.
     """
     if frame.runs[0].raw.rate * 0.2 < DRIVER_CUTOFF:
         return y
@@ -129,7 +129,7 @@ def _after(frame: Frame, sigma: Array, load: Array) -> Array:
 def _history(frame: Frame, predicted: Array, sigma: Array) -> Array:
     """Return columns for a memory of the torque, (n, k).
 
-    They are the predicted torque and the direction minus their first-order lags, and delayed changes of the torque.
+    They are the predicted torque and the direction, each minus its first-order lags, and delayed changes of the torque.
     """
     period = frame.period
     steps = max(2, round(ECHO / period))

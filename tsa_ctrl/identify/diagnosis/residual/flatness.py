@@ -1,8 +1,8 @@
 """Test whether the sliding error of the extended model is flat against time, angle, speed and load, in both directions.
 
 A model explains a log if neither the mean nor the mean square of its residual depends on any signal. The test divides
-each signal into ranges and takes the mean of the residual in each range. Each mean is taken twice, from alternate
-pieces of time. Noise differs between the two means, and a dependence does not. Their product is therefore the mean
+each signal into ranges and computes the mean of the residual in each range. Each mean is computed twice, from alternate
+pieces of time. Noise differs between the two means, while a dependence is the same. Their product is therefore the mean
 square of the dependence, without a contribution of the noise. A mean square that varies indicates an error of both
 signs, for example of a drive that reports 0 below a threshold.
 """
@@ -25,7 +25,7 @@ from tsa_ctrl.model.signals import hold_direction
 
 RANGES = 10  # ranges of each signal, with equal numbers of samples
 PIECES = 16  # pieces of time in each range of time, assigned alternately to the two halves
-# 1, in units of the sensor noise: in one blind log of 15 s, slow noise alone showed a dependence of 0.75
+# Least dependence in units of the sensor noise: in one blind log of 15 s, slow noise alone showed a dependence of 0.75
 LEAST = 1.0
 FEWEST = 40  # least number of samples of a range in each half
 
@@ -33,11 +33,13 @@ FEWEST = 40  # least number of samples of a range in each half
 def not_flat(runs: Sequence[Run], residuals: Sequence[Array], noise: float) -> Finding | None:
     """Return the finding for the signal on which the sliding error depends most.
 
-    Returns None if no dependence exceeds LEAST times the noise, or if there are too few samples. A sample counts only
-    if the denoised velocity also shows its direction. A wrong direction is an error of the log and not of the model.
+    The result is None if no dependence exceeds LEAST times the noise, or if there are too few samples. A sample counts
+    only if the denoised velocity also shows its direction. A wrong direction is an error of the log, not of the model.
 
-    residuals: measured minus predicted torque of each run at the log's own rate, (n,) in N*m.
-    noise: sensor noise, N*m RMS.
+    Args:
+        runs: the logs.
+        residuals: measured minus predicted torque of each run at the log's own rate, (n,) in N*m.
+        noise: sensor noise, N*m RMS.
     """
     known = [known_direction(run.raw) & _sure(run) for run in runs]
     rest = np.concatenate([each[slides] for each, slides in zip(residuals, known, strict=True)])

@@ -1,9 +1,9 @@
-"""Structure in the residual: the part beyond noise that remains after the causes are identified.
+"""Find structure in the residual: the part beyond noise that remains after the causes are identified.
 
 On measured drives, most of the residual is structure that no effect of the catalogue explains. White residuals then
 only show which of two wrong models has the whiter error. A difference smaller than the unexplained error excludes no
-model.
-If structure is most of the residual, the simulation error therefore decides between hypotheses instead of the noise.
+model. If structure is most of the residual, hypotheses are therefore compared by their simulation error and not by the
+noise.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from tsa_ctrl.model.functions import Array
 
 # Share of structure in the residual: above one half, structure exceeds the noise, and the noise no longer decides
 STRUCTURE = 0.5
-# Least ratio of the error that a competing hypothesis explains to the error that the cause explains: a hypothesis below
-# one half is closer to no effect than to the cause
+# Least ratio of the errors explained by a competing hypothesis and by the cause: below one half, a hypothesis is closer
+# to no effect than to the cause
 PART = 0.5
 
 
@@ -45,8 +45,9 @@ class ErrorCriterion:
         It must explain more than half as much as the cause. Its error must exceed that of the cause by less than the
         unexplained structure.
 
-        rival: sum of squares of its simulation error, (N*m)^2.
-        without: sum of squares without the cause and without the hypothesis, (N*m)^2.
+        Args:
+            rival: sum of squares of the simulation error of the competing hypothesis, (N*m)^2.
+            without: sum of squares without the cause and without the hypothesis, (N*m)^2.
         """
         worse = rival - self.error
         return worse < self.share * self.error and worse < (1.0 - PART) * (without - self.error)
@@ -123,8 +124,13 @@ def _explained(problem: Problem, fitted: Fit) -> Array:
 def _interpolated(residual: Array, told: NDArray[np.bool_], period: float) -> Array:
     """Return a residual (n,) in N*m whose unknown samples are interpolated linearly.
 
-    told: mask of the known samples, (n,). The interpolation starts and ends at means over BURST. Single samples would
-    not do, because the noise of one sample on either side of a gap of seconds would look like drift.
+    The interpolation starts and ends at means over BURST. With single samples, their noise on either side of a gap of
+    seconds would look like drift.
+
+    Args:
+        residual: residual, (n,) in N*m.
+        told: mask of the known samples, (n,).
+        period: period of the samples, s.
     """
     if told.all() or not told.any():
         return residual

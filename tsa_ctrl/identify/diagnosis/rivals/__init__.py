@@ -1,1 +1,1 @@
-"""Competing hypotheses: the other effects that the logs cannot exclude in place of an identified cause."""
+"""Find competing hypotheses: the other effects that the logs cannot exclude in place of an identified cause."""

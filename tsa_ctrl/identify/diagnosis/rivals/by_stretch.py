@@ -1,9 +1,8 @@
-"""Causes that only the tendon elongation shows, for logs with the angles of both pulleys.
+"""Identify causes that only the tendon elongation shows, for logs with the angles of both pulleys.
 
 The causes of the torque error leave a residual of the elongation. Effects of the catalogue are fitted to this residual,
-one more at a time. An effect is an identified cause if it clearly reduces the residual. A series spring is also
-identified if, without it, the fitted stiffness would contradict the model file. Effects that fit equally well remain
-alternatives.
+one at a time. An effect is an identified cause if it clearly reduces the residual. A series spring is also identified
+if the fitted stiffness would contradict the model file without it. Effects that fit equally well remain alternatives.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ SPRING = "series_spring"
 MOST = 3  # largest number of identified effects, of four in the catalogue: four at once would fit almost any curve
 ENOUGH = 30.0  # least decrease of the cost due to the angles: a few encoder counts bring less
 FROM_FILE = 16.0  # cost of a clear contradiction to the model file: 4 standard deviations of its [uncertainty]
-VISIBLY = 1.25  # ratio of the squares without and with the effect: 12 % of the RMS, which is visible in a picture
+VISIBLY = 1.25  # least ratio of the squares without and with the effect: 12 % of the RMS, which is visible in a picture
 # Student's t over the blocks: 0.3 % one-sided. The test uses the square roots of the differences. A permanent effect
 # may change one block a hundred times as much as another, and the roots ensure that many blocks must show it.
 BEYOND = 3.0
@@ -96,9 +95,9 @@ def by_stretch(chosen: Selection, scales: Scales) -> ByStretch:
 
 
 def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -> tuple[float, StretchFit | None]:
-    """Return the decrease of the cost, and the fit with one of `terms` added to those of `found`.
+    """Return the decrease of the cost, and the fit with one of `terms` added to the terms of `found`.
 
-    Returns (0.0, None) if the logs do not show the effect, or if its amplitude lies at a bound.
+    The result is (0.0, None) if the logs do not show the effect, or if its amplitude lies at a bound.
     """
     term = stretch.best(found, terms)
     if term is None:
@@ -187,7 +186,7 @@ def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Qu
 
 
 def _end(stretch: Stretch, found: StretchFit, index: int, side: float, allowed: float) -> float:
-    """Return the shape coordinate of an effect at which the cost has increased by `allowed`, or the bound before it.
+    """Return the shape coordinate at which the cost has increased by `allowed`, or the bound if that comes first.
 
     side: 1.0 for the upper end of the interval, -1.0 for the lower end.
     """

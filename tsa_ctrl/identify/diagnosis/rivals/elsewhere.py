@@ -1,10 +1,10 @@
-"""Comparison of a cause and its competing hypotheses on data that they were not fitted to.
+"""Compare a cause and its competing hypotheses on data that they were not fitted to.
 
-A competing hypothesis is excluded if the cause has a clearly smaller simulation error on such data.
+A competing hypothesis is excluded if the cause has a clearly smaller simulation error on these data.
 
-Whitening may hide this. In short logs, or in logs with slow drift, the noise is as slow as the difference between two
-hypotheses. A hypothesis with four times the error then fits the whitened data about as well. This comparison therefore
-uses the simulation error without whitening. Its scatter between blocks serves as the noise.
+Whitening may hide this difference. In short logs, or in logs with slow drift, the noise is as slow as the difference
+between two hypotheses. A hypothesis with four times the error then fits the whitened data about as well. This
+comparison therefore uses the simulation error without whitening. Its scatter between blocks serves as the noise.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulati
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-# Ratio of the mean squares of competing hypothesis and cause: a user does not notice a smaller ratio, whatever the
-# scatter. If the error is mostly noise, the test of the whitened residuals is sharper.
+# Least ratio of the mean squares of competing hypothesis and cause: a user does not notice a smaller ratio, whatever
+# the scatter. If the error is mostly noise, the test of the whitened residuals is more sensitive.
 VISIBLY = 1.5
 BEYOND = 3.0  # Student's t of the difference over about 24 blocks: 0.3 % one-sided
-# Damping, as a share of the square of each coordinate's column: indistinguishable coordinates stay at their values, and
-# the step of all others is as without damping
+# Damping as a share of the square of each coordinate's column: indistinguishable coordinates keep their values, and all
+# others move as without damping
 SINGULAR = 1e-9
 
 

@@ -1,8 +1,8 @@
-"""Comparison of each identified cause with the competing hypotheses that the logs cannot exclude.
+"""Compare each identified cause with the competing hypotheses that the logs cannot exclude.
 
-A competing hypothesis replaces the cause, and all parameters are fitted again. It remains an alternative unless its fit
-is worse by more than the noise explains, including the scatter between blocks. `parameter_error` is the competing
-hypothesis without an effect: a recalibration that ignores [uncertainty].
+For each comparison, the competing hypothesis replaces the cause, and all parameters are fitted again. It remains an
+alternative unless its fit is worse by more than the noise explains, including the scatter between blocks.
+`parameter_error` is the competing hypothesis without an effect: a recalibration that ignores [uncertainty].
 
 If most of the residual is structure, the simulation error decides instead of the noise (`residual.structure`).
 """
@@ -32,7 +32,7 @@ from tsa_ctrl.model.signals import Signals
 # Largest ratio of the scatter between blocks to that of white noise: the same limit as for the widening of an interval
 # (refit.WIDEST)
 MOST_SPREAD = 3.0
-INPUT_TOLERANCE = 0.02  # of the decrease that the cause brings: inputs and filters are not known more accurately
+INPUT_TOLERANCE = 0.02  # share of the decrease due to the cause: inputs and filters are not known more accurately
 # White units, largest tolerance: a difference of 60 is certain, however much the cause explains
 MOST_INPUT_TOLERANCE = 60.0
 STILL = 0.3  # rad, range of the joint angle within which a gravity load looks like an offset
@@ -41,8 +41,8 @@ UNRECORDED = "thermal_friction_drift"  # the competing hypothesis of a temperatu
 # its inverse
 RISE = 10.0
 REFERENCE = 25.0  # deg C, room temperature: only differences of the assumed temperature matter
-# Competing hypotheses that are fitted completely, in addition to the indistinguishable effects of the cause that the
-# catalogue lists: a larger group would be of no use to the reader
+# Number of competing hypotheses that are fitted completely, in addition to the effects that the catalogue lists as
+# indistinguishable from the cause: a larger group would not help the reader
 FITTED = 6
 
 
@@ -54,8 +54,8 @@ class Rival:
     fitted: Fit
     worse: float  # white units, increase of the sum of squares, corrected for the scatter between blocks
     tolerance: float  # white units, part of `worse` that errors of the inputs can explain
-    limit: bool = False  # the cause is a limiting case of this one, or the effect of this one has vanished
-    within_structure: bool = False  # most of the residual is structure, and the simulation error does not separate both
+    limit: bool = False  # the cause is a limiting case of this hypothesis, or the effect of this hypothesis vanished
+    within_structure: bool = False  # the residual is mostly structure, and the simulation error does not separate both
     fails_elsewhere: bool = False  # the cause has a clearly smaller error on samples outside the fit
     against_stretch: bool = False  # the angles of both pulleys contradict it
     # Decrease of the error on samples outside the fit, as a share of the decrease by the cause; None: not compared
@@ -75,7 +75,7 @@ class Rival:
 
 @dataclass(frozen=True)
 class Group:
-    """An identified cause and the competing hypotheses that it was compared to, in the order of `worse`."""
+    """An identified cause and the competing hypotheses with which it was compared, in the order of `worse`."""
 
     name: str
     rivals: tuple[Rival, ...]
@@ -127,7 +127,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
     found = _judged_elsewhere(problem, fitted, smaller, found)
-    best: dict[str, Rival] = {}  # the best one for each name
+    best: dict[str, Rival] = {}  # the best hypothesis of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
     return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
@@ -136,9 +136,9 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
 def _by_simulation_error(
     problem: Problem, found: Sequence[Rival], structure: ErrorCriterion, smaller: Fit, reversals: bool
 ) -> list[Rival]:
-    """Return the same hypotheses with `within_structure` set.
+    """Return the same hypotheses, with `within_structure` set if only the noise excludes them.
 
-    It is set for a hypothesis that the noise excludes and the simulation error does not.
+    The simulation error then does not exclude them.
     """
     judged = []
     without_any = simulation_error(problem, smaller, reversals)
@@ -174,7 +174,7 @@ def _judged_elsewhere(problem: Problem, fitted: Fit, smaller: Fit, found: Sequen
 def made_up(problem: Problem, name: str) -> bool:
     """Return True if the hypothesis assumes a temperature that the logs do not contain.
 
-    `_temperature_confound` makes up this temperature, so the logs cannot be simulated with it.
+    `_temperature_confound` invents this temperature, so the logs cannot be simulated with the hypothesis.
     """
     return name == UNRECORDED and not problem.frame.has("temperature")
 
@@ -182,7 +182,7 @@ def made_up(problem: Problem, name: str) -> bool:
 def _vanished(rival: Fit) -> bool:
     """Return True if the effect of a competing hypothesis has vanished in its fit.
 
-    An example is presliding over zero distance, which depends on the direction of motion only.
+    An example is presliding over zero distance, which depends only on the direction of motion.
     """
     hypothesis = rival.hypothesis
     if not hypothesis.nonsmooth.any() or not hypothesis.nonsmooth[-1]:
@@ -191,7 +191,7 @@ def _vanished(rival: Fit) -> bool:
 
 
 def _limits(problem: Problem, name: str) -> set[str]:
-    """Return the effects of which `name` is a limiting case.
+    """Return the effects that have `name` as a limiting case.
 
     A torque offset is a limiting case of a joint stiffness. If the joint angle varies by more than STILL, the offset
     also counts as a limiting case of a gravity load. For any other name, the set is empty.
@@ -223,9 +223,9 @@ def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: fl
 def _temperature_confound(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | None:
     """Return the fit of `smaller` with a hidden warm-up in place of the relaxation, cause number `index` of `fitted`.
 
-    A temperature that was not recorded may follow any curve. The assumed temperature therefore follows the curve of the
-    relaxation, which it then imitates best. Only the slope distinguishes the two, because it depends on the friction
-    and not on the pretension. Returns None if a temperature was recorded, or if the fit fails.
+    A temperature that was not recorded may follow any curve. To imitate the relaxation best, the assumed temperature
+    follows the curve of the relaxation. Only the slope distinguishes the two, because it depends on the friction and
+    not on the pretension. The result is None if a temperature was recorded, or if the fit fails.
     """
     frame = problem.frame
     if frame.has("temperature"):

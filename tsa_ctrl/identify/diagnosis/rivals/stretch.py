@@ -1,6 +1,8 @@
-"""Tendon elongation, measured by the angles of both pulleys, and the compliances that the model file implies.
+"""Compute the tendon elongation from the angles of both pulleys, and the compliances that the model file implies.
 
-s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
+The elongation is
+
+    s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ from tsa_ctrl.model.stretch import compliances
 
 SHAPE = "elongation_coupling"
 ALL_AT_JOINT = "joint_end"
-INEXACT = 0.02  # 1, relative error of the stiffness: the error of a first-order model of the friction
+INEXACT = 0.02  # relative error of the stiffness: the error of a first-order model of the friction
 LIKELY = 1.96  # standard deviations in half a 95 % interval, which is what [uncertainty] states
-MOST_ALIKE = 0.98  # 1, largest correlation of neighbouring residuals: at 1 the deviation would be infinite
+MOST_ALIKE = 0.98  # largest correlation of neighbouring residuals: at 1 the deviation would be infinite
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,9 @@ def ends_of(problem: Problem, fitted: Fit, point: Array) -> tuple[Array, TendonS
 def of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
     """Return the prior knowledge of the compliances: right side (rows,) and matrix (rows, 2) of linear equations.
 
-    matrix @ (c_M, c_J) = right side, with each row scaled to a standard deviation of 1. The first row is the sum of the
-    compliances, which follows from the axial stiffness. The second row is their ratio. It is present if the model
-    states the curvature profile, or if `shaped` is True.
+    The equations are matrix @ (c_M, c_J) = right side, with each row scaled to a standard deviation of 1. The first row
+    is the sum of the compliances, which follows from the axial stiffness. The second row is their ratio. It is present
+    if the model states the curvature profile, or if `shaped` is True.
 
     shaped: True if the compared hypotheses differ in the curvature profile. A model without the effect
     `elongation_coupling` then has all its curvature at the joint.
@@ -86,7 +88,11 @@ def of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
 def softness(ends: Array, seen: Seen, noise: float, gram: Array, right: Array) -> Array:
     """Return the non-negative compliances c_M and c_J, (2,) in m/N, that fit the elongation and the prior best.
 
-    gram (2, 2) and right (2,): normal equations of the prior. noise: standard deviation of the elongation, m.
+    Args:
+        ends: T3 - T1 and T4 - T2, (m, 2) in N.
+        seen: the measured elongation.
+        noise: standard deviation of the elongation, m.
+        gram, right: normal equations of the prior, (2, 2) and (2,).
     """
     columns = np.hstack([ends, seen.slow]) / noise
     matrix, vector = columns.T @ columns, columns.T @ seen.stretch / noise

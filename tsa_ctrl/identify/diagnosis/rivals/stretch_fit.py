@@ -1,4 +1,4 @@
-"""Least-squares fit of effects of the catalogue to the measured tendon elongation.
+"""Fit effects of the catalogue to the measured tendon elongation by least squares.
 
 In addition to the effects, the fit has these free parameters:
 
@@ -42,7 +42,7 @@ LEAST_NEW = 1e-10  # least share of an effect's squares that the other columns d
 
 @dataclass(frozen=True)
 class Term:
-    """One variant of an effect at fixed shape coordinates."""
+    """A variant of an effect at fixed shape coordinates."""
 
     spec: Specification
     variant: Variant
@@ -106,13 +106,13 @@ class Stretch:
     starts: tuple[float, ...]  # s, time of each log's first sample
     joint_radius: float  # m
     softness: Array  # c_M and c_J of the model, m/N
-    file: tuple[Array, Array]  # prior equations of `of_the_file`, with a row for the motor friction
+    file: tuple[Array, Array]  # prior equations from `of_the_file`, with a row for the motor friction
 
     @classmethod
     def of(cls, chosen: Selection) -> Stretch | None:
         """Return the elongation in the logs of a selection, under its causes.
 
-        Returns None if a log lacks an angle or if the drive has no tendons.
+        The result is None if a log lacks an angle or if the drive has no tendons.
         """
         problem, fitted = chosen.problem, chosen.fitted
         seen = seen_of(problem)
@@ -162,10 +162,12 @@ class Stretch:
         return column
 
     def fit(self, terms: Sequence[Term], noise: float | None = None, *, whatever_stiffness: bool = False) -> StretchFit:
-        """Fit these terms to the elongation.
+        """Return the fit of these terms to the elongation.
 
-        noise: standard deviation, m; None estimates it from the residual of a fit without the prior.
-        whatever_stiffness: True ignores the sum of the compliances that follows from the model file.
+        Args:
+            terms: terms to fit.
+            noise: standard deviation, m; None estimates it from the residual of a fit without the prior.
+            whatever_stiffness: True to ignore the sum of the compliances that follows from the model file.
         """
         columns = np.column_stack([self.ends, self.direction, self.seen.slow, *(self.column(term) for term in terms)])
         y = self.seen.stretch
@@ -196,7 +198,7 @@ class Stretch:
     def best(self, found: StretchFit, terms: Sequence[Term]) -> Term | None:
         """Return the term that reduces the cost of `found` most, with its shape coordinate refined.
 
-        Returns None if no term reduces the cost.
+        The result is None if no term reduces the cost.
         """
         gains = [self._gain(found, term) for term in terms]
         number = int(np.argmax(gains)) if gains else -1
@@ -219,9 +221,9 @@ class Stretch:
         return refined if self._gain(found, refined) > gains[number] else best
 
     def _gain(self, found: StretchFit, term: Term) -> float:
-        """Return the decrease of the cost that the term brings.
+        """Return the decrease of the cost due to the term.
 
-        Returns 0 if its amplitude would be out of bounds, or if the columns of `found` already reproduce the term.
+        The result is 0 if its amplitude would be out of bounds, or if the columns of `found` already reproduce it.
         """
         column = self.column(term)
         shared = found.columns.T @ column / found.noise**2
@@ -237,7 +239,7 @@ class Stretch:
 
 
 def _at(t: Array, start: float) -> State[Array]:
-    """Return a state with the time of a log only; the effects on the elongation use no other signal."""
+    """Return a state that has only the time of a log, because the effects on the elongation use no other signal."""
     none = np.asarray(math.nan)
     return State(
         t=t, omega=none, acceleration=none, q_j=none, q_m=none, temperature=none, theta=none, sigma=none, start=start

@@ -1,4 +1,4 @@
-"""Tendon elongation as a second measurement that excludes hypotheses which fit the torque.
+"""Use the tendon elongation as a second measurement to exclude hypotheses that fit the torque.
 
 If the logs contain the angles of both pulleys, the elongation s follows from the tensions at both ends of the tendons:
 
@@ -9,8 +9,8 @@ ripple, motor friction) or in the tendons (slack, curvature profile, presliding)
 tendons (joint, load, delay of the torque sensor).
 
 A hypothesis must fit both the torque and the elongation. The fit to the elongation may vary the stiffness and the
-curvature profile within the uncertainty of the model file. It may also vary the coordinates of the hypothesis as far as
-the torque does not determine them.
+curvature profile within the uncertainty of the model file. It may also vary the coordinates of the hypothesis to the
+extent that the torque does not determine them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ MOST_CHANGES = 3
 
 @dataclass(frozen=True)
 class _Told:
-    """Fit of the tendon elongation under one hypothesis."""
+    """A fit of the tendon elongation under one hypothesis."""
 
     squares: Array  # (m,) in m^2, squared residuals of the elongation
     beside: float  # 1, increase of the cost of the torque, plus the deviation from the model file
@@ -76,10 +76,10 @@ def parted(
 ) -> tuple[Selection, tuple[Group, ...]]:
     """Return the selection and its groups after the hypotheses were compared with the tendon elongation.
 
-    Alternatives that the elongation contradicts are marked as excluded. A contradicted cause is replaced by the
-    alternative that fits best, if that is an effect which can be identified. The search for competing hypotheses is
-    then repeated. Selection and groups are returned unchanged if a log lacks an angle, if the drive has no tendons, or
-    if no group has an alternative.
+    Alternatives that the elongation contradicts are marked as excluded. A contradicted cause is replaced by the best
+    alternative, if that is an effect that can be identified. The search for competing hypotheses is then repeated.
+    Selection and groups are returned unchanged if a log lacks an angle, if the drive has no tendons, or if no group has
+    an alternative.
     """
     seen = seen_of(chosen.problem) if any(group.alternatives for group in grouped) else None
     if seen is None:
@@ -139,8 +139,8 @@ def _can_be_named(problem: Problem, rival: Rival) -> bool:
 def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
     """Return True if the elongation contradicts the hypothesis `found`.
 
-    The first criterion is a sum of squared residuals that is clearly larger than for `best`, beyond the scatter of the
-    blocks. The second criterion is a total cost of torque, model file and elongation that is larger by more than ASIDE.
+    This is the case if its sum of squared residuals is clearly larger than for `best`, beyond the scatter of the
+    blocks. It is also the case if its total cost of torque, model file and elongation is larger by more than ASIDE.
     """
     more = np.bincount(seen.blocks, found.squares - best.squares) / noise**2
     total = float(more.sum())
@@ -152,7 +152,7 @@ def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
 def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
     """Return the residual of the elongation, (m,) in m, with free stiffness and curvature profile.
 
-    Returns None if the tensions under the hypothesis cannot be computed.
+    The result is None if the tensions under the hypothesis cannot be computed.
     """
     try:
         columns = np.hstack([ends_of(problem, fitted, fitted.point)[0], seen.slow])
@@ -162,7 +162,7 @@ def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
 
 
 def _told(problem: Problem, fitted: Fit, seen: Seen, noise: float, shaped: bool) -> _Told:
-    """Fit the elongation under a hypothesis whose coordinates are adjusted to torque and elongation together.
+    """Return the fit of the elongation under a hypothesis with coordinates adjusted to torque and elongation together.
 
     noise: standard deviation of the elongation, m. shaped: as in `of_the_file`.
     """

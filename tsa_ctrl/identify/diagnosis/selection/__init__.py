@@ -1,1 +1,1 @@
-"""Select causes forward: entry tests, removal, and the detection limit of each effect."""
+"""Select causes one after the other: entry tests, removal, and the detection limit of each effect."""

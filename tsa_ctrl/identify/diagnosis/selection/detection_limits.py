@@ -1,4 +1,4 @@
-"""Compute the detection limit of each effect in these logs: the size that is detected with probability 0.9."""
+"""Compute the detection limit of each effect in the logs: the size that is detected with probability 0.9."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tsa_ctrl.model.functions import Array
 
 # Standard deviations above a threshold at which it is exceeded with probability 0.9 (normal distribution)
 POWER = 1.2816
-SPREAD = 1.15  # factor by which a block-robust deviation now and then exceeds the nominal one
+SPREAD = 1.15  # factor by which a block-robust deviation sometimes exceeds the nominal one
 INVISIBLE = 1e-6  # share of the largest response: a smaller effect changes nothing in these logs
 
 
@@ -47,9 +47,9 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
     """Return the detection limits in the first round of a selection, when the model has only its base.
 
     A cause that explains less than the remaining structure would be a guess and is not reported
-    (`claims.alternatives`). An effect may be present in the logs but not identified, because it is too small or
-    resembles another cause. A further effect of opposite sign must first compensate for it, so this part is added to
-    the limit.
+    (`claims.alternatives`). The limit therefore also depends on the structure. An effect may be present in the logs but
+    not identified, because it is too small or resembles another cause. An effect of opposite sign must first compensate
+    for this part, so it is added to the limit.
 
     Args:
         chosen: the selection with its rounds.
@@ -92,7 +92,7 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
 
 
 def _held(fitted: Fit, score: Score) -> float:
-    """Return the size of an effect of either sign that the logs contain beyond the noise level, white units."""
+    """Return the size of the effect, of either sign, that the logs contain beyond the noise level, white units."""
     shown = orthonormal(score.columns).T @ fitted.residual
     return float(np.sqrt(max(np.sum(shown**2) - BY_NOISE, 0.0)))
 

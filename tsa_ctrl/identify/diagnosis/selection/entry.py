@@ -1,7 +1,7 @@
 """Decide whether a cause enters: family-wise threshold, block-robust test, cross-validation, size, simulation error.
 
 With thousands of samples of white noise, even a negligible effect is statistically significant. A cause must therefore
-also be consistent between about 24 blocks, predict blocks that it was not fitted on, and be large enough to matter.
+also be consistent over about 24 blocks, predict blocks that it was not fitted on, and be large enough to matter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 DRAWS = 300  # random trials of the gain of the best candidate: they determine the spread of its Gumbel tail to 6 %
 # Probability that the best candidate passes on noise alone: over five rounds, 1 % of all logs may yield a false cause
 FAMILY_LEVEL = 0.002
-FOLDS = 6  # parts for cross-validation: without one sixth of the data, a fit learns hardly less than from all of it
+FOLDS = 6  # number of parts for cross-validation: a fit without one sixth of the data is hardly worse
 BLOCK_T = 4.0  # t with 23 degrees of freedom: 0.06 % two-sided
 LATE_T = 3.0  # t of a lag or a delay with free reversal times, before it is tested with fixed times: 0.6 % two-sided
 # Least share of the gain that remains on blocks not used in the fit. Fitted noise keeps nothing; a true cause loses
@@ -38,16 +38,16 @@ LEAST_CROSS_VALIDATED = 0.4
 # Least share of the gain without the best block: a gain spread evenly over 24 blocks keeps 0.96, a single burst keeps
 # nothing
 LEAST_OUTSIDE = 0.12
-# Least ratio of the gain outside the best block to the threshold: the cause would enter without that block by a factor
-# of two
+# Least ratio of the gain outside the best block to the threshold: without that block, the gain is still twice the
+# threshold
 TIMES_OUTSIDE = 2.0
 SMALLEST = 0.2  # share of the noise RMS: a smaller effect changes the error by 2 %, which is not visible
-# Least reduction of the simulation error as a share of the noise RMS at the score rate: a sixth of the noise's mean
-# square
+# Least reduction of the simulation error as a share of the noise RMS at the score rate: a sixth of the mean square of
+# the noise
 LEAST_ERROR_REDUCTION = 0.4
-# Each log must lose more than half of its error by a cause fitted only on the other logs. A meaningless cause improves
-# a log about as often as it makes it worse, and hardly ever halves the error of four logs. With fewer logs, each must
-# lose more, so that the product of the remaining shares is not larger than with four.
+# A cause fitted only on the other logs must remove more than half of the error of each log. A meaningless cause
+# improves a log about as often as it makes it worse, and hardly ever halves the error of four logs. With fewer logs,
+# more must be removed from each, so that the product of the remaining shares is not larger than with four.
 ENOUGH_LOGS, FEWEST_LOGS, MOST_LEFT = 4, 2, 0.5
 SMALLEST_GAIN = 0.008  # least gain as a share of the number of samples: significant but smaller gains are negligible
 
@@ -128,7 +128,7 @@ def cross_validated(fitted: Fit, blocks: NDArray[np.int64]) -> float:
     if jacobian.shape[1] == 0:
         return fitted.rss
     width = 0.5 * (fitted.hypothesis.high - fitted.hypothesis.low)[fitted.free]
-    prior = np.diag(1.0 / width**2)  # keeps coordinates in their bounds if a fold shows little of them
+    prior = np.diag(1.0 / width**2)  # keeps coordinates within their bounds if a fold hardly determines them
     gram = jacobian.T @ jacobian + prior
     total = 0.0
     for fold in range(FOLDS):
@@ -185,8 +185,8 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
     """Return True if the last effect of `found` removes most of the simulation error of each log not used in the fit.
 
     In short logs a noise model cannot distinguish a large cause from slow noise, because each log shows only one period
-    of it. Slow noise of one log, however, does not predict that of another log. Return False for fewer than FEWEST_LOGS
-    logs.
+    of it. However, slow noise of one log does not predict that of another log. The result is False for fewer than
+    FEWEST_LOGS logs.
     """
     logs = used_logs(problem)
     if len(logs) < FEWEST_LOGS:
@@ -207,7 +207,8 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
 def left_out_error(problem: Problem, found: Fit) -> float:
     """Return the sum of squares of the simulation error of logs that were not used in the fit, (N*m)^2.
 
-    Up to FOLDS groups of successive logs are left out in turn. All coordinates are fitted again to the other logs.
+    Up to FOLDS groups of successive logs are left out, one group at a time. All coordinates are then fitted to the
+    other logs.
     """
     logs = used_logs(problem)
     reversals = models_reversals(found) or not problem.nuisance.moments

@@ -41,13 +41,13 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     step_with_late_reversals,
 )
 
-# One more than the measured cable drive needs. With four, a torque sensor lag took the place of the eccentricity there,
-# and the error of a load left out was 17 instead of 6 mN*m. The evidence usually ends the search earlier.
+# One more than the measured cable drive needs. With four causes, a torque sensor lag replaced the eccentricity there,
+# and the leave-one-load-out error was 17 instead of 6 mN*m. The evidence usually ends the search earlier.
 MOST_CAUSES = 6
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
 # Ratio of the sum of squares (white units) to the number of samples: 5 % are three standard deviations of 7,000 samples
 MORE_THAN_NOISE = 1.05
-MOST_STARTS = 3  # causes of one round from which a selection starts; on the cable drive the second or third is right
+MOST_STARTS = 3  # most causes of a round from which a selection starts; on the cable drive the 2nd or 3rd is correct
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Round:
 
 @dataclass(frozen=True)
 class Selection:
-    """Causes in the order of their entry, with their evidence; `rounds` records the rounds of the selection."""
+    """Hold the causes in the order of their entry, with their evidence; `rounds` records the rounds of selection."""
 
     problem: Problem
     fitted: Fit
@@ -85,8 +85,8 @@ class Selection:
 def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Selection:
     """Return the causes that the data require in addition to those of `start`.
 
-    `start` is the recalibrated base, or a fit that already has causes. A new cause is ignored if pruning then leads
-    back to a set of causes that was already reached. Otherwise the same cause would enter and leave endlessly.
+    `start` is the recalibrated base, or a fit that already has causes. A new cause is ignored if pruning leads back to
+    a set of causes that was already reached. Without this rule, the same cause could enter and leave endlessly.
     """
     fitted = start
     rounds: list[Round] = []
@@ -112,7 +112,7 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
 def other_starts(problem: Problem, first: Round, catalogue: Catalogue) -> list[tuple[Problem, Fit]]:
     """Return the problems and fits with the accepted causes of the round `first`, without the best one.
 
-    Greedy selection may begin with a cause that fits the sum of several others, and then keeps it.
+    Greedy selection may begin with a cause that fits the sum of several others, and then keep this cause.
     """
     accepted: dict[str, Fit] = {}
     for step in first.steps:
@@ -154,7 +154,7 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
 
 
 def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
-    """Return the same fits, with the simpler effect before the other where noise alone may explain the difference.
+    """Return the same fits, with a simpler effect moved ahead of the other if noise alone may explain the difference.
 
     `SIMPLER` lists the effects that have a simpler limit.
     """
@@ -171,8 +171,8 @@ def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
 def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
     """Yield fits with one more effect without parameters, started from the nominal base.
 
-    Recalibration may have compensated for such an effect. These fits are tried if no other effect enters and
-    the residual is more than noise.
+    Recalibration may have compensated for the effect. These fits are tried if no other effect enters and the residual
+    is more than noise.
     """
     if leaves_more_than_noise(problem, fitted):
         variants = all_but(fitted.names, catalogue)
@@ -198,8 +198,8 @@ def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterato
 def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> Selection | None:
     """Return the selection with one more cause that removes more of the simulation error than remains, or None.
 
-    This step is for a residual that consists mainly of structure. The noise model includes this structure, so whitening
-    hides effects that are as slow as the structure.
+    This step is used if the residual is mainly structure. The noise model includes this structure, so whitening hides
+    effects that are as slow as the structure.
     """
     problem, fitted = selection.problem, selection.fitted
     if len(fitted.names) >= MOST_CAUSES:
@@ -219,9 +219,9 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
 def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
     """Return the problem with nuisance columns and noise model for the present causes, and the fit under them.
 
-    The moments of the reversals follow the causes unless the fit becomes worse. A moment hides the time at which a gap
-    closes, so the fitted gap may be wrong by some samples. The moment that follows it then no longer covers the
-    reversal.
+    The moments of the reversals follow the causes unless the fit becomes worse. A moment hides the time at which
+    backlash closes, so the fitted backlash may be off by some samples. A moment that follows this backlash then no
+    longer covers the reversal.
     """
     for _ in range(2):  # A delay moves the moments of unknown direction, which bias the delay.
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
@@ -255,7 +255,7 @@ def _best_variants(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
 
 
 def _pruned(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
-    """Return the problem and the fit after all causes that the others make unnecessary were removed."""
+    """Return the problem and the fit without the causes that the other causes make unnecessary."""
     while len(fitted.names) > 1 and (smaller := _backward(problem, fitted)) is not None:
         problem, fitted = _under_new_noise(problem, smaller, catalogue)
     return problem, fitted

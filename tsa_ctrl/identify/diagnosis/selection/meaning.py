@@ -1,7 +1,7 @@
 """Check that the parameters of a fit are meaningful.
 
-An effect is meaningful if its contribution is a part of the torque and its parameters lie inside their bounds. Two
-similar effects can have any size as long as their difference fits the data. A parameter at a bound shows where the
+An effect is meaningful if its contribution is a part of the torque and its parameters lie within their bounds. Two
+similar effects can have any size as long as their difference fits the data. A parameter at a bound shows only where the
 search ended, not a property of the drive.
 """
 
@@ -19,10 +19,10 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     on_simulation_error,
 )
 
-# Largest ratio of an effect's contribution to the torque. Other contributions cancel eight ninths of the square of a
-# contribution that is three times the torque, so its parameter would depend on the difference of two uncertain values.
+# Largest ratio of an effect's contribution to the torque. If a contribution is three times the torque, others cancel
+# eight ninths of its square. Its parameter would then depend on the difference of two uncertain values.
 MOST_PART = 3.0
-FAR = 10.0  # distance to the rest angle in half ranges of the motion: the torque of such a spring varies by a tenth
+FAR = 10.0  # distance to the rest angle in half ranges of the motion: at this distance a spring's torque varies by 10 %
 # Share of the range between two bounds: a coordinate that a bound holds lies on it, except for rounding
 AT_BOUND = 1e-6
 # Decrease of the sum of squares (white units) that noise alone can cause: 3.7 standard deviations, exceeded in one test

@@ -1,4 +1,4 @@
-"""Add or remove one effect in a step of the selection, with start values from which the effect is not missed."""
+"""Add or remove one effect in a step of the selection, with start values from which the fit finds the effect."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tsa_ctrl.model.functions import Array
 
 # Effects that delay friction reversals relative to the velocity in the log
 LATE_REVERSALS = tuple(name for name, spec in CATALOGUE.items() if spec.stage in (Stage.VELOCITY, Stage.DELAY))
-FITTED = 5  # best candidates that are refined and fully fitted: one of them enters, and the others are tested again
-NEAR_BEST = 0.25  # share of the best gain: candidates below are not fitted
+FITTED = 5  # number of best candidates that are refined and fitted: one enters, and the others are tested again
+NEAR_BEST = 0.25  # least share of the best gain at which a candidate is fitted
 # Golden section: the interval that remains after each step already contains one of its two points
 SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)
 STEPS = 9  # golden-section steps: 1 % of the first interval remains
@@ -30,7 +30,7 @@ def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Se
     """Return the fit with one more effect, or None if it cannot be computed.
 
     The fit starts from the nominal coordinates of the base and from the coordinates `start` of the effect.
-    Recalibration may have compensated for the effect, which then has no influence any more: a high pretension hides
+    Recalibration may have compensated for the effect, which then has no influence: for example, a high pretension hides
     slack.
     """
     base = fitted.hypothesis.base.start()
@@ -41,8 +41,8 @@ def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Se
 def step_with_late_reversals(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
     """Return the fit with one more lag or delay, or None if it cannot be computed.
 
-    The moments of unknown direction move with the reversals. If they stayed, they would hide a delay of one or two
-    samples. Their number is kept, so that the sums of squares can be compared.
+    The moments of unknown direction move with the reversals. At their former times, they would hide a delay of one or
+    two samples. Their number is kept, so that the sums of squares can be compared.
     """
     hypothesis, point = fitted.hypothesis.plus(variant), np.concatenate([fitted.point, np.array(start)])
     found = None
@@ -97,8 +97,8 @@ def best_scores(
 ) -> list[Score]:
     """Return the best score of each effect, the best first.
 
-    Each variant of the leading effects is refined separately. With `each`, return the refined score of each of these
-    variants instead, in no particular order.
+    Each variant of the leading effects is refined separately. If `each` is True, the refined scores of all these
+    variants are returned instead, in no particular order.
     """
     if not scored:
         return []
