@@ -1,8 +1,9 @@
-/* A controller of one's own in C: a spring at the joint, 200 times a second, over the local socket.
+/* An external controller in C: a spring at the joint, 200 times a second, over the local socket.
  *
  *     cc -o spring spring.c && ./spring SOCKET AXIS STIFFNESS
  *
- * SOCKET is that of `tsa status`, STIFFNESS in N*m/rad. It ends when the daemon ends, or somebody takes the lease away.
+ * SOCKET is the socket of the daemon, as for `tsa status`; STIFFNESS is in N*m/rad. It ends when the daemon ends or the
+ * lease is lost.
  */
 #include <signal.h>
 #include <stdio.h>
@@ -21,7 +22,7 @@ int main(int argc, char **argv) {
     struct sockaddr_un daemon = {.sun_family = AF_UNIX};
     char line[65536], axis[80];
     int fd = socket(AF_UNIX, SOCK_STREAM, 0);
-    signal(SIGPIPE, SIG_IGN); /* what the daemon said last is still read */
+    signal(SIGPIPE, SIG_IGN); /* so that the last message of the daemon can still be read */
     if (argc != 4) return fprintf(stderr, "usage: %s SOCKET AXIS STIFFNESS\n", argv[0]), 2;
     snprintf(daemon.sun_path, sizeof daemon.sun_path, "%s", argv[1]);
     snprintf(axis, sizeof axis, "\"name\":\"%s\"", argv[2]);
@@ -31,7 +32,7 @@ int main(int argc, char **argv) {
     for (;; nanosleep(&(struct timespec){.tv_nsec = 5000000}, NULL)) {
         fprintf(out, "{\"verb\":\"measure\"}\n");
         fflush(out);
-        do { /* what comes before the measurement: answers, and what is told of the lease */
+        do { /* skip answers and lease events before the measurement */
             if (!fgets(line, sizeof line, in)) return fprintf(stderr, "the daemon is gone\n"), 1;
             if (strstr(line, "\"ok\":false") || strstr(line, "\"held\":false")) return fputs(line, stderr), 1;
         } while (!strstr(line, "\"axes\":"));
