@@ -145,3 +145,41 @@ def test_hidden_directions_are_no_structure(name: str, seed: int) -> None:
     hidden = case("hidden_direction", name, seed, short=True)
     logs = {log.name: log.columns for log in hidden.logs}
     assert diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml")).verdict.value == "consistent"
+
+
+def _on_a_spring(seed: int) -> dict[str, Array]:
+    """Return columns of a joint on a spring, whose tendons stick for most of the time, with a slow torque sensor.
+
+    While it sticks, the joint torque is constant, and the motor torque moves within the friction band.
+    """
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(16.0 * RATE)) / RATE
+    tau_m = sum(
+        rng.uniform(0.15, 0.4) * np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.0)) for f in (0.13, 0.31, 0.57)
+    )
+    driven, friction = 1.29 * tau_m, 0.6
+    tau_j, sliding = np.zeros(len(t)), 0.0
+    for index, torque in enumerate(driven):
+        sliding = min(max(sliding, torque - friction), torque + friction)
+        tau_j[index] = sliding
+    omega = np.gradient(tau_j, t) / 4.0
+    slow, level = np.zeros(len(t)), 0.0
+    for index, torque in enumerate(tau_j):
+        level += (torque - level) * (1.0 - np.exp(-1.0 / (RATE * 0.06)))
+        slow[index] = level
+    return {
+        "t": t,
+        "tau_m": tau_m + 1e-3 * rng.standard_normal(len(t)),
+        "omega_j": omega + 6e-4 * rng.standard_normal(len(t)),
+        "tau_j": slow + 5e-3 * rng.standard_normal(len(t)),
+    }
+
+
+@pytest.mark.slow
+def test_a_lag_is_found_on_a_joint_that_sticks_most_of_the_time() -> None:
+    logs = {f"log {seed}": _on_a_spring(seed) for seed in (1, 2)}
+    result = diagnose(logs, ACTUATOR)
+    lag = next(cause for cause in result.causes if cause.effect == "torque_sensor_lag")
+    value = lag.parameters["time_constant"]
+    assert not isinstance(value, str)
+    assert value.value == pytest.approx(0.06, rel=0.1)

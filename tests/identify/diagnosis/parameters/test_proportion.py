@@ -10,6 +10,7 @@ import pytest
 from tests.identify.diagnosis.nominal import T, model
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.words import remarks
+from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import TendonSheath
 
 X, PRETENSION, R_J, R_M = 0.26, 45.0, 0.025, 0.02
@@ -60,3 +61,30 @@ def test_a_bound_that_holds_x_and_pretension_is_said() -> None:
     assert "The pretension of the model that is written, 56.25 N, is at its bound" in said
     assert "allows 36 to 56.25 N" in said
     assert result.to_dict()["at_bounds"]["pretension"]["high"] == pytest.approx(56.25)
+
+
+@pytest.mark.slow
+def test_errors_in_reversals_do_not_hide_an_error_while_sliding() -> None:
+    """The friction reverses within 10 ms, and the sheaths of the tendons differ: x(1 + k/2) and x(1 - k/2)."""
+    rng = np.random.default_rng(8)
+    x, asymmetry, noise = 0.95 * X, -0.75, 6e-3
+    omega = 2.0 * np.cos(2.0 * np.pi * 0.9 * T)
+    direction = np.sign(omega)
+    tau_m = 0.5 * np.sin(2.0 * np.pi * 0.17 * T) + 0.2
+
+    def torque(x: float, pretension: float, asymmetry: float) -> Array:
+        first = (pretension + tau_m / (2.0 * R_M)) * np.exp(-direction * x * (1.0 - 0.5 * asymmetry))
+        second = (pretension - tau_m / (2.0 * R_M)) * np.exp(direction * x * (1.0 + 0.5 * asymmetry))
+        return np.asarray(R_J * (first - second))
+
+    sharp = torque(x, 1.06 * PRETENSION, asymmetry)
+    columns = {"t": T, "tau_m": tau_m, "omega_j": omega, "tau_j": np.convolve(sharp, np.ones(5) / 5.0, mode="same")}
+    columns["tau_j"] += noise * rng.normal(size=T.size)
+    result = diagnose([columns], model())
+    written = result.model
+    assert isinstance(written, TendonSheath)
+    found = float(written.effects["sheath_asymmetry"]["relative_difference"])
+    reversal = np.convolve(np.diff(direction, prepend=direction[0]) != 0.0, np.ones(31), mode="same") > 0.5
+    sliding = ~reversal & (T > 0.1) & (T[-1] - 0.1 > T)
+    residual = columns["tau_j"] - torque(written.friction_angle, written.pretension, found)
+    assert float(np.sqrt(np.mean(residual[sliding] ** 2))) < 1.06 * noise
