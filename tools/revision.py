@@ -32,7 +32,7 @@ def commit_of(revision: str) -> str:
 
 
 def worktree(revision: str, place: Path, copied: Sequence[str] = ("tools",)) -> None:
-    """Check `revision` out at `place`, and replace the folders `copied` by those of the present revision.
+    """Check `revision` out at `place`, and replace the folders `copied` by the folders of the present revision.
 
     Raises:
         UsageError: The revision does not exist, or git failed.

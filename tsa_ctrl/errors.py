@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class TsaError(Exception):
-    """The base of all errors that are reported to the user. `exit_code` is that of the command line."""
+    """The base of all errors that are reported to the user. `exit_code` is the exit code of the command line."""
 
     exit_code = 1
 

@@ -39,7 +39,7 @@ def backups(path: Path) -> dict[int, Path]:
 
 
 def keep(path: Path) -> Path | None:
-    """Copy a file that will be replaced to the next free `NAME.~N~`. Return the copy, or None if there is no file.
+    """Copy a file that will be replaced to the next free `NAME.~N~`. Return the copy, or None without a file.
 
     Raises:
         UsageError: The file cannot be copied, and must therefore not be replaced.

@@ -71,7 +71,7 @@ def fingerprint(configuration: Configuration) -> str:
 
 
 def read_record(configuration: Configuration) -> SafetyRecord | None:
-    """Return the record, or None if there is no file.
+    """Return the record, or None if the file does not exist.
 
     Raises:
         UsageError: The file is damaged.
@@ -83,7 +83,7 @@ def read_record(configuration: Configuration) -> SafetyRecord | None:
 def add_to_record(
     configuration: Configuration, nodes: Nodes, watchdogs: str = "", held: Mapping[str, SignAndGain] | None = None
 ) -> Path:
-    """Write results that have just passed to the record, and drop those of another configuration or of other nodes.
+    """Add passed results to the record, and drop the results of another configuration or of other nodes.
 
     Args:
         configuration: configuration that passed.

@@ -203,7 +203,7 @@ def explain(message: str, kind: type, data: object = None) -> str:
 
 
 def _number_at(data: object, place: str) -> float | None:
-    """Return the number at a key path of parsed TOML, or None if there is none."""
+    """Return the number at a key path of parsed TOML, or None without a number."""
     for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
         try:
             data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]

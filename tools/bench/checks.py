@@ -17,9 +17,8 @@ axis has latched, 3 s after the fault, or 6 s after a fault that develops slowly
 
 If k_t of (3.56) differs from the file, the elongation is wrong from the first torque, and the times start there. If the
 lever p + d/2 differs, only the pretension is wrong, after the wrap angle has changed by a fifth between 1 s and 4 s. In
-this case the angle is commanded, and the estimator is "map". With --calibrated the model file has the [uncertainty] of
-stiffness and bends after `tsa calibrate --stretch` on a rig with a joint torque sensor, and otherwise that of a data
-sheet.
+this case the angle is commanded, and the estimator is "map". The model file has the [uncertainty] of stiffness and
+bends from a data sheet, or with --calibrated from `tsa calibrate --stretch` on a rig with a joint torque sensor.
 """
 
 from __future__ import annotations

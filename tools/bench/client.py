@@ -46,7 +46,7 @@ APART = (10.0, 15.0)  # range of the number of periods between two changes of th
 FLOODS = (0, 1, 4)  # numbers of other clients
 SLOW, FAST = 250.0, 1000.0  # Hz of the loop, over UDP multicast and on a CAN interface
 STARTED = 120.0  # s for the daemon to start, because the first start on a machine compiles
-ABOVE = 90  # priority of the witness, above that of the loop
+ABOVE = 90  # priority of the witness, higher than the loop's priority
 SETTLED = 2.0  # s of torque before the measurement
 SPAWN = multiprocessing.get_context("spawn")  # a fork would share the sockets
 

@@ -10,8 +10,8 @@ identifies only the stiffness, and the true profile is given.
 Then the observer runs on a locked joint, a weight, and the gait with other noise, and is compared with the distributed
 plant. Errors are RMS values after 1.5 s, divided by the RMS torque. On average over the rigs, the band should contain
 95 % of the samples. The share of one rig varies, because the remaining errors of stiffness and profile are constant.
-With a sensor each run is also evaluated with the true profile, which shows the error without that of the identified
-profile. --rows keeps each finished rig in a file, so that a long list can be run in parts.
+With a sensor each run is also evaluated with the true profile, which excludes the error of the identified profile.
+--rows keeps each finished rig in a file, so that a long list can be run in parts.
 """
 
 from __future__ import annotations

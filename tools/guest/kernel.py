@@ -1,6 +1,6 @@
 """Fetch the user-mode Linux kernel of Debian unstable into a cache folder, without changes to the system.
 
-The kernel is an ordinary program that needs a newer C library than that of Debian stable. Therefore both packages are
+The kernel is an ordinary program that needs a newer C library than Debian stable has. Therefore both packages are
 fetched with apt and separate package lists, and the program is modified to load this library from its own folder.
 """
 

@@ -266,7 +266,7 @@ def write_last(log: Path, out: Path, seconds: float) -> float:
         The duration of the written part, s.
 
     Raises:
-        UsageError: The log cannot be read, its columns are not those of this version, or `out` cannot be written.
+        UsageError: The log cannot be read or is from a version with other columns, or `out` cannot be written.
     """
     file = LogFile(log)
     if tuple(file.fields) != tuple(FIELD_NAMES):

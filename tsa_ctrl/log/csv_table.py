@@ -134,7 +134,7 @@ def _open(path: Path) -> BinaryIO | gzip.GzipFile:
 
 
 def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) -> int | None:
-    """Return the number of bytes before trailing lines of spaces, or None if there are none.
+    """Return the number of bytes before trailing lines of spaces, or None without such lines.
 
     DuckDB would read such lines as rows.
 

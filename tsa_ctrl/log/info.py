@@ -164,7 +164,7 @@ class _Columns:
         return np.frombuffer(self._times, dtype=np.float64)
 
     def ranges(self, empty: bool) -> list[ColumnRange]:
-        """Return the ranges of the columns with values, and with `empty` also those of columns without values."""
+        """Return the ranges of all columns with values. `empty` adds the columns without values."""
         found = []
         for i, name in enumerate(self._names):
             there = self._low[i] <= self._high[i]

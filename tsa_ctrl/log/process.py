@@ -39,7 +39,7 @@ class LogHeader:
 
 @dataclass(frozen=True)
 class LogLimits:
-    """The limits of the log files. None is no limit.
+    """The limits of the log files. None removes a limit.
 
     Attributes:
         file_size: size at which the next file is started, bytes.

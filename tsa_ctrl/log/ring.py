@@ -35,7 +35,7 @@ class _Word(IntEnum):
     AXES = 1
     SLOTS = 2
     FIELDS = 3
-    CLOSED = 4  # set by the owner: there are no more records
+    CLOSED = 4  # set by the owner after the last record
     NOTES = 5  # set by the owner: number of written notes
     WRITER_STATE = 8  # set by the log writer, like the words up to REPLACED
     WRITTEN = 9

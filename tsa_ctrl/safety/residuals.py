@@ -297,9 +297,8 @@ class SensorNoise:
     """Detect a sensor whose noise has ended, so that its values repeat.
 
     Friction may hold the torque of a joint constant, but a sensor with noise at rest never repeats a value for long.
-    The noise is learned while there is no torque. Two kinds of sensors are not checked: those that repeat at least two
-    of three values then, because they are slower than the loop, and those that show at most two different values,
-    because one digit exceeds their noise.
+    The noise is learned without torque. Two kinds of sensors are not checked. A sensor that then repeats at least two
+    of three values is slower than the loop. A sensor with at most two different values has less noise than one digit.
     """
 
     LEARNED = 20  # values without torque: the least number of cycles of a startup

@@ -86,7 +86,7 @@ def longest_fault(axes: Sequence[AxisNodes], stop_time: float) -> tuple[float, s
 
 
 def stop_bit(safety: SafetySettings) -> StopBit | None:
-    """Return the digital input of the emergency stop, or None if there is none."""
+    """Return the digital input of the emergency stop, or None without one."""
     return None if safety.emergency_stop is None else StopBit(safety.emergency_stop, safety.emergency_stop_level)
 
 

@@ -56,5 +56,5 @@ def announce() -> None:
 
 
 def on_compile(tell: Callable[[str], None] | None) -> None:
-    """Also pass the progress of compilations to `tell`, or to no function if it is None."""
+    """Set the function that also receives the progress of compilations. None removes it."""
     _ANNOUNCER.tell = tell

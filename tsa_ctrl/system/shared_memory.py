@@ -152,7 +152,7 @@ class Newest:
         return self._places.newest() if content is None else (number, content)
 
     def take(self) -> bytes | None:
-        """Return the newest content once, or None if there is no new one."""
+        """Return the newest content once, or None without new content."""
         if self._places.claimed(0) <= self._taken and self._places.claimed(1) <= self._taken:
             return None
         number, content = self.read()

@@ -122,7 +122,8 @@ def velocity_lag(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
     """Return the velocity lag (s) with the least prediction error, without the mean error of each log.
 
     The result is None if the model already has a lag, if no lag is clearly better than none, or if the best lag is the
-    longest tried one. The interval follows from a jackknife over time blocks, and is no narrower than the search steps.
+    longest tried one. The interval follows from a jackknife over time blocks. It is at least as wide as the search
+    steps.
     """
     if EFFECT in model.effects:
         return None

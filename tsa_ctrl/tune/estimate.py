@@ -209,7 +209,7 @@ class Estimate:
         errors: RMS error while sliding by form, N*m. All forms have the same two free parameters.
         effects: names of the added effects.
         notes: notes for the report.
-        parameters: other estimated values by name, those of effects by "effect.parameter".
+        parameters: other estimated values by name. The name of an effect's parameter is "effect.parameter".
         plain: estimate from the same logs without the effects that the diagnosis added; None if it added none.
     """
 
@@ -279,7 +279,7 @@ def estimate(
 def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_gain: bool) -> Estimate:
     """Return the estimate with the bends from the angles, or with the given profile if it agrees with them.
 
-    With all bends at the joint, the transmission is (3.55). The profile is written in this case, too. A model without a
+    With all bends at the joint, the transmission is (3.55), but the profile is still written. A model without a
     curvature profile does not determine how a reversal travels through the sheath, and the law would assume an even
     bend.
     """

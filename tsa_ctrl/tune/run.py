@@ -68,7 +68,7 @@ class Run:
     def disagreement(self) -> float:
         """Return the RMS difference of sensor and elongation in the second half of the run, N*m at the joint.
 
-        The result is infinite if there is no estimate from the elongation or a value is not finite.
+        The result is infinite without an estimate from the elongation, or if a value is not finite.
         """
         if self.by_elongation is None:
             return float("inf")
@@ -148,7 +148,7 @@ class RigRunner:
             compensation: share of the friction term, 1.
             waveform: joint torque to play.
             tick: function called repeatedly with the elapsed share of the run, 0 to 1.
-            law: keys of [axis.law] that replace those of the file, None to remove a key.
+            law: keys that replace keys of the file's [axis.law], None to remove a key.
             rate: set-point rate that replaces the default, N*m/s.
             others: waveforms of other axes by name. These axes have no compensation, and unnamed axes stay at 0.
 

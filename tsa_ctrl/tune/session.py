@@ -325,7 +325,7 @@ class Session:
         """Restore the files that the last tuning replaced, and return their backups.
 
         Raises:
-            UsageError: There are no backups, or the controller file was edited after the tuning.
+            UsageError: No backup exists, or the controller file was edited after the tuning.
         """
         controller = self._configuration.path
         kept = last(self.path, controller)

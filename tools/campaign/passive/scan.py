@@ -12,9 +12,9 @@ been at rest for --rest seconds. The plant's true torque and speed are evaluated
           constant set-point: at most 0.2 rad/s above the faster of two reference runs, which are the same run at
           compensation 0 and the run without friction ("ideal"). A free joint that follows its set-point is not a
           runaway. The last line counts the cells that exceed only the first reference.
-  work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less that of the same run at
+  work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less the integral of the same run at
           compensation 0. Goal at set-point 0: at most 10 mJ with a torque sensor, otherwise 0.1 J in class "worn" and
-          0.4 J in class "bench" (--class). At a constant set-point there is no goal.
+          0.4 J in class "bench" (--class). A constant set-point has no goal.
 
 One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
 --joint-bits 20`. Exit code 1: a goal was missed.
@@ -54,7 +54,7 @@ WATCHED, WINDOW = 3.0, 0.5  # s from the nudge to the measurement of the speed, 
 STILL, REST = 0.01, 1.0  # rad/s below which the joint is at rest, and s of rest that end a run
 RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
 IDEAL = 0.01  # share of the friction in the run without friction
-MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above that of the reference runs
+MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point in excess of the reference runs
 MOST_WITH_SENSOR = 10e-3  # J
 WIDTH = 190  # characters of the table
 MOST_WORK = {"worn": 0.1, "bench": 0.4}  # J by class of use, without a joint torque sensor

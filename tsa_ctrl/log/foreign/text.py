@@ -76,7 +76,7 @@ def _length(value: Any) -> int:
 
 
 def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
-    """Split matrices into columns, and return those of the most common length. Raise UsageError if there are none."""
+    """Split matrices into columns, and return the columns of the most common length. Raise UsageError without any."""
     every: Columns = {}
     for name, values in found:
         array = np.squeeze(np.asarray(values))
