@@ -1,7 +1,7 @@
 """Define every signal of an axis once: name, unit, meaning, source, and where it appears.
 
-The log record, the status, the measurements of a client, their JSON, the charts of the dashboard and of the live
-layouts, and the table in the manual are derived from this table. To add a signal, add one row.
+Log record, status, client measurements, their JSON, the charts of dashboard and live layouts, and the manual's table
+are derived from this table. To add a signal, add one row.
 """
 
 from __future__ import annotations

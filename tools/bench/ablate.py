@@ -3,9 +3,9 @@
 Usage: tools/run bench/ablate [--change MODULE.NAME=VALUE ...] [--only TEXT] [--rows FILE] [--against FILE]
 
 The corpus has blind logs of every family, rigs with several noise seeds, and the measured sets (TSA_DATA, else
-../shared/data). A row has the answer, the held-out error in mN*m, and a mark. The mark is 1 for the right cause, 0.5
-for the right cause in a group or an uncertain answer, 0 for a wrong answer, and -1 for a single wrong cause without
-alternatives. The mark of a measured set is the share of the published causes that were identified.
+../shared/data). A row has the answer, the held-out error in mN*m, and a mark. The mark is 1 for the right cause, and
+0.5 for the right cause in a group or an uncertain answer. It is 0 for a wrong answer, and -1 for a single wrong cause
+without alternatives. The mark of a measured set is the share of the published causes that were identified.
 
 --change sets a constant of a module in tsa_ctrl.identify.diagnosis in every module that imports it, or makes a function
 return the value. Examples are `selection.entry.SMALLEST=0.4` and `selection.forward._plain_steps=()`. --against prints

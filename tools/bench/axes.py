@@ -2,10 +2,11 @@
 
 Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--interface NAME] [--virtual]
 
-The rigs are one axis with standard PDOs, two axes with lean drives and encoders, without and with torque sensors, and
-four such axes without torque sensors on two buses. Plant and daemon run as two processes on a bus of local sockets
-("datagram") or on UDP multicast. Each round runs all rigs one after another, so that the load of the machine affects
-them equally. With --virtual they run in virtual time on a bus with its real bit rate.
+The first rig has one axis with standard PDOs. The next two have two axes with lean drives and encoders, without and
+with torque sensors. The last one has four such axes without torque sensors on two buses. Plant and daemon run as two
+processes on a bus of local sockets ("datagram") or on UDP multicast. Each round runs all rigs one after another, so
+that the load of the machine affects them equally. With --virtual they run in virtual time on a bus with its real bit
+rate.
 """
 
 from __future__ import annotations

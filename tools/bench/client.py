@@ -8,9 +8,9 @@ witness records the time of the first RPDO with the new sign. There are three ru
 client that continuously requests the status and sets a parameter, and with four such clients.
 
 A value that just misses the RPDO of a cycle is sent with the next one, which adds half a period on average and at most
-one. The latency also contains the time from the start of a cycle to its RPDO, printed as "cycle" (p99 of the daemon's
-histogram), and the scheduling latency of client, socket server and witness. The exit code is 1 if the p99 without other
-clients exceeds the cycle by more than one period.
+one. The latency also contains the scheduling latency of client, socket server and witness, and the time from the start
+of a cycle to its RPDO. This time is printed as "cycle" (p99 of the daemon's histogram). The exit code is 1 if the p99
+without other clients exceeds the cycle by more than one period.
 """
 
 from __future__ import annotations

@@ -204,8 +204,8 @@ def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], siz
 def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
     """Return the logs with an effect of this size (N*m) added, and its number.
 
-    The number is None if the effect cannot be added, for one of these reasons: the model has it already, a measured
-    angle is missing, no number results in that size, or the effect would follow the velocity noise.
+    The number is None if the effect cannot be added. The model may already have it, a measured angle may be missing, no
+    number may result in that size, or the effect may follow the velocity noise.
     """
     plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
     if (plain and getattr(model, effect, None) is not None) or (

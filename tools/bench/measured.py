@@ -11,9 +11,10 @@ unchanged logs already have are omitted. The answers are:
   wrong       another cause without this one
   refused     the logs are insufficient
 
-Then one half of each set (of its logs, or of the time of its only log) is diagnosed with the model from the diagnosis
-of the other half. This should add no cause. Rows are kept in --rows (default: the file of the manual's table) and are
-not run again. The command looks for the data in TSA_DATA, and then in ../shared/data. Without data it prints one line.
+Then each set is halved by its logs, or by the time of its only log. One half is diagnosed with the model from the
+diagnosis of the other half, which should add no cause. Rows are kept in --rows (default: the file of the manual's
+table) and are not run again. The command looks for the data in TSA_DATA, and then in ../shared/data. Without data it
+prints one line.
 """
 
 from __future__ import annotations

@@ -4,9 +4,10 @@ Usage: tools/run bench/routing [--seed N] [--legs N] [--from-log] [--processes N
 
 A leg has 2 or 3 joints. The sheath of the last joint crosses 1 or 2 others, with gains of 0.3 to 1 rad/rad and either
 sign. Every third leg routes its two tendons differently. The file has no routing. Its friction and pretension are wrong
-by up to 15 %, and its stiffness by up to 5 %. The plant's tendons are distributed. Goals: gain errors of at most 5 % of
-the largest gain, and at most twice the torque error (mN*m) of the true model, on a motion that tuning did not use.
---from-log tunes from one log of all joints instead of the whole procedure, in a third of the time.
+by up to 15 %, and its stiffness by up to 5 %. The plant's tendons are distributed. The goal for the gains is an error
+of at most 5 % of the largest gain. The goal for the torque (mN*m) is at most twice the error of the true model, on a
+motion that tuning did not use. --from-log tunes from one log of all joints instead of the whole procedure, in a third
+of the time.
 """
 
 from __future__ import annotations

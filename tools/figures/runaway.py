@@ -3,7 +3,7 @@
 Usage: tools/run figures/runaway [--out .readme] [--quick]
 
 The lines are the condition c h_model = h_true. The points are runs of the real loop in virtual time at set-point 0, on
-distributed tendons with a share of the model file's pretension. The joint is nudged once, and the guard is disabled. A
+distributed tendons with a share of the model file's pretension. The joint is nudged once, and the guard never acts. A
 point is a runaway if friction and compensation together did positive work on the joint after the nudge, and otherwise
 passive.
 """

@@ -5,10 +5,10 @@
 mypyc compiles the modules below from the same source. This requires a C compiler and Python's headers. Without the
 variable, neither is required and the source is interpreted. `tsa doctor` reports which build is running.
 
-A module may be listed if it has no `msgspec.Struct`, no ctypes structure, no TypeVar with values, no Enum with a
-constructor, no function of numba, and no base class of an interpreted class. mypyc silently ignores the class arguments
-of a Struct, so settings would accept unknown keys and would not be frozen. `tests/tools/test_compiled.py` checks the
-list.
+A module may not be listed if it has one of these: a `msgspec.Struct`, a ctypes structure, a TypeVar with values, an
+Enum with a constructor, a function of numba, or a base class of an interpreted class. For example, mypyc silently
+ignores the class arguments of a Struct, so settings would accept unknown keys and would not be frozen.
+`tests/tools/test_compiled.py` checks the list.
 """
 
 from __future__ import annotations

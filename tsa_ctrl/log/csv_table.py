@@ -7,10 +7,10 @@ DuckDB splits the lines and parses the numbers as `float()` would. This module r
 log must not contain, and locates the input that DuckDB rejects. A file of at most `SMALL` bytes with only numbers is
 read without DuckDB, so that the daemon does not load 100 MB for a set-point file.
 
-DuckDB was chosen after measurements with 400,000 rows of 10 numbers. It takes 0.55 s of processor time, pyarrow 0.48 s
-(and 100 MB more on disk), pandas 0.24 s, polars 0.2 s, numpy's loadtxt 1.3 s, and the csv module with float() 3.0 s. A
-custom reader in numba takes 0.33 s, and 0.8 s more at its first use. pandas and polars accept a row that is too short,
-and numpy rejects empty fields. DuckDB rejects short rows and reports their position.
+DuckDB was chosen after measurements with 400,000 rows of 10 numbers. It takes 0.55 s of processor time, and pyarrow
+takes 0.48 s (and 100 MB more on disk). pandas takes 0.24 s, polars 0.2 s, numpy's loadtxt 1.3 s, and the csv module
+with float() 3.0 s. A custom reader in numba takes 0.33 s, and 0.8 s more at its first use. pandas and polars accept a
+row that is too short, and numpy rejects empty fields. DuckDB rejects short rows and reports their position.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 If the joint gained energy, the guard reduces the share in proportion to the error, to a share that the measured
 friction permits (`CAUTIOUS`, `UNSURE`). Full withdrawal after an excess of 2 % would suddenly expose a person who moves
-the joint to all of its friction: 2.4 N*m on a rig with x = 0.9. If the motor oscillated, the guard withdraws the whole
-compensation.
+the joint to all of its friction. This is 2.4 N*m on a rig with x = 0.9. If the motor oscillated, the guard withdraws
+the whole compensation.
 
 The first reduction is temporary. The share returns to `RETURNED` within `HOLD` + `RECOVERY`, and to its full value
 after `FORGIVEN`. Half of the energy threshold applies until then. A second detection within `FORGIVEN` is latched

@@ -2,9 +2,10 @@
 
 A torque stretches the tendons, so motor and joint move apart: q_m - (r_J/r_M) q_j follows tau_M with the sign of the
 stiffness. This holds for a locked and for a moving joint and for every load. A joint torque sensor also follows tau_M.
-On a locked joint its gain is at most the gain of sliding tendons: r_J/r_M, or r_J/r_M cosh x if all bends are at the
-joint, because the friction decreases with the tensions there. On a moving joint friction reverses with the motion, not
-with the torque, and the gain may be larger after a reversal. The sensor is therefore used on a locked joint only.
+On a locked joint its gain is at most the gain of sliding tendons. This gain is r_J/r_M, or r_J/r_M cosh x if all bends
+are at the joint, because the friction decreases with the tensions there. On a moving joint friction reverses with the
+motion, not with the torque, and the gain may be larger after a reversal. The sensor is therefore used on a locked joint
+only.
 
 All signals are filtered to a band without the motor's oscillation on its tendons and without the drift of the friction.
 They are correlated over the last 0.2 s. Samples before the last friction reversal are excluded for two reasons:
@@ -19,9 +20,10 @@ While friction locks the motor, the torque limit does not grow. A short joint mo
 is reset to its small value. If the motor is not released within `FREES`, the limit grows (`HELD`). Otherwise a limit
 below the friction torque would stay forever.
 
-On a locked joint the elongation is at most tau_M/K, because friction only reduces it. If the elongation is 1.5 times as
-large, the motor delivers more torque than it reports, a tendon is slack, or the file's stiffness is too high. On a
-moving joint friction adds to the elongation, on healthy rigs with bends at the motor up to 1.7 times tau_M/K.
+On a locked joint the elongation is at most tau_M/K, because friction only reduces it. An elongation 1.5 times as large
+has one of three causes. The motor delivers more torque than it reports, a tendon is slack, or the file's stiffness is
+too high. On a moving joint friction adds to the elongation, on healthy rigs with bends at the motor up to 1.7 times
+tau_M/K.
 
 On the simulated rig with each kind of joint, the measured correlation with the elongation is mostly above 0.8. With a
 reversed motor it falls below -0.6 within 0.05 s after the enable. The gain of the joint torque sensor is at most

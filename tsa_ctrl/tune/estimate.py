@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 # Estimate where a sheath bends from the tendon elongation, which the angles of motor and joint show.
 #
-# While both tendons slide, by (3.37)-(3.41) the difference e of the angles is linear in the motor torque:
+# While both tendons slide, the difference e of the angles is linear in the motor torque by (3.37)-(3.41).
 #
 # e = tau_M / K_s - sigma g / K_s,     g = T_p r_M (A(x) - A(-x)) / (A(x) A(-x)),     A(rho) = mean of exp(rho b)
 #
@@ -339,8 +339,8 @@ def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
 def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) -> Estimate:
     """Return the estimate with the effects that a diagnosis identifies, or `without` if these effects are not certain.
 
-    The effects are certain if each cause is identified without alternatives, the improvement on held-out data is at
-    least `LEAST_GAIN`, and a controller can use the model.
+    The effects are certain if three conditions hold. Each cause is identified without alternatives, the improvement on
+    held-out data is at least `LEAST_GAIN`, and a controller can use the model.
     """
     from tsa_ctrl.identify.diagnosis import diagnose
 

@@ -44,7 +44,7 @@ from tsa_ctrl.tune.run import RigRunner, Run, TrippedError, longest
 
 # Ratio of the pulley radii r_J/r_M, from the angles of motor and joint over the travel.
 #
-# While the tendons slide in one direction, by (3.37)-(3.41) the motor angle is linear:
+# While the tendons slide in one direction, the motor angle is linear by (3.37)-(3.41).
 #
 # q_M = (r_J/r_M) q_J + tau_M / K - sigma g + omega_J late + zero
 #
@@ -170,7 +170,7 @@ def _first(squares: FloatArray, products: FloatArray) -> float:
 SHARE = 0.04  # amplitude of the sweeps, as a share of the permitted joint torque
 LOWEST = 10.0  # Hz
 HIGHEST = 0.27  # as a share of the loop rate: the zero-order hold attenuates higher frequencies
-SWEEP = 1.1  # s, duration of one sweep
+SWEEP = 1.1  # s, duration of one sweep; not a fraction of a step of the slow torque
 
 
 def shaken(slow: Waveform, peak: float, period: float) -> Waveform:

@@ -29,7 +29,7 @@ from tools.campaign.phase.stage import PERIOD, Seen, Traces, play
 
 ZERO = 0.01  # N*m, 1 % of the rated torque; a smaller motor torque counts as zero
 PEAK = 1.05 * LIMIT  # N*m, the limiter's limit and the noise of the current loop
-# rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s, which
+# rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s. This
 # is twice the 250 mm/s that ISO 10218-1 permits for a robot near people, and a fifth of the speed of a walking knee. A
 # stretch reflex responds after 50 to 100 ms. By then the joint has moved by 0.2 rad.
 SPEED = 2.0
