@@ -1,7 +1,8 @@
 """Start a command of this folder with `tools/run NAME [ARGUMENT...]`. Without a name, list the commands.
 
-NAME is the path of a file: bench/cycle calls `main` of tools/bench/cycle.py. tools/vcan and the first process of its
-guest also start here. Their Python has no installed packages, so this module uses the standard library only.
+NAME is the path of a file. For example, bench/cycle calls `main` of tools/bench/cycle.py. tools/vcan and the first
+process of its guest also start here. Their Python has no installed packages, so this module uses the standard library
+only.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ def main(arguments: list[str]) -> int:
         sys.path[0] = str(FOLDER.parent)
     importlib.import_module("tools.compiled").use()
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")  # commands run a process per core, so libraries get one thread
+        os.environ.setdefault(variable, "1")  # one thread for libraries, because commands run one process per core
     sys.argv = [f"tools/run {name}", *arguments[1:]]
     try:
         code = importlib.import_module(f"tools.{name.replace('/', '.')}").main()

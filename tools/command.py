@@ -26,8 +26,8 @@ ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
 MOST_PROCESSES = 2
 PROCESSORS = min(MOST_PROCESSES, len(os.sched_getaffinity(0)))
-SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
-WORST = 20  # rows of a list of the worst
+SENSORS = ("motor", "encoder", "sensor")  # no joint sensor; joint encoder; joint encoder and joint torque sensor
+WORST = 20  # rows in a list of the worst rows
 
 Row = dict[str, Any]
 Item = TypeVar("Item")
@@ -76,7 +76,7 @@ def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> No
 
 
 def seeded(chosen: argparse.Namespace) -> None:
-    """Draw a random seed if --seed is not given."""
+    """Choose a random seed if --seed is not given."""
     if chosen.seed is None:
         chosen.seed = secrets.randbelow(10**6)
 
@@ -93,7 +93,7 @@ def process(module: str, *arguments: str) -> list[str]:
 
 
 def here() -> Row:
-    """Return date, commit and machine of a figure."""
+    """Return the date, the commit and the machine of a measurement."""
     git = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
     return {
         "date": datetime.date.today().isoformat(),
@@ -153,7 +153,7 @@ def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int
 
 
 def read_rows(path: Path | None) -> list[Row]:
-    """Return the rows of a results file, empty without a file. A line that a killed run cut off is ignored."""
+    """Return the rows of a results file, or no rows without a file. Ignore a line that a killed run cut off."""
     text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
     rows: list[Row] = []
     for line in text.splitlines():
@@ -163,7 +163,7 @@ def read_rows(path: Path | None) -> list[Row]:
 
 
 class Results:
-    """Rows by key, which are also appended to a file if there is a path. Rows without `counts` are ignored."""
+    """Rows by key, which are also appended to a file if a path is given. Rows that `counts` rejects are ignored."""
 
     def __init__(
         self, path: Path | None, key: Callable[[Row], Hashable], counts: Callable[[Row], bool] = lambda row: True
@@ -223,7 +223,7 @@ def judged(
     words: Callable[[Row], str],
     tables: Callable[[list[Row]], Iterable[object]],
 ) -> int:
-    """Run the items that are not in --rows, and print new rows that miss a goal and the tables.
+    """Run the items that are not in --rows. Print the new rows that miss a goal, and then the tables.
 
     Return 1 if any row misses a goal.
     """
@@ -258,7 +258,7 @@ def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | N
     return found
 
 
-Columns = Mapping[str, Callable[[Row], object]]  # head: cell of a row
+Columns = Mapping[str, Callable[[Row], object]]  # function that returns the cell of a row, by column head
 
 
 def listing(title: str, rows: Iterable[Row], columns: Columns) -> Table:
@@ -267,7 +267,7 @@ def listing(title: str, rows: Iterable[Row], columns: Columns) -> Table:
 
 
 def worst(rows: Iterable[Row], by: str, columns: Columns) -> list[Table]:
-    """Return the rows with the largest values of `by`, a table for each sensor configuration."""
+    """Return a table for each sensor configuration, with the rows that have the largest values of `by`."""
     of: dict[str, list[Row]] = {}
     for row in sorted(rows, key=lambda row: -float(row[by])):
         of.setdefault(row["sensors"], []).append(row)

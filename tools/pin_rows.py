@@ -31,19 +31,19 @@ from tools import command
 Values = dict[str, Any]
 
 CASES = tomllib.loads((command.ROOT / "tools" / "pins.toml").read_text(encoding="utf-8"))
-EVERY = 20  # samples; a row keeps every 20th value of a column, and mean and RMS value of all
-BUS_LOAD = "bus load"  # the check of `doctor` that does not depend on the machine
+EVERY = 20  # samples; a row keeps every 20th value of a column, and the mean and RMS of all values
+BUS_LOAD = "bus load"  # the check of `tsa doctor` that does not depend on the machine
 
 
 @dataclass(frozen=True)
 class Job:
-    """The names of the rows, and the function that returns their values. None means that measured data are absent."""
+    """The names of the rows, and the function that returns their values. None means that measured data are missing."""
 
     rows: tuple[str, ...]
-    work: Callable[[Path], Sequence[Values | None]]  # gets an empty folder
+    work: Callable[[Path], Sequence[Values | None]]  # receives an empty folder
 
     def __call__(self) -> dict[str, Values | None]:
-        """Return the values of each row. After an exception its text is the value."""
+        """Return the values of each row. If an exception occurs, its text is the value."""
         try:
             with tempfile.TemporaryDirectory(prefix="pins-") as name:
                 folder = Path(name).resolve()
@@ -76,7 +76,7 @@ def jobs() -> list[Job]:
 
 
 def data() -> Path:
-    """Return the folder of the measured sets, which may be absent."""
+    """Return the folder of the measured sets, which may not exist."""
     return Path(os.environ.get("TSA_DATA") or command.ROOT.parent / "shared" / "data").resolve()
 
 
@@ -156,7 +156,7 @@ def _columns(table: Mapping[str, Any]) -> Values:
 
 
 def _table(text: str) -> Values:
-    """Return the columns of a CSV file. Words become nan."""
+    """Return the columns of a CSV file, with nan for text."""
     table = np.genfromtxt(text.splitlines(), delimiter=",", names=True)
     return _columns({name: table[name].reshape(-1) for name in table.dtype.names or ()})
 

@@ -63,7 +63,7 @@ def leaves(tree: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def rounded(value: Any) -> str:
-    """Return a value as text. Numbers have ten digits."""
+    """Return a value as text, with ten digits for a number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     return f"{0.0 if abs(value) < ZERO else value:.9e}"
@@ -92,7 +92,7 @@ def machine() -> dict[str, str]:
 
 
 def outcome(values: Values | None, kept: str | None, same_machine: bool) -> str:
-    """Return the result of the comparison of a row with its saved digests, in words."""
+    """Return the result of comparing a row with its saved digests, as text."""
     if values is None:
         return f"{NOT_COMPARED}no measured data"
     if kept is None or not same_machine:
@@ -121,7 +121,7 @@ def differences(before: Values, now: Values) -> list[tuple[str, Any, Any, float]
 
 
 def compared(before: Values | None, now: Values | None) -> str:
-    """Return the result of the comparison of a row with another revision, with its largest change, in words."""
+    """Return the result of comparing a row with another revision, and its largest change, as text."""
     result = outcome(now, None if before is None else digest(before), True)
     if before is None or now is None or "differ" not in result:
         return result

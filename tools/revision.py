@@ -1,7 +1,7 @@
 """Check out another revision of the package in a worktree, with a copy of the present tools, for comparisons.
 
-A module of the package may have moved since that revision. Therefore each import of the copied tools is changed to the
-module that defines the name there. If the revision does not define a constant, its present value is copied.
+A module of the package may have moved since that revision. Therefore each import in the copied tools is redirected to
+the module that defines the name there. If the revision does not define a constant, its present value is copied.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def commit_of(revision: str) -> str:
 
 
 def worktree(revision: str, place: Path, copied: Sequence[str] = ("tools",)) -> None:
-    """Check `revision` out at `place`, and replace the folders `copied` by those of the present revision.
+    """Check `revision` out at `place`, and replace the folders `copied` by the folders of the present revision.
 
     Raises:
         UsageError: The revision does not exist, or git failed.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tsa_ctrl.system.compile_cache import choose
 from tsa_ctrl.version import __version__
 
-TYPE_CHECKING = False  # as in typing, which takes 5 ms to load: until `tsa` is there Ctrl-C is a traceback
+TYPE_CHECKING = False  # not from typing, whose import takes 5 ms in which Ctrl-C would still print a traceback
 if TYPE_CHECKING:
     from tsa_ctrl.daemon.controller import Controller
     from tsa_ctrl.errors import LeaseLostError
@@ -44,7 +44,7 @@ choose()
 
 
 def __getattr__(name: str) -> object:
-    """Load a public name on first use: the command line must not wait for modules that it does not need."""
+    """Load a public name on first use, so that the command line does not wait for modules that it does not need."""
     if name in _MODULES:
         import importlib
 

@@ -1,10 +1,10 @@
-"""`python -m tsa_ctrl` is `tsa`."""
+"""Run `tsa` by `python -m tsa_ctrl`."""
 
 import sys
 
 
 def entry() -> None:
-    """Run `tsa`; Ctrl-C while it is still being loaded is one line, as it is later."""
+    """Run `tsa`. Print one line on Ctrl-C while `tsa` is still being loaded, as it does later."""
     try:
         from tsa_ctrl.cli import main
 

@@ -1,4 +1,4 @@
-"""The controller's configuration: one strict file and the files that it names, checked before anything moves."""
+"""Read and check the controller's configuration, one strict file and the files that it names, before anything moves."""
 
 from __future__ import annotations
 
@@ -54,42 +54,42 @@ from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.torque_off import MonitorSettings
 
-PEAK = 3.0  # of the rated torque, that a drive gives for seconds
-MARGIN = 0.05  # s, beyond the longest time-out: to detect, to command the drive, for its torque to fall
+PEAK = 3.0  # of the rated torque, peak torque that a drive can sustain for seconds
+MARGIN = 0.05  # s, added to the longest time-out: to detect a fault, command the drive and let its torque fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
 
 class ControllerSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The loop as a whole."""
+    """[controller]: settings of the whole loop."""
 
     name: Name = "rig"
     rate: Annotated[float, Meta(ge=10.0, le=4000.0)] = 1000.0  # Hz of SYNC
-    collect: Annotated[float, Meta(gt=0.05, le=0.9)] = 0.6  # share of the period in which answers are waited for
-    settle_cycles: Annotated[int, Meta(ge=1, le=100_000)] = 100  # complete cycles in a row before any enable
-    stop_time: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.3  # s, in which the torque goes to 0 at a stop
-    after_fault: Literal["wait", "exit"] = "wait"  # stay, latched, for `tsa set recover 1` or `tsa stop`; or end
+    collect: Annotated[float, Meta(gt=0.05, le=0.9)] = 0.6  # share of the period in which the loop waits for answers
+    settle_cycles: Annotated[int, Meta(ge=1, le=100_000)] = 100  # consecutive complete cycles before any enable
+    stop_time: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.3  # s in which the torque ramps to 0 at a stop
+    after_fault: Literal["wait", "exit"] = "wait"  # stay latched until `tsa set recover 1` or `tsa stop`, or exit
 
 
 class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Where each cycle of each axis is written."""
+    """[log]: the files to which every cycle of every axis is written."""
 
     enabled: bool = True
     folder: str = "logs"  # relative to the configuration file
-    file_size: Annotated[float, Meta(ge=1.0, le=1e6)] = 500.0  # MB, then the next file begins; one axis, one hour
-    file_age: Annotated[float, Meta(ge=60.0, le=1e7)] | None = None  # s, the same
-    folder_size: Annotated[float, Meta(ge=10.0, le=1e9)] | None = None  # MB; the oldest logs beyond it are deleted
+    file_size: Annotated[float, Meta(ge=1.0, le=1e6)] = 500.0  # MB at which the next file starts; one hour of one axis
+    file_age: Annotated[float, Meta(ge=60.0, le=1e7)] | None = None  # s after which the next file starts
+    folder_size: Annotated[float, Meta(ge=10.0, le=1e9)] | None = None  # MB above which the oldest logs are deleted
 
 
 class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The local socket of `tsa status`, `tsa set`, `tsa stop`."""
+    """[socket]: the local socket of `tsa status`, `tsa set` and `tsa stop`."""
 
     path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else /tmp/tsa-UID/tsa.sock
-    group: str | None = None  # this group may use it too; default: the user who started the daemon alone
-    watch_group: str | None = None  # this group may read status, measurements and events
+    group: str | None = None  # group that may also use the socket; default: only the user who started the daemon
+    watch_group: str | None = None  # group that may read status, measurements and events
 
 
 class AxisSettings(AxisNodes, frozen=True, kw_only=True):
-    """One axis: its nodes and everything that controls it."""
+    """[[axis]]: the nodes of one axis and all settings of its control."""
 
     name: Name
     model: str  # actuator model file, relative to the configuration file
@@ -101,7 +101,7 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     bending: BendingSettings = BendingSettings()
     temperature: TemperatureSettings = TemperatureSettings()
     passivity: PassivitySettings = PassivitySettings()
-    oscillation: OscillationSettings | None = None  # of earlier versions; has no effect
+    oscillation: OscillationSettings | None = None  # accepted from earlier versions, without effect
     plausibility: PlausibilitySettings = PlausibilitySettings()
     serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions, bending
 
@@ -112,10 +112,10 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
 
 
 class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A controller file, as it is written."""
+    """The contents of a controller file."""
 
     controller: ControllerSection = ControllerSection()
-    bus: BusSettings = BusSettings()  # of several the first; what is not in `bus.drive.network.OWN` is the same in all
+    bus: BusSettings = BusSettings()  # the first bus; all buses have the same keys except `bus.drive.network.OWN`
     other_buses: tuple[BusSettings, ...] = msgspec.field(default=(), name="[[bus]]")  # see `_with_buses`
     realtime: RealtimeSettings = RealtimeSettings()
     log: LogSettings = LogSettings()
@@ -131,7 +131,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     @property
     def slowest_bus(self) -> BusSettings:
-        """Return the bus with the lowest bit rate; what all buses have in common may be taken from it."""
+        """Return the bus with the lowest bit rate, which also has the settings that all buses have in common."""
         return min(self.buses, key=lambda bus: bus.bitrate)
 
     @property
@@ -146,7 +146,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 @dataclass(frozen=True)
 class Configuration:
-    """Hold a checked configuration with the contents of the files that it names."""
+    """A checked configuration with the contents of the files that it names."""
 
     path: Path
     file: ControllerFile
@@ -154,11 +154,11 @@ class Configuration:
     models: tuple[TendonSheath, ...]  # one per axis
     profiles: tuple[DriveProfile, ...]  # one per axis
     loads: tuple[Load, ...]  # one per bus
-    estimators: tuple[str, ...]  # one per axis: why the estimator is not the one by the stretch; empty where it is
+    estimators: tuple[str, ...]  # one per axis: reason for not using the elongation estimator; empty if it is used
 
     @cached_property
     def plans(self) -> tuple[Plan, ...]:
-        """Derive the settings of each axis' law; raises UsageError for a damping without margin."""
+        """Return the derived times and gains of each axis' law. Raise UsageError for a damping without gain margin."""
         return tuple(
             plan_for(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
             for axis, model in zip(self.file.axes, self.models, strict=True)
@@ -166,17 +166,17 @@ class Configuration:
 
     @property
     def load(self) -> Load:
-        """Return the load of the fullest bus."""
+        """Return the load of the bus with the highest load."""
         return max(self.loads, key=lambda load: load.worst)
 
     @property
     def period(self) -> float:
-        """s"""
+        """Return the period of the loop, s."""
         return 1.0 / self.file.controller.rate
 
     @property
     def zero_torque_within(self) -> float:
-        """s, from a fault, a hang or the death of this computer until every drive's torque is zero."""
+        """Return the longest time from a fault, hang or failure of this computer until all torques are zero, s."""
         given = self.file.safety.zero_torque_within
         return given if given is not None else longest_fault(self.file.axes, self.file.controller.stop_time)[0] + MARGIN
 
@@ -196,7 +196,7 @@ class Configuration:
 
 
 def load_configuration(path: str | Path) -> Configuration:
-    """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
+    """Read and check a controller file. Raise UsageError with a message of one line for any error in it."""
     path = Path(path)
     data = settings.read_toml(path)
     data, others = _with_buses(path, data)
@@ -229,12 +229,12 @@ def load_configuration(path: str | Path) -> Configuration:
             f'{path}: [monitor] and class "worn" work with one [bus], the file has {len(file.buses)}; put all axes on '
             'one bus, or use class "bench" and [monitor] enabled = false'
         )
-    assert len(configuration.plans) == len(file.axes)  # or it has raised
+    assert len(configuration.plans) == len(file.axes)  # derives the plans now, which raises UsageError if one is wrong
     return configuration
 
 
 def _with_buses(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], tuple[BusSettings, ...]]:
-    """Return the file's tables with the first of its buses as [bus], and the settings of the others."""
+    """Return the file's tables with the first bus as [bus], and the settings of the other buses."""
     listed = data.get("bus")
     if not isinstance(listed, list):
         return data, ()
@@ -253,7 +253,7 @@ def _with_buses(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], tuple
 
 
 def _within_budget(file: ControllerFile) -> tuple[ControllerFile, tuple[Load, ...]]:
-    """Return the file with the torque sensors' turns, and the load of each bus; raises UsageError for a full bus."""
+    """Return the file with the torque sensors' `every`, and the load of each bus. Raise UsageError for a full bus."""
     rate = file.controller.rate
     fitted = {axis.name: axis for bus in file.buses for axis in budget.fitted(bus, axes_of(bus, file.axes), rate)}
     file = msgspec.structs.replace(file, axes=tuple(fitted[axis.name] for axis in file.axes))
@@ -275,7 +275,17 @@ def _check_filled(path: Path, data: dict[str, Any], axes: list[dict[str, Any]]) 
 def with_limits(
     path: Path, file: ControllerFile, tables: list[dict[str, Any]], models: tuple[TendonSheath, ...]
 ) -> ControllerFile:
-    """Return the file with complete limits and clamps, by its [[axis]] `tables` as written; raises UsageError."""
+    """Return the file with complete limits and clamps.
+
+    Args:
+        path: controller file, for messages.
+        file: controller file.
+        tables: the [[axis]] tables as written, which show the keys that the file has.
+        models: model of each axis.
+
+    Raises:
+        UsageError: Limits contradict each other or the drive's clamps.
+    """
     axes = []
     for axis, table, model in zip(file.axes, tables, models, strict=True):
         geared = model.joint_pulley_radius / model.motor_pulley_radius
@@ -296,17 +306,15 @@ def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> t
         follows = axis.bending.source != "fixed"
         estimator, note = chosen(axis.estimator, model, axis.encoder is not None, axis.has_torque_sensor, follows)
         if routing_of(axis.bending, model.routing) is not None and axis.estimator.kind in (None, "fixed"):
-            estimator, note = (
-                msgspec.structs.replace(estimator, kind="map"),
-                "",
-            )  # the model file has its curvature profile
+            # The model file has a routing, which determines friction and pretension.
+            estimator, note = msgspec.structs.replace(estimator, kind="map"), ""
         axes.append(msgspec.structs.replace(axis, estimator=estimator))
         notes.append(note)
     return msgspec.structs.replace(file, axes=tuple(axes)), tuple(notes)
 
 
 def check_drives(configuration: Configuration) -> None:
-    """Check by their EDS, if there is one, that all of it can be written to the drives; raises UsageError."""
+    """Raise UsageError if a drive's EDS, if there is one, shows that its configuration cannot be written."""
     file = configuration.file
     try:
         for axis, profile in zip(file.axes, configuration.profiles, strict=True):
@@ -328,7 +336,7 @@ def _check_safety(path: Path, file: ControllerFile) -> None:
 
 
 def _check_unique(path: Path, file: ControllerFile) -> None:
-    """Raise UsageError if two axes share a name, or a node id that one device cannot have for both."""
+    """Raise UsageError if two axes have the same name, or share a node id that one device cannot use for both."""
     names = Counter(axis.name for axis in file.axes)
     for name, number in names.items():
         if number > 1:
@@ -415,12 +423,12 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
 
 
 def joint_ranges(axes: Iterable[AxisSettings]) -> dict[str, tuple[float, float]]:
-    """Return the travel of each axis that has one, rad by name."""
+    """Return the travel (rad) of each axis that has one, by name."""
     return {axis.name: axis.limits.travel for axis in axes if axis.limits.travel is not None}
 
 
 def _check_routing(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:
-    """Check the joints that `[routing]` of the model file names, and its wrap angles within their travel."""
+    """Raise UsageError for wrong joints in `[routing]` of the model file, or wrong wrap angles within their travel."""
     routing, bending = model.routing, axis.bending
     assert routing is not None
     if bending.gains:
@@ -457,7 +465,7 @@ def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
 
 
 def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
-    """Return times and gains of an axis' law; raise UsageError for a damping without gain margin."""
+    """Return times and gains of an axis' law. Raise UsageError for a damping without gain margin."""
     law, drive, encoder, period = axis.law, axis.drive, axis.encoder, 1.0 / file.controller.rate
     return plan_of(
         model,

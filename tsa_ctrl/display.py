@@ -1,4 +1,4 @@
-"""Results in a Python session: one line of text, a table in a notebook, and a picture."""
+"""Display results in a Python session as one line of text, a table in a notebook, or a picture."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MOST_POINTS = 6000  # of a line; a screen shows no more
+MOST_POINTS = 6000  # approximate number of points of a line, because a screen shows no more
 TIME = "time (s)"
-_QUANTITIES = {  # of a column of a log: name and unit as every picture spells them
+_QUANTITIES = {  # name and unit of a log column in every picture
     "t": TIME,
     "tau_j": "joint torque (N·m)",
     "tau_m": "motor torque (N·m)",
@@ -32,20 +32,20 @@ _QUANTITIES = {  # of a column of a log: name and unit as every picture spells t
 
 
 def axis_label(column: str, unit: str = "") -> str:
-    """Return the label of an axis that shows a column of a log: quantity (unit); other columns by name and `unit`."""
+    """Return the axis label of a log column as quantity (unit), or of any other column from its name and `unit`."""
     return _QUANTITIES.get(column) or (f"{column} ({unit})" if unit else column)
 
 
 class Displayed(ABC):
-    """A result that shows itself: `facts` are its rows, and `plot` returns its picture."""
+    """A result that a Python session displays. `facts` returns its rows, and `plot` returns its picture."""
 
     @abstractmethod
     def facts(self) -> Mapping[str, str]:
-        """Return the rows to show: name and value with its unit."""
+        """Return the rows to display: values with units by name."""
 
     @abstractmethod
     def plot(self) -> Figure:
-        """Return a picture of the result; a notebook shows it, `savefig` writes it."""
+        """Return a picture of the result, which a notebook displays and `savefig` writes."""
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(f'{name}: {value}' for name, value in self.facts().items())})"
@@ -61,7 +61,7 @@ class Displayed(ABC):
 def lines(
     panels: Sequence[tuple[str, Mapping[str, NDArray[np.float64]]]], t: NDArray[np.float64], title: str
 ) -> Figure:
-    """Return a picture of signals over time (s): one panel per (axis label, lines by name)."""
+    """Return a picture of signals over time `t` (s), with one panel for each (axis label, lines by name)."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(9.0, 1.0 + 2.2 * len(panels)), layout="constrained")
@@ -78,7 +78,7 @@ def lines(
 
 
 def bars(values: Mapping[str, float], label: str, title: str) -> Figure:
-    """Return a picture of values by name, as horizontal bars."""
+    """Return a picture of values by name as horizontal bars."""
     from matplotlib.figure import Figure  # slow to import
 
     figure = Figure(figsize=(7.0, 0.9 + 0.45 * len(values)), layout="constrained")

@@ -1,10 +1,10 @@
-"""One error tree. A message is one line: the place, the value found, the allowed range, the remedy."""
+"""Define the error tree. A message is one line with the place, the value found, the allowed range and the remedy."""
 
 from __future__ import annotations
 
 
 class TsaError(Exception):
-    """Base of all errors that a user can cause; `exit_code`: of the command line."""
+    """The base of all errors that are reported to the user. `exit_code` is the exit code of the command line."""
 
     exit_code = 1
 
@@ -16,11 +16,11 @@ class UsageError(TsaError):
 
 
 class TooStillError(UsageError):
-    """A log in which the joint moves too little for the requested result; another motion would."""
+    """The joint moves too little in the logs for the requested result, which another motion would permit."""
 
 
 class StoppedError(TsaError):
-    """Somebody asked for the end while something was waited for; the message is who, or what."""
+    """A stop was requested during a wait. The message is its origin."""
 
 
 class BusError(TsaError):
@@ -30,4 +30,4 @@ class BusError(TsaError):
 
 
 class LeaseLostError(BusError):
-    """The set-point is no longer this client's; the message has the reason."""
+    """This client no longer controls the set-point. The message has the reason."""

@@ -1,6 +1,7 @@
-"""The files that a command may overwrite: never one that it reads.
+"""Write output files without overwriting inputs.
 
-Another existing file is kept next to it as `NAME.~N~`. A file that is written repeatedly gets a name with a date.
+A command never overwrites a file that it reads. Any other existing file is kept next to the new one as `NAME.~N~`. A
+file that is written repeatedly has a name with a date.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ import msgspec
 
 from tsa_ctrl.errors import UsageError
 
-LOCK = ".tsa.lock"  # in a folder that is being written
+LOCK = ".tsa.lock"  # file in a folder while files are written to it
 
 
 def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> None:
-    """Raise UsageError if `out` is one of the files that are read, under any name or link."""
+    """Raise UsageError if `out` is one of the files `inputs` under any name or link."""
     for path in inputs:
         with contextlib.suppress(OSError, ValueError):
             if out.exists() and out.samefile(path):
@@ -31,16 +32,17 @@ def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> N
 
 
 def backups(path: Path) -> dict[int, Path]:
-    """Return the files that were replaced, `NAME.~N~`, by N, oldest first."""
+    """Return the backups `NAME.~N~` of a file by N, oldest first."""
     pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")
     found = {int(match[1]): other for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))}
     return dict(sorted(found.items()))
 
 
 def keep(path: Path) -> Path | None:
-    """Copy a file that is about to be replaced to the next free `NAME.~N~`; None if the file does not exist.
+    """Copy a file that will be replaced to the next free `NAME.~N~`. Return the copy, or None without a file.
 
-    Raises UsageError when it cannot be kept: then it is not replaced either.
+    Raises:
+        UsageError: The file cannot be copied, and must therefore not be replaced.
     """
     if not path.is_file():
         return None
@@ -55,7 +57,11 @@ def keep(path: Path) -> Path | None:
 
 
 def move_into(beside: Path, path: Path) -> Path | None:
-    """Rename a temporary file to `path`; return the path of the copy of the old file. Raises OSError."""
+    """Rename a temporary file to `path`. Return the path of the copy of the old file, or None without an old file.
+
+    Raises:
+        OSError: The file cannot be renamed.
+    """
     kept = keep(path)
     try:
         beside.replace(path)
@@ -68,9 +74,14 @@ def move_into(beside: Path, path: Path) -> Path | None:
 
 @contextlib.contextmanager
 def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
-    """Yield a temporary path in the same folder; the file becomes `path` as a whole when the block ends.
+    """Yield a temporary path in the folder of `path`, and rename the file there to `path` when the block ends.
 
-    `keeping`: the old file at `path` is kept. Raises UsageError when it cannot be written; then nothing of it is left.
+    Args:
+        path: file to write.
+        keeping: True to keep an old file at `path` as a backup.
+
+    Raises:
+        UsageError: The file cannot be written. No part of it remains.
     """
     part = path.with_name(f".{path.name}.part")
     try:
@@ -87,15 +98,18 @@ def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
 
 
 def kept_words(path: Path, kept: Path | None) -> str:
-    """`written: FILE`, and where the file before is."""
+    """Return `written: FILE`, with the name of the backup of the old file if there is one."""
     return f"written: {path}" + ("" if kept is None else f" (the file before is {kept.name})")
 
 
 @contextlib.contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Hold a folder, made if need be, while its files are written; raises UsageError when another process holds it.
+    """Lock a folder while its files are written, and create it if necessary.
 
-    The lock is the kernel's and ends with the process, however it ends.
+    The kernel releases the lock when the process ends for any reason.
+
+    Raises:
+        UsageError: The folder cannot be written, or another process has locked it.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -128,9 +142,9 @@ def untaken(folder: Path, kind: str, suffix: str = "", now: datetime.datetime | 
 
 
 def json_types(value: object) -> Any:
-    """Return `value` in the types of JSON, with null for each number that is not finite.
+    """Return `value` in JSON types, with None for each number that is not finite.
 
-    `value` consists of dataclasses, structs, mappings, sequences, enumerations, paths and numbers.
+    `value` may consist of dataclasses, structs, mappings, sequences, enumerations, paths and numbers.
     """
     return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_basic))
 

@@ -1,7 +1,7 @@
-"""List the missing requirements before a person wears the joint, and the safety bounds that are looser than shipped.
+"""List the unmet requirements for wearing the joint, and the safety bounds that are looser than shipped.
 
-`verify-safety.toml` next to the controller file records the results of `tsa verify-safety` on this rig. They hold for
-one configuration (by hash) and for the nodes of the trials (by serial number).
+`verify-safety.toml` next to the controller file records the results of `tsa verify-safety` on this rig. They are valid
+for one configuration (by hash) and for the nodes of the trials (by serial number).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from tsa_ctrl.safety.use_class import longest_fault, wearer_speeds
 
 RECORD = "verify-safety.toml"  # next to the controller file
 GAIT_SPEED = 7.0  # rad/s, fastest motion of a knee in level walking (400 degrees per second); hip 4, ankle 5
-STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking give up to that at hip and knee
-FULL_TURN = 2.0 * math.pi  # rad; no joint of a person turns that far, so that a larger travel is in degrees
-# Sections that may change without another `tsa verify-safety`: its trials run without friction compensation, with a
-# separate set-point, log and socket, and their results hold in both classes of use.
+STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking deliver up to this torque at hip and knee
+FULL_TURN = 2.0 * math.pi  # rad; no human joint rotates that far, so a larger travel is probably in degrees
+# Sections that may change without another `tsa verify-safety`. Its trials run without friction compensation and with
+# their own set-point, log and socket, and their results are valid in both classes of use.
 _FREE = frozenset({"log", "socket", "realtime", "monitor"})
 _FREE_OF_AXIS = frozenset({"model", "setpoint", "law", "direction", "estimator", "bending", "oscillation"})
 
@@ -40,24 +40,24 @@ Nodes = Mapping[str, Mapping[str, NodeIdentity]]  # by axis and by `NODES`
 
 
 class SignAndGain(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Hold the result of the test on the locked joint of one axis."""
+    """The result of the test on the locked joint of one axis."""
 
     date: str  # ISO 8601
-    gain: float  # 1, measured torque per torque of the model
-    sensor: str  # that measured it
+    gain: float  # 1, measured torque over the torque of the model
+    sensor: str  # sensor that measured the torque
 
 
 class SafetyRecord(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Hold the contents of `verify-safety.toml`."""
+    """The contents of `verify-safety.toml`."""
 
     configuration: str  # `fingerprint`
     nodes: dict[str, dict[str, NodeIdentity]]  # by axis and by `NODES`
-    watchdogs: str = ""  # ISO 8601, when the trials of the watchdogs passed
-    held: dict[str, SignAndGain] = {}  # by axis
+    watchdogs: str = ""  # ISO 8601, date at which the trials of the watchdogs passed
+    held: dict[str, SignAndGain] = {}  # tests on the locked joint by axis
 
 
 def fingerprint(configuration: Configuration) -> str:
-    """Return the SHA-256 of everything that the trials of `tsa verify-safety` depend on."""
+    """Return the SHA-256 of all settings on which the trials of `tsa verify-safety` depend."""
     data = {key: value for key, value in msgspec.to_builtins(configuration.file).items() if key not in _FREE}
     data["safety"].pop("class")
     for key in ("name", "after_fault"):
@@ -71,10 +71,10 @@ def fingerprint(configuration: Configuration) -> str:
 
 
 def read_record(configuration: Configuration) -> SafetyRecord | None:
-    """Return the record; None without a file.
+    """Return the record, or None if the file does not exist.
 
     Raises:
-        UsageError: the file is damaged.
+        UsageError: The file is damaged.
     """
     path = configuration.folder / RECORD
     return settings.load(path, SafetyRecord) if path.exists() else None
@@ -83,16 +83,16 @@ def read_record(configuration: Configuration) -> SafetyRecord | None:
 def add_to_record(
     configuration: Configuration, nodes: Nodes, watchdogs: str = "", held: Mapping[str, SignAndGain] | None = None
 ) -> Path:
-    """Write what has just passed to the record; results of another configuration or of other nodes are dropped.
+    """Add passed results to the record, and drop the results of another configuration or of other nodes.
 
     Args:
-        configuration: that passed.
-        nodes: that were there.
-        watchdogs: ISO 8601, of trials that have just passed.
-        held: of the test on the held joint, by axis.
+        configuration: configuration that passed.
+        nodes: nodes of the trials.
+        watchdogs: date at which the trials of the watchdogs passed, ISO 8601.
+        held: results of the test on the locked joint, by axis.
 
     Raises:
-        UsageError: the file cannot be written.
+        UsageError: The file cannot be written.
     """
     known = {axis: dict(found) for axis, found in nodes.items()}
     before = read_record(configuration)
@@ -108,7 +108,10 @@ def add_to_record(
 
 
 def missing(configuration: Configuration) -> list[str]:
-    """Return what class "worn" lacks by the files alone, each with its remedy; nothing in class "bench"."""
+    """Return the requirements of class "worn" that the files do not meet, each with its remedy.
+
+    The list is empty in class "bench".
+    """
     if not configuration.file.safety.worn:
         return []
     found = []
@@ -153,13 +156,13 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
 
 
 def _has_travel(configuration: Configuration, name: str) -> bool:
-    """Return True if the file gives the axis its own travel."""
+    """Return True if the file has a separate travel for the axis."""
     tables = {table["name"]: table for table in tomllib.loads(configuration.text)["axis"]}
     return "travel" in tables[name]["limits"]
 
 
 def _not_shown(configuration: Configuration) -> Iterator[str]:
-    """Yield the trials that the record lacks for this configuration."""
+    """Yield the trials of this configuration that are missing in the record."""
     record = read_record(configuration)
     where = f"{configuration.folder / RECORD}"
     if record is not None and record.configuration != fingerprint(configuration):
@@ -173,12 +176,12 @@ def _not_shown(configuration: Configuration) -> Iterator[str]:
 
 
 def missing_on_bus(configuration: Configuration, nodes: Nodes, has_inputs: bool) -> list[str]:
-    """Return what class "worn" lacks by the nodes that are there, each with its remedy.
+    """Return the requirements that the nodes on the bus do not meet, each with its remedy.
 
     Args:
-        configuration: of the run.
-        nodes: that a bring-up found.
-        has_inputs: a drive has digital inputs (0x60FD).
+        configuration: configuration of the run.
+        nodes: nodes that a bring-up found.
+        has_inputs: True if a drive has digital inputs (0x60FD).
     """
     safety, found = configuration.file.safety, []
     if safety.emergency_stop is not None and not has_inputs:
@@ -205,14 +208,14 @@ def missing_on_bus(configuration: Configuration, nodes: Nodes, has_inputs: bool)
 
 
 def require(configuration: Configuration, lacking: list[str]) -> None:
-    """Raise UsageError with everything that is lacking, in one line."""
+    """Raise UsageError with all unmet requirements in one line, if there are any."""
     if lacking:
         of_class = f'[safety] class = "{configuration.file.safety.use_class}"'
         raise UsageError(f"{configuration.path}: {of_class} lacks {len(lacking)}: {'; '.join(lacking)}")
 
 
 def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
-    """Yield the axis (empty for the whole file) and each bound that is looser than shipped."""
+    """Yield each bound that is looser than shipped with the name of its axis, which is empty for the whole file."""
     file = configuration.file
     whole: dict[str, msgspec.Struct | None] = {
         "controller": file.controller,
@@ -265,7 +268,7 @@ def _most(bound: Loose) -> str:
 
 
 def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> Shipped:
-    """Return the defaults that follow from other settings; in class "worn" the speeds fit a walking wearer."""
+    """Return the defaults that follow from other settings. In class "worn" the speeds fit a walking wearer."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     shipped = {
         ("axis.limits", "torque"): STRONG_TORQUE / geared,

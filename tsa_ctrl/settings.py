@@ -1,6 +1,6 @@
-"""The one strict reader of TOML files: unknown, missing, out of range or wrong in type is one clear line.
+"""Read TOML files strictly. An unknown, missing, out-of-range or mistyped key raises an error of one line.
 
-A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds are in `msgspec.Meta`.
+A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True` and with its bounds in `msgspec.Meta`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Parse a TOML file; raise UsageError naming file and line when it cannot be read."""
+    """Parse a TOML file. Raise UsageError with the place of the error, also for a number that is not finite."""
     path = Path(path)
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -50,14 +50,14 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise UsageError(f"{path}: tables or lists are nested too deeply; give one of the documented files") from None
 
 
-MOST_TEXT = 1_000_000  # bytes of a file that `referenced` takes; longer is a table of data
+MOST_TEXT = 1_000_000  # bytes, longest file that `referenced` returns; a longer file is a table of data
 
 
 def referenced(path: str | Path) -> dict[str, str]:
     """Return the text of a TOML file and of all files that it names, by their names relative to its folder.
 
-    A string in a TOML file names a file if one is there, or a drive profile if `drives/STRING.toml` is there.
-    Files that are longer than `MOST_TEXT` or not text are left out.
+    A string in a TOML file names a file if that file exists, or a drive profile if `drives/STRING.toml` exists. Files
+    that are longer than `MOST_TEXT` or not text are left out.
     """
     start = Path(path)
     found: dict[str, str] = {}
@@ -84,7 +84,7 @@ def referenced(path: str | Path) -> dict[str, str]:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except (OSError, ValueError):  # no path at all, or too long for one
+    except (OSError, ValueError):  # not a valid path, or too long
         return False
 
 
@@ -98,7 +98,7 @@ def _strings(value: object) -> Iterator[str]:
 
 
 def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
-    """Yield every float in a parsed file, with its place."""
+    """Yield every float in a parsed file with its place."""
     if isinstance(value, float):
         yield key, value
     elif isinstance(value, dict):
@@ -110,7 +110,7 @@ def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
 
 
 def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
-    """Strictly convert parsed TOML to `kind`; raise UsageError that names the key and the nearest known one."""
+    """Convert parsed TOML to `kind`. Raise UsageError with a wrong key, or with the nearest key to an unknown one."""
     try:
         return msgspec.convert(data, kind, strict=True)
     except msgspec.ValidationError as error:
@@ -122,10 +122,13 @@ def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
 
 
 def check_filled(files: Iterable[tuple[str | Path, dict[str, Any], type]]) -> None:
-    """Report every empty value of some files in one message; `files`: place, parsed TOML and settings class of each.
+    """Report all empty values of several files in one message.
+
+    Args:
+        files: place, parsed TOML and settings class of each file.
 
     Raises:
-        UsageError: a key has the value "", the placeholder for a value that only the user knows.
+        UsageError: A key has the value "", the placeholder for a value that the user must provide.
     """
     found = [(where, empty) for where, data, kind in files if (empty := list(_empty(data, kind, "")))]
     if found:
@@ -135,7 +138,7 @@ def check_filled(files: Iterable[tuple[str | Path, dict[str, Any], type]]) -> No
 
 
 def _empty(value: object, kind: type, place: str) -> Iterator[str]:
-    """Yield the keys whose value is an empty text where none is meant."""
+    """Yield the keys that have an empty text although their type is not text."""
     if isinstance(value, dict):
         for name, inner in value.items():
             yield from _empty(inner, kind, f"{place}.{name}")
@@ -158,7 +161,7 @@ FILES = {
 
 
 def file_kind(data: dict[str, Any]) -> str | None:
-    """Return the kind of file of parsed TOML, by the tables that only this kind has; None if it is none of them."""
+    """Return the kind of a parsed TOML file by the tables that only this kind has, or None if it is unknown."""
     axis = data.get("axis")
     first = axis[0] if isinstance(axis, list) and axis and isinstance(axis[0], dict) else {}
     if data.keys() & {"actuator", "tendon", "sheath", "pretension"}:
@@ -178,7 +181,13 @@ def load(path: str | Path, kind: type[T]) -> T:
 
 
 def explain(message: str, kind: type, data: object = None) -> str:
-    """Turn a msgspec message into `[section] key: expected ..., found ...; reason`; `data`: the converted object."""
+    """Return a msgspec message in the form `section.key: expected ..., found ... (range)`.
+
+    Args:
+        message: message of msgspec.
+        kind: settings class.
+        data: parsed TOML, from which the found value is taken.
+    """
     text, _, at = message.partition(" - at ")
     place = at.strip("` ")
     key = re.sub(r"^\$\.?|`", "", place) or "top level"
@@ -194,7 +203,7 @@ def explain(message: str, kind: type, data: object = None) -> str:
 
 
 def _number_at(data: object, place: str) -> float | None:
-    """Return the number at a key path of parsed TOML, or None."""
+    """Return the number at a key path of parsed TOML, or None without a number."""
     for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
         try:
             data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]
@@ -204,13 +213,13 @@ def _number_at(data: object, place: str) -> float | None:
 
 
 def _description(kind: object, place: str) -> str:
-    """Return the description of the range that the field at a place has; "" if it has none."""
+    """Return the description of the range of the field at a place, or "" if it has none."""
     parts = _parts(_hint(kind, place))
     return next((part.description for part in parts if isinstance(part, msgspec.Meta) and part.description), "")
 
 
 def _hint(kind: object, place: str) -> object:
-    """Return the type of the field at a place of a settings class, or of the table that holds anything there."""
+    """Return the type of the field at a place of a settings class, or of the last table without known fields."""
     hint = kind
     for name in re.findall(r"\.(\w+)", place):
         struct = next(
@@ -224,14 +233,14 @@ def _hint(kind: object, place: str) -> object:
 
 
 def _parts(hint: object) -> Iterator[object]:
-    """Yield a type hint and everything that it is made of."""
+    """Yield a type hint and all of its parts."""
     yield hint
     for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
         yield from _parts(part)
 
 
 def _advice(name: str, place: str, kind: type) -> str:
-    """Return the advice for an unknown key at `place`: the nearest there, or the table that it belongs in."""
+    """Return the advice for an unknown key at `place`: the nearest known key, or the table to which it belongs."""
     tables = list(tables_of(kind))
     path = tuple(re.findall(r"\.(\w+)", place))
     here = next((table for table in tables if table.path == path), tables[0])
@@ -253,15 +262,22 @@ def _advice(name: str, place: str, kind: type) -> str:
 class Table(NamedTuple):
     """A table of a settings class."""
 
-    path: tuple[str, ...]  # its keys from the top
-    header: str  # as it is written
-    keys: list[str]  # those that it may have, sorted
+    path: tuple[str, ...]  # keys from the top level to the table
+    header: str  # header as written in a file
+    keys: list[str]  # permitted keys, sorted
 
 
 def tables_of(
     kind: object, path: tuple[str, ...] = (), listed: bool = False, above: tuple[object, ...] = ()
 ) -> Iterator[Table]:
-    """Yield every table of a settings class, the top level first; `listed`: the table may occur several times."""
+    """Yield every table of a settings class, starting with the top level.
+
+    Args:
+        kind: settings class, or a type hint that contains one.
+        path: keys from the top level to the table.
+        listed: True if the table may occur several times.
+        above: settings classes that contain the table.
+    """
     if kind in above:
         return
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
@@ -275,7 +291,7 @@ def tables_of(
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file under another name, sync and rename it, so that a crash leaves either the old or the new one."""
+    """Write a file under another name, sync and rename it, so that a crash leaves either the old or the new file."""
     path = Path(path)
     try:
         mode = path.stat().st_mode & 0o777 if path.exists() else 0o644

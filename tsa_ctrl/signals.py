@@ -1,7 +1,7 @@
 """Define every signal of an axis once: name, unit, meaning, source, and where it appears.
 
-The record of the log, the status, the measurements of a client, their JSON, the charts of the dashboard and of the
-live layouts, and the manual's table are derived from this table. To add a signal, add one row.
+Log record, status, client measurements, their JSON, the charts of dashboard and live layouts, and the manual's table
+are derived from this table. To add a signal, add one row.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 
 class Place(Flag):
-    """List the places in which a signal appears."""
+    """A place in which a signal appears."""
 
     INPUT = auto()  # a log of any origin may have this column
     LOG = auto()  # the daemon writes this column
@@ -23,28 +23,28 @@ class Place(Flag):
 
 
 class Kind(Enum):
-    """List the meanings of a signal's number."""
+    """The meaning of a signal's number."""
 
     VALUE = "value"
-    CODE = "code"  # the JSON has its name
+    CODE = "code"  # the JSON contains its name
     COUNT = "count"
     FLAG = "flag"
-    AGE = "age"  # of the PDOs of a node; the JSON has it as the age of the values of that node
+    AGE = "age"  # age of the PDOs of a node, which is the age of this node's values in the JSON
 
 
 @dataclass(frozen=True)
 class Signal:
-    """Describe one signal.
+    """One signal of an axis.
 
     Attributes:
-        name: of the column and of the key.
-        unit: SI, "1" for a pure number.
-        doc: the meaning, for people.
-        where: the places in which it appears.
+        name: name of the column and of the key.
+        unit: SI unit, "1" for a pure number.
+        doc: description of the meaning.
+        where: places in which the signal appears.
         source: attribute of `control.axis.ControlAxis`; empty for a signal that the daemon does not have.
-        kind: of the number.
-        ages: signals that hold the age of this value, the largest counts; none for a value of the loop itself.
-        chart: title of the chart in which the dashboard and the live layouts draw the signal; empty for none.
+        kind: meaning of the number.
+        ages: signals with the age of this value, of which the largest applies; empty for a value of the loop itself.
+        chart: title of the chart in which the dashboard and the live layouts draw the signal; empty without a chart.
     """
 
     name: str
@@ -180,7 +180,7 @@ def names_of(place: Place) -> tuple[str, ...]:
 
 
 def row_type(name: str, place: Place) -> Any:
-    """Return a named tuple type of the values in `place`, each of them 0 unless it is given."""
+    """Return a named tuple type of the values in `place`, with default 0."""
     fields = names_of(place)
     return namedtuple(name, fields, defaults=[0.0] * len(fields))
 

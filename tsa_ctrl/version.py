@@ -1,4 +1,4 @@
-"""The version of the package, and which build of it runs."""
+"""Report the version of the package and whether its compiled build is running."""
 
 from __future__ import annotations
 

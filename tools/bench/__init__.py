@@ -1,1 +1,1 @@
-"""Benchmarks of the cycle time, the model, the diagnosis, the calibration and the tuning."""
+"""Measure the cycle time, the model, the diagnosis, the calibration and the tuning."""

@@ -2,14 +2,14 @@
 
 Usage: tools/run bench/ablate [--change MODULE.NAME=VALUE ...] [--only TEXT] [--rows FILE] [--against FILE]
 
-The corpus has blind logs of every family, one rig with several noise seeds, and the measured sets (TSA_DATA, else
-../shared/data). A row has the answer, the held-out error in mN*m, and a mark: 1 for the right cause, 0.5 for the right
-cause in a group or an uncertain answer, 0 for a wrong answer, -1 for a single wrong cause without alternatives. The
-mark of a measured set is the share of the published causes that were identified.
+The corpus has blind logs of every family, rigs with several noise seeds, and the measured sets (TSA_DATA, else
+../shared/data). A row has the answer, the held-out error in mN*m, and a mark. The mark is 1 for the right cause, and
+0.5 for the right cause in a group or an uncertain answer. It is 0 for a wrong answer, and -1 for a single wrong cause
+without alternatives. The mark of a measured set is the share of the published causes that were identified.
 
---change sets a constant of a module in tsa_ctrl.identify.diagnosis, in every module that imports it, or makes a
-function return the value: `selection.entry.SMALLEST=0.4`, `selection.forward._plain_steps=()`. --against prints only
-the rows that differ from the given file. Rows of the same change that are already in --rows are not run again.
+--change sets a constant of a module in tsa_ctrl.identify.diagnosis in every module that imports it, or makes a function
+return the value. Examples are `selection.entry.SMALLEST=0.4` and `selection.forward._plain_steps=()`. --against prints
+only the rows that differ from the given file. Rows of the same change in --rows are not run again.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tsa_ctrl.model.parameters import load_model, model_from
 
 PACKAGE = "tsa_ctrl.identify.diagnosis."
 SEED = 7000  # of the first case; these seeds were not used in development
-CACHE = command.ROOT / "out" / "ablate"  # cases are cached, because drawing one takes longer than its diagnosis
+CACHE = command.ROOT / "out" / "ablate"  # cases are cached, because generating one takes longer than its diagnosis
 COUNTS = {"none": 5, "hidden_direction": 1, "single": len(FAMILIES["single"]), "pair": 6, "outside": 9}
 COUNTS |= {"confounded": 5, "rigid": 5, "geared": 4, "two_encoders": 5}
 LONG: tuple[tuple[str, str], ...] = (
@@ -51,9 +51,9 @@ LONG: tuple[tuple[str, str], ...] = (
     ("single", "pretension_relaxation"),
 )
 LONG += (("pair", "any"), ("outside", "viscoelastic_tendon"), ("outside", "oval_pulley"), ("none", "rich"))
-NOISE_SEEDS = 3  # per rig of SEEDED: one without an effect, and one with each of two effects
+NOISE_SEEDS = 3  # for each rig of SEEDED: one without an effect, and one with each of two effects
 SEEDED = ("", "velocity_lag", "stribeck_friction")
-# Pattern of the logs, pattern of the held-out logs, model file, and the accepted names of each published cause
+# Pattern of the logs, pattern of the held-out logs, model file, and the accepted names of each published cause.
 ASYMMETRIC, WEIGHT, OFFSET = "direction_asymmetric_friction", "gravity_load", "torque_offset"
 PRESLIDING, LOADED = "presliding_hysteresis", ("load_dependent_friction", "sheath_asymmetry", "tendon_slack")
 SETS: dict[str, tuple[str, str | None, str, tuple[tuple[str, ...], ...]]] = {
@@ -78,14 +78,14 @@ FOLDS = tuple(f"measured {name}" for name, each in SETS.items() if name.startswi
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """The key of one case, and a function that draws it. A measured set has no such function."""
+    """The key of one case, and a function that generates the case. A measured set has no such function."""
 
     key: str
     draw: Callable[[], Case] | None = None
 
 
 def corpus() -> Iterator[Work]:
-    """Yield every case, measured sets and long logs first."""
+    """Yield every case, starting with the measured sets and the long logs."""
     yield from (Work(f"measured {name}") for name in reversed(SETS))
     for number, (family, name) in enumerate(LONG):
         yield Work(f"long {family} {name}", partial(case, family, name, SEED + 50 + number))
@@ -119,7 +119,7 @@ def change(text: str) -> None:
 
 
 def answer(report: Row) -> str:
-    """Return the verdict and each cause with its alternatives, as one line."""
+    """Return one line with the verdict and each cause with its alternatives."""
     causes = ["/".join([each["effect"], *sorted(each["alternatives"])]) for each in report["causes"]]
     return f"{report['verdict']}: {', '.join(sorted(causes))}"
 
@@ -127,7 +127,7 @@ def answer(report: Row) -> str:
 def score(work: Work, found: Case | None, report: Row) -> float:
     """Return the mark of an answer, from 1 (right) to -1 (a single wrong cause).
 
-    A measured set (`found` is None) gets the share of its published causes that were identified.
+    The mark of a measured set (`found` is None) is the share of its published causes that were identified.
     """
     causes = report["causes"]
     named = [{each["effect"], *each["alternatives"]} for each in causes]
@@ -139,7 +139,7 @@ def score(work: Work, found: Case | None, report: Row) -> float:
         return -1.0
     if found.truth.outside:
         return 1.0 if marks.flagged else 0.0
-    if found.family == "two_encoders":  # right: the cause, a group with it, or none if recalibration absorbs the effect
+    if found.family == "two_encoders":  # right: the cause, its group, or no cause if recalibration absorbs it
         absorbed = "parameter_error" in found.truth.twins and not causes
         held = any(set(found.truth.effects) <= group for group in named)
         return 1.0 if held or absorbed or (not found.truth.effects and not causes) else 0.0
@@ -181,7 +181,7 @@ def one(work: Work, changes: Sequence[str]) -> Row:
 
 
 def cached(work: Work) -> Case | None:
-    """Return a case from the cache, or draw and store it. Return None if it cannot be drawn."""
+    """Return a case from the cache, or generate and store it. Return None if it cannot be generated."""
     path = CACHE / f"{work.key.replace('/', '_')}.pickle"
     if path.is_file():
         kept: Case | None = pickle.loads(path.read_bytes())
@@ -189,7 +189,7 @@ def cached(work: Work) -> Case | None:
     assert work.draw is not None
     try:
         drawn = work.draw()
-    except RuntimeError:  # no such case can be drawn
+    except RuntimeError:  # no such case can be generated
         return None
     kept = dataclasses.replace(drawn, bench=None, experiment=None)
     path.parent.mkdir(parents=True, exist_ok=True)

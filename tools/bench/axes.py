@@ -2,11 +2,11 @@
 
 Usage: tools/run bench/axes [--seconds 10] [--rate 1000] [--rounds 3] [--interface NAME] [--virtual]
 
-The rigs are one axis with standard PDOs, two axes with lean drives and encoders, without and with torque sensors, and
-four such axes without torque sensors on two buses.
-Plant and daemon run as two processes on a bus of local sockets ("datagram") or on UDP multicast. Each round runs all
-rigs in turn, so that the load of the machine affects them equally. With --virtual they run in virtual time, where the
-bus has its bit rate.
+The first rig has one axis with standard PDOs. The next two have two axes with lean drives and encoders, without and
+with torque sensors. The last one has four such axes without torque sensors on two buses. Plant and daemon run as two
+processes on a bus of local sockets ("datagram") or on UDP multicast. Each round runs all rigs one after another, so
+that the load of the machine affects them equally. With --virtual they run in virtual time on a bus with its real bit
+rate.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Files = tuple[Path, Path]
 
 
 def write(folder: Path, rate: float, interface: str, axes: int, pdo: str, torque_sensors: bool, buses: int) -> Files:
-    """Write the files of one rig; return controller and plant."""
+    """Write the files of one rig, and return the paths of controller and plant."""
     bus = rig.BusChoice(interface, _channel(interface))
     plant, controller = rig.plant(bus, "full"), rig.controller(bus, "axes", rate, "nominal.toml", 0.95)
     controller["socket"] = {"path": str(folder / "axes.sock")}
@@ -68,7 +68,7 @@ def _axis(axis: dict[str, Any], number: int, pdo: str, torque_sensors: bool) -> 
 
 
 def natively(files: Files, seconds: float) -> dict[str, Any]:
-    """Run plant and daemon as processes; return the daemon's summary."""
+    """Run plant and daemon as processes, and return the daemon's summary."""
     tsa = [sys.executable, "-m", "tsa_ctrl"]
     nodes = [*tsa, "plant", str(files[1])]
     with subprocess.Popen(nodes, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as plant:

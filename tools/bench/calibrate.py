@@ -1,8 +1,8 @@
-"""Measure the coverage of calibration's 95 % intervals on randomised logs.
+"""Measure the coverage of the calibration's 95 % intervals on random logs.
 
 Usage: tools/run bench/calibrate [--logs 1000] [--seed 1] [--processes 2] [--rows FILE] [--json]
 
-The logs come from the elongation equilibrium of two tendons (tests/blind/tendon_logs.py), not from the package.
+The logs are computed from the elongation equilibrium of two tendons (tests/blind/tendon_logs.py), not by the package.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ QUANTITIES = ("slope", "half_loop_torque", "friction_angle", "pretension")
 
 
 def one(job: Job) -> Row:
-    """Draw a rig and its logs by seed, calibrate, and return for each quantity if its interval contains the truth."""
+    """Calibrate a random rig and its logs, and return for each quantity whether its interval contains the truth."""
     seed, profile, kind = job
     rng = np.random.default_rng([seed, tendon_logs.PROFILES.index(profile), sum(map(ord, kind))])
     rig = tendon_logs.draw_rig(rng, profile)

@@ -1,21 +1,24 @@
-"""Measure how fast faults of motor, encoder and tendon are detected, and the energy that the joint receives until then.
+"""Measure the detection time of faults of motor, encoder and tendon, and the energy that the joint receives until then.
 
 Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--sensors motor encoder sensor]
                               [--set-points sine constant] [--calibrated] [--sample N] [--worst] [--results FILE]
 
 The shipped actuator runs with true parameters in virtual time. With two encoders the estimator is "stretch". Sensors:
-"motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, "sensor" has both. A
-prescribed motion gets the gait instead of the sine. Each fault begins at 1 s. A run ends 1.2 s after an axis latched,
-3 s after the fault, or 6 s after a fault that develops slowly. "told" is the time of the first report after the fault.
-"off" is the time from the fault until the motor torque of the plant is zero, once the axis has latched; "-" if this did
-not happen. "given" is the largest work on the joint in any window, less the work of the set-point, from the fault until
-the torque is off or the run ends. --json also prints the work until the first report. --worst adds the 20 worst trials
-of each configuration.
+"motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, and "sensor" has both. A
+prescribed motion has the gait as set-point instead of the sine. Each fault starts at 1 s. A run ends 1.2 s after an
+axis has latched, 3 s after the fault, or 6 s after a fault that develops slowly. The table has these values:
 
-If k_t of (3.56) differs from the file, the elongation is wrong from the first torque on, and the times start there.
-If the lever p + d/2 differs, only the pretension is wrong, after the wrap angle changes by a fifth from 1 s to 4 s. In
-this case the angle is commanded, and the estimator is "map". With --calibrated the model file has the [uncertainty] of
-stiffness and bends after `tsa calibrate --stretch` on a rig with a joint torque sensor, otherwise that of a data sheet.
+  told    time of the first report after the fault
+  off     time from the fault until the plant's motor torque is zero, once the axis has latched; "-" if it did not
+  given   the largest work on the joint in any window, less the work of the set-point, from the fault until the torque
+          is off or the run ends
+
+--json also prints the work until the first report. --worst adds the 20 worst trials of each configuration.
+
+If k_t of (3.56) differs from the file, the elongation is wrong from the first torque, and the times start there. If the
+lever p + d/2 differs, only the pretension is wrong, after the wrap angle has changed by a fifth between 1 s and 4 s. In
+this case the angle is commanded, and the estimator is "map". The model file has the [uncertainty] of stiffness and
+bends from a data sheet, or with --calibrated from `tsa calibrate --stretch` on a rig with a joint torque sensor.
 """
 
 from __future__ import annotations
@@ -43,13 +46,13 @@ from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.script import Change, parse_fault_option
 
 AT = 0.9995  # s, between two cycles, so that the report of the next cycle is after the fault
-AT_ONCE, SLOWLY = 3.0, 6.0  # s that are evaluated for sudden faults, and for faults that develop slowly
+AT_ONCE, SLOWLY = 3.0, 6.0  # s that are evaluated after a sudden fault, and after a fault that develops slowly
 LOADS = ("held", "weight", "imposed", "limb", "spring")
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """A fault of the plant at `AT`, or a difference between plant and file from the enable on.
+    """A fault of the plant at `AT`, or a difference between plant and file that exists from the enable.
 
     `stiffness` and `lever` are ratios of the plant's value to the file's value. With `straightens` the sheath
     straightens and the angle is commanded. `after` is the evaluated time in s.
@@ -63,7 +66,7 @@ class Wrong:
 
     @property
     def at(self) -> float:
-        """Return the time of the fault in the log, s, or 0 for an error that acts from the first torque on."""
+        """Return the time of the fault in the log, s, or 0 for an error that acts from the first torque."""
         return AT if self.stiffness == 1.0 else 0.0
 
     def possible(self, sensors: str) -> bool:
@@ -71,7 +74,7 @@ class Wrong:
         return sensors != "motor" or not self.fault.startswith("encoder")
 
 
-FAULTS = {  # by their names in the table
+FAULTS = {  # by name in the table
     "nothing": Wrong("clear"),
     "motor turns the wrong way": Wrong("reversed_sign"),
     "motor gives twice": Wrong("torque_gain value=2.0"),
@@ -106,13 +109,13 @@ LISTED: command.Columns = {
     "reported (s)": command.seconds_of("told", 2),
     "latched (s)": command.seconds_of("latched", 2),
 }
-NONE = 0.02  # N*m, below which the motor torque counts as zero
+NONE = 0.02  # N*m; a smaller motor torque counts as zero
 
 
 def combinations(
     faults: Iterable[str], loads: Iterable[str], sensors: Iterable[str], set_points: Iterable[str]
 ) -> list[tuple[str, str, str, str]]:
-    """Return all combinations of fault, load, sensors and set-point in which the fault is possible."""
+    """Return all combinations of fault, load, sensors and set-point for which the fault is possible."""
     every = itertools.product(faults, loads, sensors, set_points)
     return [each for each in every if FAULTS[each[0]].possible(each[2])]
 
@@ -148,7 +151,7 @@ def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine
 
 
 def file_of(wrong: Wrong, calibrated: bool) -> TendonSheath:
-    """Return the controller's model: the true one with the lever error of the fault and the uncertainty of the file."""
+    """Return the controller's model: the true model with the lever error of the fault and the file's uncertainty."""
     model = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
     if calibrated:
         stiffness, centre = CALIBRATED
@@ -219,7 +222,7 @@ def _trial(key: tuple[str, str, str, str, bool]) -> Row:
 
 
 def tables(rows: Sequence[Row], arguments: argparse.Namespace) -> list[Table]:
-    """Return a table for each sensor configuration and set-point: a line for each fault, a column for each load."""
+    """Return a table for each sensor configuration and set-point, with a row per fault and a column per load."""
     found = []
     for sensors, set_point in itertools.product(arguments.sensors, arguments.set_points):
         those = [row for row in rows if (row["sensors"], row["set_point"]) == (sensors, set_point)]

@@ -3,9 +3,9 @@
 Usage: tools/vcan tools/run bench/circle [--seconds 20] [--rate 1000] [--rows FILE] [--json] [EFFECT[+EFFECT]:SEED ...]
 
 Each row has the RMS error of the joint torque (mN*m) for five controllers: without compensation, with the nominal
-model, with the calibrated model, with the model extended by the causes that the diagnosis of the nominal run
-identifies, and with the true parameters. The last two numbers are the error reduction of the extended model from no
-compensation and from the nominal model, as shares of the reduction with the true parameters.
+model, with the calibrated model, with the extended model, and with the true parameters. The model is extended by the
+causes that the diagnosis of the nominal run identifies. The last two numbers are the error reductions of the extended
+model from no compensation and from the nominal model. They are shares of the reductions with the true parameters.
 """
 
 from __future__ import annotations

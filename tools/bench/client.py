@@ -7,10 +7,10 @@ this machine, on the bus that `tsa demo` would choose. The client changes the si
 witness records the time of the first RPDO with the new sign. There are three runs: without other clients, with one
 client that continuously requests the status and sets a parameter, and with four such clients.
 
-A value that just misses the RPDO of a cycle is sent with the next one, which adds half a period on average and one at
-most. The latency also contains the time from the begin of a cycle to its RPDO, printed as "cycle" (p99 of the daemon's
-histogram), and the scheduling latency of client, socket server and witness. The exit code is 1 if the p99 without other
-clients exceeds the cycle by more than one period.
+A value that just misses the RPDO of a cycle is sent with the next one, which adds half a period on average and at most
+one. The latency also contains the scheduling latency of client, socket server and witness, and the time from the start
+of a cycle to its RPDO. This time is printed as "cycle" (p99 of the daemon's histogram). The exit code is 1 if the p99
+without other clients exceeds the cycle by more than one period.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from tsa_ctrl.ipc import protocol
 from tsa_ctrl.system.process_supervisor import plant, tsa
 
 COMMANDS = 0x201  # RPDO 1 of node 1: controlword, target torque
-TORQUE = 0.1  # N*m at the joint, either way
-APART = (10.0, 15.0)  # range of the periods between two changes of the sign
-FLOODS = (0, 1, 4)
+TORQUE = 0.1  # N*m at the joint, with both signs
+APART = (10.0, 15.0)  # range of the number of periods between two changes of the sign
+FLOODS = (0, 1, 4)  # numbers of other clients
 SLOW, FAST = 250.0, 1000.0  # Hz of the loop, over UDP multicast and on a CAN interface
-STARTED = 120.0  # s until the daemon runs; the first start on a machine compiles
-ABOVE = 90  # priority of the witness, above the loop's
-SETTLED = 2.0  # s of torque before anything counts
+STARTED = 120.0  # s for the daemon to start, because the first start on a machine compiles
+ABOVE = 90  # priority of the witness, higher than the loop's priority
+SETTLED = 2.0  # s of torque before the measurement
 SPAWN = multiprocessing.get_context("spawn")  # a fork would share the sockets
 
 Changes = list[tuple[float, int]]  # s, sign
@@ -172,7 +172,7 @@ def witness(bus: BusChoice, client: Future[Changes]) -> Changes:
 
 
 def matched(changes: Changes, seen: Changes) -> Iterator[float]:
-    """Yield the time from each change to the first command with its sign, s, or inf if the next change comes before."""
+    """Yield the time from each change to the first command with its sign, s, or inf if the next change comes first."""
     times = np.array([at for at, _ in seen])
     for (at, sign), (following, _) in itertools.pairwise(changes):
         later = seen[int(np.searchsorted(times, at)) :]
@@ -181,7 +181,7 @@ def matched(changes: Changes, seen: Changes) -> Iterator[float]:
 
 
 def stream(path: str, client_rate: float, rate: float, seconds: float) -> Changes:
-    """Send set-points whose sign changes at random; return the times and signs of the changes."""
+    """Send set-points whose sign changes at random times, and return the times and signs of the changes."""
     draw = random.Random(1)
     changes: Changes = []
     with Client(path) as client, client.lease(1.0) as lease:

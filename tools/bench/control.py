@@ -2,14 +2,17 @@
 
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
        [--rows FILE] [--brief] [--angles 0.05 0.8 ...] [--off 0.2]
-The real loop runs on the plant with distributed tendons in virtual time, so the same command prints the same figures.
-Laws: none (compensation 0, true file), (3.55) with the nominal file, files of `tsa tune` and `tsa tune --extended` for
-a prescribed motion, and the true parameters. Errors are the plant's joint torque less the set-point, after the fade-in.
-"jerk" is the RMS rate of the error around reversals. "at rest" is the joint's RMS speed at set-point 0 after the
-motion. --rows FILE: rows of the file are not run again, and the table has old and new rows. --brief: one row for each
-shape and joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant, each with sufficient
-limits of torque and rate. --off: relative error of friction and stiffness of the nominal file; the pretension has the
-opposite error. A fault that ended a run is printed below the table.
+
+The real loop runs on the plant with distributed tendons in virtual time, so a repeated command prints the same figures.
+The laws are: none (compensation 0, true file), (3.55) with the nominal file, the files of `tsa tune` and `tsa tune
+--extended` for a prescribed motion, and the true parameters. Errors are the plant's joint torque minus the set-point
+after the fade-in. "jerk" is the RMS rate of the error around reversals. "at rest" is the joint's RMS speed at set-point
+0 after the motion. A fault that ended a run is printed below the table.
+
+  --rows FILE   rows of the file are not run again, and the table has old and new rows
+  --brief       one row for each shape and joint with "RMS, 99 %, peak; jerk" of each law
+  --angles      friction angles x of the plant, each with sufficient limits of torque and rate
+  --off         relative error of friction and stiffness in the nominal file; the pretension has the opposite error
 """
 
 from __future__ import annotations
@@ -50,9 +53,9 @@ LAST_TENTH = "last_tenth"  # evenly bent within the last 10 % of the length
 PROFILES: dict[str, Points] = {LAST_TENTH: ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))}
 LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term: as shipped, and with the true parameters
-TO_REST, REST = 3.0, 2.0  # s; the set-point's gain goes to 0 within 2 s, and the speed is measured after 3 s
+TO_REST, REST = 3.0, 2.0  # s; the set-point gain fades to 0 within 2 s, and the speed is measured after 3 s
 WIDTH = 190  # characters of a table
-WINDOW = 0.05  # s on either side of a reversal, longer than the friction term takes to reverse
+WINDOW = 0.05  # s on each side of a reversal, longer than the reversal of the friction term
 LEAST_SPEED = 0.05  # rad/s of a joint on both sides of a reversal; slower motion is creep
 
 
@@ -105,7 +108,7 @@ def controller(folder: Path, law: str, rate: float) -> rig.Tables:
 
 
 def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) -> str:
-    """Tune the nominal file with a prescribed motion in `folder`/LAW; return the last error line, or "" on success."""
+    """Tune the nominal file with a prescribed motion in `folder`/LAW. Return the last error line, or "" on success."""
     place = folder / law
     place.mkdir()
     tables = {"tune": rig.controller(VIRTUAL, "tune", rate, "nominal.toml", NOMINAL_SHARE)}
@@ -119,7 +122,7 @@ def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) 
 
 
 def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int, case: Case = DEMO) -> Row:
-    """Run one law with one load: some periods of the set-point, then set-point 0. Return the measured errors."""
+    """Run one law with one load, first for some periods of the set-point and then at 0. Return the measured errors."""
     played = play_for(joint)
     seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
     tables = controller(folder, law, rate)
@@ -148,8 +151,8 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
 def measure(axis: AxisResult, playing: float, rests: float) -> Row:
     """Return RMS, 99th percentile and peak of the error, N*m, its jerk, N*m/s, and the joint's speed at rest, rad/s.
 
-    The set-point plays until `playing` s of the log's time. The speed at rest is evaluated from `rests` s on. The jerk
-    is None if the joint never reverses, or if the joint rests and its set-point never reverses.
+    The set-point is played until the time `playing` (s) of the log. The speed at rest is evaluated after the time
+    `rests` (s). The jerk is None if the joint never reverses, or if the joint rests and its set-point never reverses.
     """
     log, truth = axis.log, axis.truth
     counted = axis.counted & (log["t"] < playing)
@@ -176,7 +179,7 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:
-    """Yield one row for each load, shape and law. If tuning fails, yield one row for the shape and the law."""
+    """Yield one row for each load, shape and law, or one row for the shape and the law if tuning failed."""
     drive = {"delay_periods": arguments.delay - 1}
     kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"], row.get("x")))
     for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):

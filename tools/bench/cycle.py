@@ -2,17 +2,17 @@
 
 Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--json]
 
-All variants run on one bus with one process that answers each SYNC (as in `tsa bench`). They take turns in blocks:
+All variants run alternately in blocks, on one bus with one process that answers each SYNC (as in `tsa bench`):
 
   raw socket        SYNC out, TPDOs in, RPDOs out: the minimum in Python
   raw socket, C     the same in C; this row is omitted without a C compiler
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
-  ours, all         the same with the work after the RPDO: estimate, log record, a command of the local socket
+  ours, all         the same with the work after the RPDO: estimate, log record, a command from the local socket
 
-"cycle" is the wall time from the wake-up to the end of the cycle. "user" and "kernel" are the processor time of the
-thread per period, including the wait and the work after the cycle. If a compiled build exists
-(`tools/run package/compiled`), it is measured. TSA_COMPILE=0 measures the interpreted build.
-The command needs a vcan and otherwise runs under tools/vcan. --rate 0 is 1000 Hz, or less if the bit rate is too low.
+"cycle" is the wall time from the wake-up to the end of the cycle. "user" and "kernel" are the processor times of the
+thread per period, including the wait and the work after the cycle. If there is a compiled build (`tools/run
+package/compiled`), the command measures it. TSA_COMPILE=0 measures the interpreted build. Without a vcan the command
+runs itself under tools/vcan. --rate 0 is 1000 Hz, or less if the bit rate is too low.
 """
 
 from __future__ import annotations

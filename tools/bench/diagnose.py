@@ -2,9 +2,10 @@
 
 Usage: tools/run bench/diagnose [--quick] [--short] [--families single:30 none:400 ...] [--names EFFECT ...]
                             [--processes 2] [--seed 0] [--rows FILE.jsonl] [--list] | --speed
-The logs come from the four tendon tensions (tests/blind), not from the package. Each result is appended to --rows. With
-the same file an interrupted run continues. Results of another version of the code are ignored. --quick is the gate: it
-exits with 1 if a result is significantly worse than its target.
+
+The logs are computed from the four tendon tensions (tests/blind), not by the package. Each result is appended to
+--rows. With the same file an interrupted run continues. Results of another version of the code are ignored. --quick is
+the gate: its exit code is 1 if a result is significantly worse than its target.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import model_from
 from tsa_ctrl.system.process_supervisor import tsa
 
-# Cases for each name of a family; for "none" and "pair", cases in total.
+# Number of cases for each name of a family. For "none" and "pair", the total number of cases.
 FULL = {
     "none": 400,
     "hidden_direction": 25,
@@ -52,7 +53,7 @@ QUICK = {"none": 40, "single": 2}
 
 
 def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> Iterator[Job]:
-    """Yield every case, with families interleaved so that an interrupted run has cases of each."""
+    """Yield every case, with families interleaved so that an interrupted run has cases of each family."""
     queues = []
     for family, count in counts.items():
         known = [name for name in FAMILIES[family] if not names or name in names]
@@ -65,7 +66,7 @@ def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> It
 
 
 def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
-    """Return the contents of diagnosis.json, and the duration of the diagnosis in s."""
+    """Return the contents of diagnosis.json and the duration of the diagnosis, s."""
     datasets = [Dataset.from_arrays(log.columns, log.name) for log in logs]
     started = time.perf_counter()
     report = json.loads(diagnose(datasets, model_from(tomllib.loads(model), "nominal.toml")).to_json())
@@ -73,10 +74,10 @@ def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
 
 
 def one(job: Job) -> Row:
-    """Draw a case, diagnose it and its experiment, and mark both and the naive strategies on the same logs."""
+    """Generate a case, diagnose it and its experiment, and mark both and the naive strategies on the same logs."""
     try:
         hidden = case(*job)
-    except (RuntimeError, ValueError) as problem:  # the case cannot be drawn: it is printed, but not counted
+    except (RuntimeError, ValueError) as problem:  # no such case can be generated; it is printed but not counted
         return {"undrawn": str(problem)}
     family, name, seed, short = job
     truth = hidden.truth
@@ -118,7 +119,7 @@ SILENT: Row = {"verdict": "error", "causes": [], "parameter_errors": {}, "experi
 
 
 def as_report(names: list[str]) -> Row:
-    """Return the report of a naive strategy, which gives causes without alternatives."""
+    """Return the report of a naive strategy, whose causes have no alternatives."""
     causes = [{"effect": name, "alternatives": [], "parameters": {}} for name in names]
     return {**SILENT, "verdict": "explained" if names else "consistent", "causes": causes}
 
@@ -139,7 +140,7 @@ def key(row: Row) -> Job:
 
 
 def run(queue: list[Job], processes: int, results: Results, version: str) -> None:
-    """Run the jobs of the queue, and write each result to disk at once."""
+    """Run the jobs of the queue, and write each result to disk immediately."""
     started = time.perf_counter()
     for done, row in enumerate(command.parallel(one, queue, processes), 1):
         if "undrawn" in row:

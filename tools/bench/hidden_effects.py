@@ -1,9 +1,9 @@
-"""Add known effects to the torque of measured logs, by formulas of this file.
+"""Add known effects to the torque of measured logs by the formulas of this file.
 
-The size of an effect is the RMS of its torque while the drive moves, after least squares remove the part that
-recalibration can absorb. This part is inertia, friction, drag and offset if the model has them, and for tendons the
-motor torque and the direction. Samples at rest do not count, because static friction is undetermined there. The size of
-a delay is evaluated on the torque that follows from the motion, because delayed noise is still noise.
+The size of an effect is the RMS of its torque while the drive moves, without the part that recalibration can absorb.
+Least squares remove this part: inertia, friction, drag and offset if the model has them, and for tendons the motor
+torque and the direction. Samples at rest are excluded, because static friction is undetermined there. The size of a
+delay is evaluated on the torque that follows from the motion, because delayed noise is still noise.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import Model, RigidDrive
 
 Array = NDArray[np.float64]
-SLOW = 0.03  # s, over which the motion is averaged before effects are computed
-REST = 0.01  # of the largest speed; below it friction fades, because the sign of velocity noise is random
-STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
-MOST_BLURRED = 0.5  # of the RMS change, allowed difference if the motion is averaged over twice the time
-MOST_CYCLES = 40  # of a ripple per turn, the limit of the search in model/effects/motor.py
+SLOW = 0.03  # s over which the motion is averaged before effects are computed
+REST = 0.01  # of the largest speed, below which friction fades, because the sign of velocity noise is random
+STRIBECK = 0.1  # of the largest speed, range over which the hidden static friction fades
+MOST_BLURRED = 0.5  # of the RMS change, permitted difference if the motion is averaged over twice the time
+MOST_CYCLES = 40  # cycles of a ripple per turn, the limit of the search in model/effects/motor.py
 HALVINGS = 30  # steps of the bisection for a delay or a distance
 
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of one log in SI units, arrays of shape (n,). `torque` is the torque that the model predicts."""
+    """The motion of one log in SI units, (n,) each. `torque` is the measured torque that the model predicts."""
 
     t: Array
     q: Array
@@ -37,18 +37,22 @@ class Motion:
     acceleration: Array
     torque: Array
     tau_m: Array
-    reach: float  # rad, the largest range of an angle in the set
-    fastest: float  # rad/s, of the set
+    reach: float  # rad, largest range of an angle in the set
+    fastest: float  # rad/s, largest speed in the set
     friction: float  # N*m, Coulomb friction of the set by least squares
     explained: Array  # N*m, torque that follows from the motion, by least squares over the set
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden effect. `change` returns the additional torque of a rigid drive, or the torque loss of tendons, N*m.
+    """A hidden effect.
 
-    `change` has one number as its parameter. `range` is the range of this number if the change is not linear in it.
-    `follows_acceleration` is True if the change at steady speed is only velocity noise.
+    Attributes:
+        change: function of the motion and one number that returns the additional torque of a rigid drive, or the
+            torque loss of tendons, N*m.
+        needs_angle: True if the effect requires a measured angle.
+        range: range of the number if the change is not linear in it.
+        follows_acceleration: True if the change at steady speed is only velocity noise.
     """
 
     change: Callable[[Motion, float], Array]
@@ -74,7 +78,7 @@ def smooth(y: Array, t: Array, times: int = 1) -> Array:
 
 
 def motions_of(logs: Sequence[Dataset], model: Model, times: int = 1) -> list[Motion]:
-    """Return the motion of each log, averaged over `times` SLOW, with the values that are common to the set."""
+    """Return the motion of each log, averaged over `times` SLOW, with the common values of the set."""
     plain = isinstance(model, RigidDrive)
     found = [_motion(log, plain, times) for log in logs]
     bases = [base_of(each, model) for each in found]
@@ -133,7 +137,7 @@ def late(log: Motion, delay: float) -> Array:
 
 
 def cycles(log: Motion) -> float:
-    """Return the cycles of a ripple per turn, so that the motion covers at least two, up to `MOST_CYCLES`."""
+    """Return the number of cycles of a ripple per turn, so that the motion covers two cycles, at most `MOST_CYCLES`."""
     return float(min(np.round(4.0 * np.pi / log.reach), MOST_CYCLES))
 
 
@@ -200,8 +204,8 @@ def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], siz
 def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
     """Return the logs with an effect of this size (N*m) added, and its number.
 
-    The number is None if the effect cannot be added. Then the model has it already, a measured angle is missing, no
-    number gives that size, or the effect would follow the velocity noise.
+    The number is None if the effect cannot be added. The model may already have it, a measured angle may be missing, no
+    number may result in that size, or the effect may follow the velocity noise.
     """
     plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
     if (plain and getattr(model, effect, None) is not None) or (

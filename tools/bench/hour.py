@@ -1,8 +1,8 @@
-"""Measure memory and time of `tsa diagnose` on one hour at 1 kHz, as a table (CSV) and as the daemon's own log (MCAP).
+"""Measure memory and time of `tsa diagnose` on one hour at 1 kHz, as a table (CSV) and as a log of the daemon (MCAP).
 
 Usage: tools/run bench/hour [--seconds 3600] [--seed 0] [--kinds csv mcap]
 
-The hour repeats a minute of the blind benchmark (tests/blind) between two moments with the same motion. The peak is the
+The hour repeats a minute of the blind benchmark (tests/blind) between two moments with similar motion. The peak is the
 sum of the proportional set sizes of all processes of the command (/proc/PID/smaps_rollup), sampled every 0.1 s.
 """
 
@@ -32,7 +32,7 @@ from tsa_ctrl.system.process_supervisor import tsa
 RATE = 1000  # Hz
 CHUNK = 1000  # records in one chunk, as the daemon writes them
 LOOK = 0.1  # s between two samples of the memory
-SEAM = 0.2  # share of the minute at either end, in which the two moments are searched
+SEAM = 0.2  # share of the minute at each end in which the two moments are searched
 MOTION = ("q_j", "q_m", "omega_j", "omega_m")
 
 Columns = dict[str, NDArray[np.float64]]

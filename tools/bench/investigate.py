@@ -2,8 +2,8 @@
 
 Usage: tools/run bench/investigate [--seed N] [--only TEXT] [--sample N] [--rows FILE] [--processes 1|2]
 
-The tests draw the rigs by the seed: single joints and the knee of a leg in virtual time, and a simulated gear. The
-table has a row for each rig, and the last line counts the right answers. With --rows a long run can be continued.
+The seed determines random rigs of the tests: single joints and the knee of a leg in virtual time, and a simulated gear.
+The table has a row for each rig, and the last line counts the right answers. With --rows an interrupted run continues.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from tsa_ctrl.cli.investigate import command as investigate_command
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.investigate.procedure import investigate, report_dict
 
-MOST = 6  # motions, the default of tsa investigate
+MOST = 6  # motions, the default of `tsa investigate`
 
 
 def investigated(hidden: Rig, seed: int) -> dict[str, Any]:
-    """Return the JSON object of one rig. After an error the answer is "error", and the statement is the error text."""
+    """Return the JSON object of one rig. After an error, the answer is "error" and the statement is the error text."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if hidden.load == GEARED:

@@ -1,11 +1,12 @@
-"""Compare a leg, whose joints bend each other's sheaths, with its goals, in virtual time.
+"""Compare a leg whose joints bend each other's sheaths with its goals in virtual time.
 
 Usage: tools/run bench/leg [--only PART ...] [--json]
+
 The hip bends the knee's sheath (0.8 rad/rad, hip +-0.5 rad), with the demo's actuator at 500 Hz. The numbers are RMS
-errors of the knee's joint torque from 2 s on, in mN*m, if the row has no other unit. The goal of the first rows is 1.3
-times the error with a resting hip, or 6 mN*m more. A runaway is measured by the highest speed of a free knee in the
-last second at set-point 0. A push occurs four seconds before the end. The hip swings at 1 Hz, and the file has twice
-the true gain. --only selects parts.
+errors of the knee's joint torque after 2 s, in mN*m unless the row has another unit. The goal of the first rows is 1.3
+times the error with a resting hip, or 6 mN*m more if this is larger. A runaway is measured by the highest speed of a
+free knee in the last second at set-point 0. The knee is pushed four seconds before the end, while the hip swings at
+1 Hz and the file has twice the true gain. --only selects parts.
 """
 
 from __future__ import annotations
@@ -55,13 +56,13 @@ def with_sensors(controller: Path, sensors: str) -> None:
 
 
 def error(result: Simulation) -> float:
-    """Return the RMS error from 2 s on, mN*m, or nan after a fault."""
+    """Return the RMS error after 2 s, mN*m, or nan after a fault."""
     found = joints.error(result, 2.0)
     return joints.rms(found) if found.size and not result.axes[0].faults else float("nan")
 
 
 def tracking(folder: Path, load: str) -> Iterator[Row]:
-    """Yield the errors with true gains, and with gains that are 20 % off."""
+    """Yield the errors with true gains and with gains that are wrong by 20 %."""
     resting = error(simulate_loop(*knees.files(folder, load, 0.0), knees.SECONDS))
     goal = max(1.3 * resting, resting + 6.0)
     for name, gains in ROUTED.items():

@@ -3,12 +3,18 @@
 Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--rows FILE] [--list]
 
 Each set is diagnosed unchanged, and again with one effect added to its measured torque by the formulas of
-`hidden_effects`. The size of the effect is a multiple of the noise floor of the unchanged logs. Answers: "found" is
-this cause alone, "in a group" is this cause with alternatives, "wrong" is another cause without it, and "refused" means
-that the logs are insufficient. Effects that the unchanged logs already have are omitted. Then one half of each set (of
-its logs, or of the time of its only log) is diagnosed with the model from the diagnosis of the other half, and no cause
-should be added. Rows are kept in --rows (default: the file of the manual's table) and are not run again. The data are
-searched in TSA_DATA, then in ../shared/data. Without data the command prints one line.
+`hidden_effects`. The size of the effect is a multiple of the noise floor of the unchanged logs. Effects that the
+unchanged logs already have are omitted. The answers are:
+
+  found       only this cause
+  in a group  this cause with alternatives
+  wrong       another cause without this one
+  refused     the logs are insufficient
+
+Then each set is halved by its logs, or by the time of its only log. One half is diagnosed with the model from the
+diagnosis of the other half, which should add no cause. Rows are kept in --rows (default: the file of the manual's
+table) and are not run again. The command looks for the data in TSA_DATA, and then in ../shared/data. Without data it
+prints one line.
 """
 
 from __future__ import annotations
@@ -36,12 +42,12 @@ FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
 
 def names_of(report: Row) -> set[str]:
-    """Return all causes and alternatives of a report as one set."""
+    """Return one set with all causes and alternatives of a report."""
     return {name for cause in report["causes"] for name in (cause["effect"], *cause["alternatives"])}
 
 
 def claims_of(report: Row) -> list[set[str]]:
-    """Return a set for each cause of a report, with the cause and its alternatives."""
+    """Return a set with each cause of a report and its alternatives."""
     return [{cause["effect"], *cause["alternatives"]} for cause in report["causes"]]
 
 
@@ -100,8 +106,9 @@ def answer(row: Row, untouched: Row) -> str:
 
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return head and lines: each effect of a set with its detection limit and the answer by size; then the halves.
+    """Return head and lines of the table.
 
+    The lines have each effect of a set with its detection limit and the answer by size, and the halves of each set.
     The last lines count the answers above and below the detection limits.
     """
     by = {(row["set"], row["effect"], row["size"]): row for row in rows if "report" in row}

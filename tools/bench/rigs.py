@@ -1,15 +1,16 @@
 """Tune random rigs with the effects of real rigs by `tsa tune`, and evaluate the controllers on other runs.
 
 Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--results FILE] [--keep FOLDER] [--json]
-A rig is drawn by seed and number: friction angle 0.05 to 1.2, a random curvature profile, motor inertia, delay, noise,
-encoders of 12 to 20 bit, and a random choice of torque ripple, friction of the motor's gear, backlash, an eccentric
-pulley, and drift by temperature or relaxation. The controller's file is up to 20 % off and has none of the effects.
-`tsa tune --virtual` has no other knowledge of the plant. The tuned controller then runs without changes on a prescribed
-motion, a locked joint and a human-in-the-loop load, and with a sine of 20 mN*m on the locked joint.
 
-Reduction = 1 - RMS error / RMS error without compensation. The error is the plant's joint torque less the set-point
+Seed and number determine a random rig: friction angle (0.05 to 1.2), curvature profile, motor inertia, delay, noise and
+encoders (12 to 20 bit). A rig also has a random choice of torque ripple, friction of the motor's gear, backlash, an
+eccentric pulley, and drift by temperature or relaxation. The controller's file is wrong by up to 20 % and has none of
+the effects. `tsa tune --virtual` uses no other information on the plant. The tuned controller then runs without changes
+on a prescribed motion, a locked joint and a human-in-the-loop load, and with a sine of 20 mN*m on the locked joint.
+
+Reduction = 1 - RMS error / RMS error without compensation. The error is the plant's joint torque minus the set-point
 after the fade-in. The last column is the RMS error of the small sine, whose RMS is 14.1 mN*m. Without --seed every run
-draws other rigs; the seed is printed. --keep writes the files of each rig to a folder and keeps them.
+has other rigs, and prints its seed. --keep writes the files of each rig to a folder and keeps them.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ from tsa_ctrl.virtual.simulation import simulate_loop
 
 X = (0.05, 1.2)  # 1, friction angle
 THETA = 6.0  # rad, wrap angle: a friction coefficient of 0.2 at the largest x
-OFF = 0.2  # file over truth, minus 1, either way: friction, pretension, stiffness
+OFF = 0.2  # file over truth minus 1, largest magnitude: friction, pretension, stiffness
 INERTIA = (3e-5, 6e-4)  # kg*m^2 at the motor pulley
 STIFFNESS = (0.6, 1.8)  # of the demo's tendons
 PRESENT = 0.5  # probability of each effect
 SMALL = 0.02  # N*m, amplitude of the small sine
-SECONDS = {"imposed": 4.4, "held": 4.4, "wearer": 9.0, "small": 5.2}  # s of torque, 1 s of fade-in included
+SECONDS = {"imposed": 4.4, "held": 4.4, "wearer": 9.0, "small": 5.2}  # s of torque, including 1 s of fade-in
 TUNING = ("--seconds", "20", "--verify-seconds", "8")
 
 
 @dataclass(frozen=True)
 class Rig:
-    """One rig. `effects` are the plant's, `temperature` has rows of s and deg C, `bits` are of both encoders."""
+    """One rig. `effects` are the plant's effects. `temperature` has rows of s, deg C. `bits` is for both encoders."""
 
     seed: int
     number: int
@@ -194,7 +195,7 @@ def drawn_effects(rng: np.random.Generator) -> tuple[dict[str, dict[str, Any]], 
 
 
 def trial(rig: Rig, folder: Path) -> Row:
-    """Write, tune and evaluate one rig. The row has `outcome`, the reductions in % and the error of the small sine."""
+    """Write, tune and evaluate one rig. The row has the outcome, the reductions (%) and the error of the small sine."""
     rig.write(folder)
     row: Row = {
         "seed": rig.seed,
@@ -278,7 +279,7 @@ def main() -> int:
 
 
 def made(keep: Path | None, asked: tuple[int, int]) -> Row:
-    """Draw, tune and evaluate one rig. With `keep` its files stay in a folder there."""
+    """Generate, tune and evaluate one rig. With `keep` its files stay in a folder there."""
     seed, number = asked
     with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
         return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}")

@@ -1,11 +1,13 @@
-"""Tune random legs, whose joints bend each other's sheaths, by `tsa tune --joint`, and compare with the true models.
+"""Tune random legs whose joints bend each other's sheaths by `tsa tune --joint`, and compare with the true models.
 
 Usage: tools/run bench/routing [--seed N] [--legs N] [--from-log] [--processes N] [--json]
-A leg has 2 or 3 joints. The sheath of the last joint crosses 1 or 2 others, with gains of 0.3 to 1 rad/rad of either
-sign. Every third leg routes its two tendons differently. The file has no routing. Its friction and pretension are off
-by up to 15 %, its stiffness by up to 5 %. The plant's tendons are distributed. Goals: gain errors of at most 5 % of the
-largest gain, and at most twice the torque error (mN*m) of the true model, on a motion that tuning did not use.
---from-log tunes from one log of all joints instead of the whole procedure, in a third of the time.
+
+A leg has 2 or 3 joints. The sheath of the last joint crosses 1 or 2 others, with gains of 0.3 to 1 rad/rad and either
+sign. Every third leg routes its two tendons differently. The file has no routing. Its friction and pretension are wrong
+by up to 15 %, and its stiffness by up to 5 %. The plant's tendons are distributed. The goal for the gains is an error
+of at most 5 % of the largest gain. The goal for the torque (mN*m) is at most twice the error of the true model, on a
+motion that tuning did not use. --from-log tunes from one log of all joints instead of the whole procedure, in a third
+of the time.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from tsa_ctrl.tune.excitation import FREQUENCIES, most_torque, multi_sine
 from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.tune.session import Plan, Session
 
-RATE = {2: 500.0, 3: 400.0}  # Hz by the number of joints, of one bus
+RATE = {2: 500.0, 3: 400.0}  # Hz by the number of joints on one bus
 SECONDS, VERIFIED, COMPARED = 15.0, 5.0, 6.0  # s of an excitation, a verification and a comparison
 LOGGED = 20.0  # s of the log of --from-log
 NAMES = ("hip", "knee", "ankle")
@@ -48,11 +50,11 @@ class Leg:
     names: tuple[str, ...]
     true: TendonSheath
     file: TendonSheath
-    motions: dict[str, dict[str, Any]]  # of the other joints, by name
+    motions: dict[str, dict[str, Any]]  # motions of the other joints by name
 
 
 def draw(seed: int) -> Leg:
-    """Draw the leg of a seed."""
+    """Return the random leg of a seed."""
     rng = np.random.default_rng([seed, 31])
     names = NAMES[: 2 + int(rng.integers(2))]
     others = names[:-1]
@@ -121,7 +123,7 @@ def files(folder: Path, leg: Leg) -> tuple[Path, Path]:
 
 
 def error(folder: Path, paths: tuple[Path, Path], model: Path) -> float:
-    """Return the RMS error of the last joint with this model from 2 s on, mN*m, or nan after a fault."""
+    """Return the RMS error of the last joint with this model after 2 s, mN*m, or nan after a fault."""
     tables = tomlkit.parse(paths[0].read_text(encoding="utf-8")).unwrap()
     tables["axis"][-1]["model"] = str(model)
     controller = folder / "compared.toml"

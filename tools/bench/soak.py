@@ -6,7 +6,7 @@ A client continuously requests the status and sets a value. Memory and descripto
 socket server are sampled, and the slope of the memory is fitted after the first quarter. The exit code is 1 if the
 memory of a process grows, descriptors stay open, cycles or records are missing, or the run had a fault.
 
-The command needs a vcan and otherwise runs under tools/vcan.
+Without a vcan the command runs itself under tools/vcan.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Set, Status
 from tsa_ctrl.system.process_supervisor import plant, tsa
 
-START = 120.0  # s until the daemon runs
+START = 120.0  # s for the daemon to start
 EVERY = 5.0  # s between two samples
-WARM_UP = 0.25  # share of the run that does not count for the slope
-ALLOWED = 256.0  # KiB/min; the index of the log grows by 82 in the log writer
+WARM_UP = 0.25  # share of the run that is excluded from the slope
+ALLOWED = 256.0  # KiB/min; the index of the log alone grows by 82 KiB/min in the log writer
 ALLOWED_IN_ALL = 1024.0  # KiB over the run; smaller growth is not significant in a short run
 NAMES = {"plant": "plant", "run": "daemon", "tsa_ctrl.log.writer": "log writer", "tsa_ctrl.ipc.server": "socket server"}
 KEYS = ("process", "samples", "first_kib", "last_kib", "kib_per_min", "descriptors_first", "descriptors_last")
@@ -41,7 +41,7 @@ Samples = dict[str, list[tuple[float, float, int]]]  # of each process: s, KiB, 
 
 
 def soak(folder: Path, seconds: float) -> tuple[Samples, Row]:
-    """Run the daemon in `folder`; return the samples of each process, and the summary of the run."""
+    """Run the daemon in `folder`, and return the samples of each process and the summary of the run."""
     line = tsa("run", "controller.toml", "--seconds", f"{seconds:g}", "--json")
     daemon = subprocess.Popen(line, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     samples: Samples = {}

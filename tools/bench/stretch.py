@@ -1,15 +1,17 @@
 """Identify stiffness and shape of random rigs, and verify the joint torque from the tendon elongation.
 
 Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--rows FILE] [--json]
+
 Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness. Its sheath has an even or a
 double bend with a centre of up to s_c = 0.7. Motor inertia and delay are random. The log is a gait of 6 s. With a joint
 torque sensor the fit of `tsa calibrate --stretch` identifies stiffness and curvature profile. Without a sensor it
-identifies the stiffness, and the true profile is given. Then the observer runs on a locked joint, a weight, and the
-gait with other noise, and is compared with the distributed plant. Errors are RMS values from 1.5 s on, divided by the
-RMS torque. The band should contain 95 % of the samples on average over the rigs. The share of one rig varies, because
-the remaining errors of stiffness and profile are constant. With a sensor each run is also evaluated with the true
-profile, which shows the error that the identified profile does not cause. --rows keeps each finished rig in a file, so
-that a long list can be run in parts.
+identifies only the stiffness, and the true profile is given.
+
+Then the observer runs on a locked joint, a weight, and the gait with other noise, and is compared with the distributed
+plant. Errors are RMS values after 1.5 s, divided by the RMS torque. On average over the rigs, the band should contain
+95 % of the samples. The share of one rig varies, because the remaining errors of stiffness and profile are constant.
+With a sensor each run is also evaluated with the true profile, which excludes the error of the identified profile.
+--rows keeps each finished rig in a file, so that a long list can be run in parts.
 """
 
 from __future__ import annotations
@@ -36,8 +38,8 @@ from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.simulation import simulate_loop
 
-KEY = ("seed", "rig", "sensor")  # of a result
-SETTLED = 1.5  # s of a log
+KEY = ("seed", "rig", "sensor")  # key of a result
+SETTLED = 1.5  # s of a log that are excluded from the errors
 MOST_CENTRE = 0.7
 COUNTS = (2.0 * math.pi / 65_536, 2.0 * math.pi / 1_048_576)  # rad
 PERIOD = 1e-3
@@ -92,7 +94,7 @@ def play(
 def identify(
     result: AxisResult, nominal: TendonSheath, bends: Profile, sensor: bool, course_told: bool = False
 ) -> StretchFit:
-    """Identify stiffness and shape from a run; the curvature profile is given without a sensor or by `course_told`."""
+    """Identify stiffness and shape from a run. Without a sensor or with `course_told`, the true profile is given."""
     names = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j") if sensor else (
         "t", "tau_m", "q_m", "q_j", "omega_m", "omega_j",
     )  # fmt: skip
@@ -188,7 +190,7 @@ def _trial(asked: tuple[int, int, bool]) -> dict[str, Any]:
 
 
 def report(rows: list[dict[str, Any]]) -> Iterator[Table | str]:
-    """Yield the table of the relative errors, median (worst) of the rigs, then the coverage of the intervals."""
+    """Yield the table of the relative errors, as median (worst) of the rigs, and then the coverage of the intervals."""
     kinds = {"sliding": "sliding", "all": "all samples"}
     if "gait_all_told" in rows[0]:
         kinds |= {"sliding_told": "course told: sliding", "all_told": "course told: all"}

@@ -1,12 +1,13 @@
-"""Measure how the angles of both pulleys improve a diagnosis: groups that become single causes, and groups that stay.
+"""Measure how the angles of both pulleys improve a diagnosis, by the groups that become single causes and that remain.
 
 Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--shapes joint even motor] [--names ROW:SHAPE ...]
                                     [--by-row] [--rows FILE] [--processes 1]
 
-Each row of the indistinguishable effects of the catalogue is hidden in short logs (tests/blind/two_encoders.py). The
-sheath bends at the joint, evenly or at the motor, and the model file has this profile. The same logs are diagnosed
-without and with the motor's angle. Effects without influence on the torque (a spring, creep, slip, backlash; `nothing`)
-can be identified by the angles only. With --by-row the table has a line for each row instead of each shape.
+The effects of each row of the catalogue's indistinguishable effects are hidden in short logs
+(tests/blind/two_encoders.py). The sheath bends at the joint, evenly or at the motor, and the model file has this
+profile. The same logs are diagnosed without and with the motor's angle. Effects without influence on the torque (a
+spring, creep, slip, backlash, and `nothing`) can be identified only by the angles. With --by-row the table has a line
+for each row instead of each shape.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ KINDS = ("found alone", "in a group", "not named", "wrong")
 
 
 def one(job: tuple[str, int]) -> Row:
-    """Return the row of a case with the causes that are identified without and with the motor's angle."""
+    """Return the row of a case with the causes from the diagnoses without and with the motor's angle."""
     name, seed = job
     row: Row = {"name": name, "seed": seed, "truth": NOTHING, "error": ""}
     try:
@@ -51,7 +52,7 @@ def kind(causes: list[list[str]], truth: str) -> str:
 
 
 def report(every: list[Row], by_row: bool) -> Iterator[Table | str]:
-    """Yield the table by shape or by row, and the groups that both angles separate or leave."""
+    """Yield the table by shape or by row, and the groups that both angles separate or do not separate."""
     yield from (f"{row['name']} {row['seed']}: {row['error']}" for row in every if row["error"])
     rows = [row for row in every if not row["error"]]
     place = 0 if by_row else 2

@@ -1,1 +1,1 @@
-"""Campaigns with faults, invalid input and mutants of the source. Each reports the number of failures."""
+"""Run campaigns with faults, invalid input and mutants of the source, and count the failures."""

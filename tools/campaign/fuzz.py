@@ -5,12 +5,13 @@ Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
   loop      corrupted, random and false frames to the daemon's loop on a bus in memory; an independent check of the
             frames decides when torque is permitted
   plant     random frames and SDO requests to the simulated nodes; after each batch a reset must restore them
-  bring-up  startup on a bus that corrupts SDO answers; it must succeed or fail with one line
+  bring-up  startup on a bus that corrupts SDO answers; it must succeed, or fail with one line
   socket    corrupted requests to the socket server
   files     corrupted configuration files to every reader
 
-loop and plant get half of --frames each, the other parts a smaller share. Memory and descriptors are compared between
-the first quarter and the end. Exit code 1: a problem was found. The same seed reproduces it.
+The parts loop and plant receive half of --frames each, and the other parts a smaller share. Memory and descriptors
+after the first quarter are compared with those at the end. Exit code 1: a problem was found. The same seed reproduces
+it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ PARTS: dict[str, Callable[[int, int], Part]] = {  # frames, seed
     "socket": lambda frames, seed: requests.run(max(100, frames // 10), seed),
     "files": lambda frames, seed: files.run(max(100, frames // 100), seed),
 }
-MOST_GROWTH = 16 << 20  # bytes; more is a leak
+MOST_GROWTH = 16 << 20  # bytes; larger growth is a leak
 
 
 def main() -> int:

@@ -4,8 +4,8 @@ Usage: tools/run campaign/mutate [MODULE...] [--sample N] [--json]
 
 A mutant is a module with one mistake: a changed comparison, a forced condition, `and` for `or`, another number, or a
 missing statement. The tests of the module run against each mutant in a separate process. A mutant that fails a test is
-killed. The score is the share of killed mutants. The others are printed with their line. MODULE selects modules by a
-part of their path. --sample N takes N mutants of each module, spread over the module.
+killed. The score is the share of killed mutants. Surviving mutants are printed with their line. MODULE selects modules
+by a part of their path. --sample N selects N mutants of each module, spread over the module.
 
 mutmut 3.8 does not mutate the defaults and bounds of settings, and cosmic-ray 8.7 starts pytest again for each mutant
 (13 minutes for the limiter instead of 64 s). Therefore this module has its own operators and forks for each mutant.

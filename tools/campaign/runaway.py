@@ -1,4 +1,4 @@
-"""Detect motion that the controller sustains, in five campaigns of the real loop on distributed tendons.
+"""Detect motion that the controller sustains in five campaigns with the real loop on distributed tendons.
 
 Usage: tools/run campaign/runaway scan      less friction than the file's from the start, one nudge
        tools/run campaign/runaway changes   friction, pretension, bending or the motor change while the loop runs
@@ -6,7 +6,7 @@ Usage: tools/run campaign/runaway scan      less friction than the file's from t
        tools/run campaign/runaway tracking  the torque error of healthy rigs, with --against also of another revision
        tools/run campaign/runaway healthy   an hour without a fault
 
-Each campaign has three sensor configurations: no joint sensor, a joint encoder, a joint encoder and a torque sensor.
+Each campaign has three sensor configurations: no joint sensor, a joint encoder, or a joint encoder and a torque sensor.
 `tools/run campaign/runaway MODE --help` lists the measures, goals and options of a mode.
 """
 

@@ -4,19 +4,19 @@ Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TE
                                   [--sensors motor encoder sensor] [--processes 1|2] [--keep] [--json] [--list]
 
 The daemon's loop and the simulated plant share one clock. Every fault of the catalogue is injected while the loop
-starts, enables, fades in, runs, is tuned, stops, is in fault, resets or recovers. Load (imposed, held, free, spring,
-weight, limb, wearer), shape of the sheath, set-point, motor, delay, sensor and number of axes are drawn for each trial
-by the seed. The same trial gives the same result to the last bit. --pairs injects two faults at once.
+starts, enables, fades in, runs, is tuned, stops, is in fault, resets or recovers. The seed determines random load
+(imposed, held, free, spring, weight, limb, wearer), shape of the sheath, set-point, motor, delay, sensor and number of
+axes of each trial. A repeated trial has the same result to the last bit. --pairs injects two faults at once.
 
-A trial is safe if the motor torque of the plant stays within the limiter's bound. After a fault that must end the
-torque, it must be zero within [safety] zero_torque_within and stay zero, and the cause must be reported. The joint must
-not exceed the motion of the reference runs (see phase/verdict.py) by more than 2 rad/s, 0.35 rad or 0.1 J. A wrong
+A trial is safe if the plant's motor torque stays within the limiter's limit. After a fault that must end the torque,
+the torque must become zero within [safety] zero_torque_within and stay zero, and the cause must be reported. The joint
+must not exceed the motion of the reference runs (see phase/verdict.py) by more than 2 rad/s, 0.35 rad or 0.1 J. A wrong
 signal that only a motion reveals is judged by these three limits.
 
-Each trial is written to --rows (default virtual.jsonl) at once, so the same command continues an interrupted run.
---part I/N runs every N-th trial from the I-th on, and --sample N the first N in a random order. --keep writes the
-summary of all rows to tools/campaign/phase/hazards.json, the source of the table of hazards (`tools/run manual/write`).
-The last line is `N trials, N safe`. Exit code 1: a trial was unsafe.
+Each trial is written to --rows (default virtual.jsonl) immediately, so the same command continues an interrupted run.
+--part I/N runs every N-th trial, starting with the I-th, and --sample N the first N in a random order. --keep writes
+the summary of all rows to tools/campaign/phase/hazards.json, the source of the table of hazards (`tools/run
+manual/write`). The last line is `N trials, N safe`. Exit code 1: a trial was unsafe.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from tools.command import Row
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
-WORST = 20  # trials of each chosen sensor configuration that are printed, by energy
+WORST = 20  # printed trials of each chosen sensor configuration, with the largest energy
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Take a picture of `tsa dashboard` during a demo, with a headless Chromium.
+"""Take a picture of `tsa dashboard` during a demo with a headless Chromium.
 
 Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8] [--width 390 --width 900]
 
@@ -70,7 +70,7 @@ def main() -> int:
                     for width in widths:
                         out = options.out if len(widths) == 1 else options.out.with_stem(f"{options.out.stem}-{width}")
                         page.resize(width)
-                        time.sleep(1.0)  # the charts take the new width when they are drawn again
+                        time.sleep(1.0)  # the charts have the new width after the next redraw
                         page.picture(out, width, page.evaluate("document.body.scrollHeight"))
                         print(out)
     return 0

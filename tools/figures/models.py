@@ -3,8 +3,8 @@
 Usage: tools/run figures/models [--seconds 8] [--out .readme]
 
 The sheath is evenly bent. All models have the same motion and motor torque. (3.55) and (3.53) are formulas for sliding.
-The full model of the plant also has standstill. In the distributed tendons a slip front travels from the motor after a
-reversal.
+The full model of the plant also covers standstill. In the distributed tendons, a slip front travels from the motor
+after a reversal.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from tsa_ctrl.plant.settings import load_plant
 Array = NDArray[np.float64]
 PERIOD = 1e-3  # s between two commands
 TORQUE, OFFSET, FREQUENCY = 0.5, 0.15, 0.31  # N*m, N*m, Hz of the motor torque
-SETTLE = 1.0  # s, in which the motion grows from standstill; not drawn
-SHOWN = 4.0  # s in the picture
-SLIDING = 0.3  # s after a reversal, when the whole tendon slides
+SETTLE = 1.0  # s in which the motion grows from standstill, which is not drawn
+SHOWN = 4.0  # s of motion in the picture
+SLIDING = 0.3  # s after a reversal, by which the whole tendon slides
 
 
 def run(kind: str, seconds: float) -> dict[str, Array]:

@@ -2,9 +2,9 @@
 
 Usage: tools/run figures/moving [--leg] [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
 
-The command runs `tsa demo --virtual --load weight`, or takes the output folder of such a run (--from), and draws its
-logs: the angle of the joint encoder, the desired torque and the torque of the joint sensor. With --leg it runs
-`tsa demo --leg` and draws the angles of hip, knee and ankle, and the knee's torque error without and with `[routing]`.
+The command runs `tsa demo --virtual --load weight`, or uses the output folder of such a run (--from). It draws the
+angle of the joint encoder, the desired torque and the torque of the joint sensor. With --leg it runs `tsa demo --leg`,
+and draws the angles of hip, knee and ankle, and the knee's torque error without and with `[routing]`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from tsa_ctrl.system.process_supervisor import tsa
 Columns = dict[str, NDArray[np.float64]]
 
 RUNS = {"without": ("without compensation", look.BACKWARD), "with": ("with compensation", look.FORWARD)}
-MARGIN = 2.0  # s of the run that are not drawn, fade-in and stop
+MARGIN = 2.0  # s of the run that are not drawn: fade-in and stop
 ARM = 2.6  # length of the arm in the drawing, in radii of the joint's pulley
 
 

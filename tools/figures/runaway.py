@@ -1,11 +1,11 @@
-"""Draw stable and unstable runs by compensation and share of the friction that the plant has, for each load.
+"""Draw runaway and passive runs by the compensation and the plant's share of the model's friction, for each load.
 
 Usage: tools/run figures/runaway [--out .readme] [--quick]
 
 The lines are the condition c h_model = h_true. The points are runs of the real loop in virtual time at set-point 0, on
-distributed tendons with a share of the pretension of the model file. The joint is nudged once, and the guard never
-acts. A point is a runaway if friction and compensation together did positive work on the joint after the nudge, and
-otherwise passive.
+distributed tendons with a share of the model file's pretension. The joint is nudged once, and the guard never acts. A
+point is a runaway if friction and compensation together did positive work on the joint after the nudge, and otherwise
+passive.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from tools.figures import look
 from tsa_ctrl.virtual.script import Fault
 
 LOADS = ("weight", "spring", "free", "limb")
-LEFT = (0.2, 0.4, 0.6, 0.8)  # h_true / h_model of the friction torque h; with BESIDE c is at most 1
-BESIDE = (-0.2, -0.05, 0.05, 0.2)  # difference of c from this share
-NUDGED, SECONDS = 0.4, 0.8  # s of the log, and s from then to the end
-ASLEEP = 100.0  # J, so large that the guard does not end the run
+LEFT = (0.2, 0.4, 0.6, 0.8)  # h_true / h_model of the friction torque h, for which c is at most 1 with BESIDE
+BESIDE = (-0.2, -0.05, 0.05, 0.2)  # difference between c and this share
+NUDGED, SECONDS = 0.4, 0.8  # s of the log at the nudge, and s from the nudge to the end
+ASLEEP = 100.0  # J, threshold that is too large for the guard to act
 
 
 def work(load: str, left: float, compensation: float) -> float:
-    """Return the work on the joint from the nudge on at set-point 0, J."""
+    """Return the work on the joint after the nudge at set-point 0, J."""
     asleep = {"law": {"settle": 0.0}, "passivity": {"energy": ASLEEP}}
     rig = Experiment(load, "zero", pretension=left, compensation=compensation, fade_in=0.1, axis=asleep)
     result = rig.play(NUDGED + SECONDS, [Fault("push value=0.8 duration=0.05", NUDGED)])

@@ -1,7 +1,7 @@
 """Run a command in a user-mode Linux guest that has a vcan, and pass its streams, signals and exit status.
 
-The root file system of the guest is that of the host, so all paths are the same. The guest has its own /dev/shm,
-processes and network (lo and the vcan), and one processor. It leaves nothing on the host.
+The guest uses the root file system of the host, so all paths are the same. It has its own /dev/shm, processes and
+network (lo and the vcan), and one processor. It leaves no files on the host.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ LIBC = ctypes.CDLL(None)
 
 @dataclass(frozen=True)
 class Limits:
-    """Memory of a guest in bytes, and the longest duration of its command in s."""
+    """The limits of a guest."""
 
     memory: int  # bytes
-    seconds: float | None
+    seconds: float | None  # s, longest duration of the command
 
 
 def run(kernel: Kernel, command: list[str], environment: dict[str, str], limits: Limits) -> int:
@@ -63,7 +63,7 @@ def run(kernel: Kernel, command: list[str], environment: dict[str, str], limits:
 
 
 class Guest:
-    """Start a guest, and handle the signals and the alarm of this process from then on."""
+    """A running guest. From its creation on, it handles the signals and the alarm of this process."""
 
     def __init__(
         self,
@@ -82,9 +82,8 @@ class Guest:
         for number in SIGNALS:
             signal.signal(number, self._on_signal)
         signal.signal(signal.SIGALRM, self._on_alarm)
-        signal.signal(
-            signal.SIGTTIN, signal.SIG_IGN
-        )  # reading a terminal in the background must fail, not stop this process
+        # Reading a terminal in the background must fail, not stop this process.
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)
 
     def run(self, seconds: float | None) -> int:
         """Pass streams and signals until the guest has ended. Return the exit status."""
@@ -164,7 +163,7 @@ class Guest:
         self._end(signal.SIGTERM, TIMED_OUT)
 
     def _end(self, number: int, status: int) -> None:
-        """Pass the signal to the command and start the grace period. A second call ends the guest at once."""
+        """Pass the signal to the command and start the grace period. A second call ends the guest immediately."""
         if self._ending is not None or not self._is_up():
             self._ending = self._ending or status
             self.kill()
@@ -208,8 +207,8 @@ def _write_request(kernel: Kernel, command: list[str], environment: dict[str, st
 def _feed(keyboard: int, acknowledged: int) -> None:
     """Send the standard input in blocks, each after its length. The length 0 marks the end.
 
-    A serial line of the guest may stall permanently after its buffer was full. Therefore each block is acknowledged
-    before the next one is sent.
+    A serial line of the guest may stall permanently once its buffer has been full. Therefore each block must be
+    acknowledged before the next one is sent.
     """
     with suppress(OSError):
         data = b"-"

@@ -1,9 +1,9 @@
-"""Run as first process of the user-mode Linux guest: mount, create a vcan, run the command, and power off.
+"""Run as the first process of the user-mode Linux guest: mount, create a vcan, run the command, and power off.
 
-The kernel calls it with FOLDER on the host's file system, which contains `request.json`. The files `ready` and `status`
-are written there. The serial lines 0 and 1 carry the command's output and errors. Line 2 carries its input in blocks,
-which have two bytes of length and then the data. Length 0 is the end, and each block is acknowledged by one byte. Line
-3 carries signals, one number per line.
+The kernel starts it with a FOLDER of the host's file system that contains `request.json`, and it writes the files
+`ready` and `status` there. The serial lines 0 and 1 carry the command's output and errors. Line 2 carries its input in
+blocks of two bytes of length and then the data. Length 0 marks the end, and each block is acknowledged by one byte.
+Line 3 carries signals, one number per line.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def stream(terminal: bool, size: list[int], outwards: bool = False) -> tuple[int
         return (reader, writer) if outwards else (writer, reader)
     ours, theirs = os.openpty()
     attributes = termios.tcgetattr(theirs)
-    attributes[tty.OFLAG] &= ~termios.OPOST  # the caller's terminal does this
+    attributes[tty.OFLAG] &= ~termios.OPOST  # the caller's terminal processes the output
     attributes[tty.LFLAG] &= ~(termios.ECHO | termios.ISIG)
     termios.tcsetattr(theirs, termios.TCSANOW, attributes)
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))

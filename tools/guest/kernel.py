@@ -1,7 +1,7 @@
 """Fetch the user-mode Linux kernel of Debian unstable into a cache folder, without changes to the system.
 
 The kernel is an ordinary program that needs a newer C library than Debian stable has. Therefore both packages are
-fetched with apt and separate package lists, and the program is changed to load this library from its own folder.
+fetched with apt and separate package lists, and the program is modified to load this library from its own folder.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def _build(work: Path) -> Path:
 
 
 def _relink(source: Path, target: Path) -> None:
-    """Copy a program, and set its loader to the one in `lib` of its working directory."""
+    """Copy a program, and change its loader to the loader in `lib` of its working directory."""
     program = source.read_bytes()
     if program.count(LOADER) != 1:
         raise UnavailableError(f"{source.name} names its loader in a way not known here")

@@ -25,7 +25,7 @@ def bring_up_alone(vcan: str) -> None:
 
 
 def route_multicast(name: str) -> None:
-    """Do the same as `ip route add 224.0.0.0/4 dev NAME table local`.
+    """Add a multicast route, like `ip route add 224.0.0.0/4 dev NAME table local`.
 
     Raises:
         OSError: The kernel rejects the request.

@@ -28,7 +28,7 @@ def enter(vcan: str) -> None:
     """Move this process into a network namespace with loopback and `vcan`.
 
     Raises:
-        OSError: The kernel denies it.
+        OSError: The kernel denies the request.
     """
     user, group = os.getuid(), os.getgid()
     if LIBC.unshare(CLONE_NEWUSER | CLONE_NEWNET):

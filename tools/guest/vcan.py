@@ -1,11 +1,16 @@
 """usage: tools/vcan COMMAND [ARGUMENT...]
 
-Runs COMMAND with a virtual CAN interface, whose name is in TSA_VCAN, and returns its exit status. The first of these
-interfaces that is available is used: a vcan that is up; a vcan that this user may create (as root for all users, else
-in a network namespace for COMMAND alone); a vcan in a user-mode Linux guest that is started for COMMAND. The guest has
-the same root file system, its own /dev/shm, TMPDIR, processes and network, and one processor. If none is available, one
-line is printed and the exit status is 77. A bus of local sockets (interface "datagram") also carries frames between
-processes and needs no rights. TSA_VCAN is then datagram:NAME. Tests marked vcan do not accept it.
+Runs COMMAND with a virtual CAN interface, whose name is in TSA_VCAN, and returns its exit status. The command uses the
+first of these interfaces that is available:
+
+  1. a vcan that is up
+  2. a vcan that this user may create, as root for all users, or else in a network namespace for COMMAND alone
+  3. a vcan in a user-mode Linux guest that is started for COMMAND
+
+The guest has the same root file system, its own /dev/shm, TMPDIR, processes and network, and one processor. If no
+interface is available, the command prints one line, and the exit status is 77. A bus of local sockets (interface
+"datagram") also carries frames between processes and requires no rights. TSA_VCAN is then datagram:NAME. Tests marked
+vcan do not accept it.
 
   TSA_VCAN          name of the interface; default a vcan that is up, else vcan0. "datagram:NAME" selects local sockets
   TSA_VCAN_ELSE     datagram: without a vcan, run COMMAND on local sockets instead of exit status 77
@@ -45,7 +50,7 @@ def main() -> int:
 
 
 def run(arguments: list[str]) -> int:
-    """Run a command with a vcan, if possible in this process."""
+    """Run a command with a vcan, in this process if possible."""
     if arguments[:1] in (["-h"], ["--help"]):
         print((__doc__ or "").strip())
         return 0
@@ -86,7 +91,7 @@ def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
 
 
 def found_or_created(name: str) -> str | None:
-    """Return the name of a vcan of this machine that is up, or create one. Return None if this user may not do so."""
+    """Return the name of a vcan of this machine that is up or can be created, or None without the rights for one."""
     existing = link.can_interfaces()
     named = link.read(name) if name else None
     if named is not None and named.kind != "vcan":

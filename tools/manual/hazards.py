@@ -61,7 +61,7 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _open(hazard: Hazard, row: dict[str, Any]) -> str:
-    """Return the known unsafe trials of a hazard in words: their number, joints and excess, and the limits."""
+    """Describe the known unsafe trials of a hazard: their number, joints and excess, and the present limits."""
     if not hazard.open:
         return ""
     beyond = row.get("beyond")

@@ -3,10 +3,10 @@
 Usage: tools/run manual/measure [NAME ...] [--long] [--runs N] [--list]
        tools/run manual/measure TABLE --printed FILE
 
-`tools/manual/figures.toml` lists the figures and tables with their commands. Without names, the figures that take
-seconds are measured. With --long all figures and tables are measured, which takes hours. A deterministic figure is
-measured once. Other figures are measured `--runs` times and have median, lowest and highest value. A table is taken
-from the output of its command, or from a file with --printed. At the end the pages are written, as by `tools/run
+`tools/manual/figures.toml` lists the figures and tables with their commands. Without names, the command measures the
+figures that take seconds. With --long it measures all figures and tables, which takes hours. A deterministic figure is
+measured once. Any other figure is measured `--runs` times and has median, lowest and highest value. A table is read
+from the output of its command, or from a file with --printed. Finally, the command writes the pages like `tools/run
 manual/write`.
 """
 
@@ -31,7 +31,7 @@ from tsa_ctrl.errors import UsageError
 
 FOLDER = Path(__file__).parent
 FIGURES, TABLES = FOLDER / "figures.json", FOLDER / "tables.json"
-SIMULATED = 20.0  # s of virtual time of a run whose speed is the figure
+SIMULATED = 20.0  # s of virtual time in a run whose speed is the figure
 
 
 @cache
@@ -147,7 +147,7 @@ def main() -> int:
                 continue
             keep(FIGURES, name, row)
             print(f"{name}: {row['value']:.4g} {row['unit']} ({row['low']:.4g} to {row['high']:.4g})", flush=True)
-    from tools.manual.write import write_pages  # here, because its parts import this module
+    from tools.manual.write import write_pages  # imported here, because its parts import this module
 
     write_pages()
     return int(failed > 0)

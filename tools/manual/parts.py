@@ -113,7 +113,7 @@ def verbs() -> str:
 
 
 def _short(value: float) -> str:
-    """Format a number with three digits, or a number from 1000 on with all digits before the point."""
+    """Format a number with three significant digits, or a number of at least 1000 as an integer."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 

@@ -2,9 +2,9 @@
 
 Usage: tools/run manual/site [--out out/site]
 
-The extra `docs` is required. The folder may be empty, new, or an earlier site, which is replaced. Links between pages
-and to pictures are followed. A link to another file of the repository becomes plain text, because the site has no copy
-of the code.
+The extra `docs` is required. The folder may be new, empty, or an earlier site, which is replaced. Links between pages
+and to pictures work in the site. A link to another file of the repository becomes plain text, because the site does not
+contain the code.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ LINK = re.compile(r"(?P<picture>!?)\[(?P<text>[^\]]*)\]\((?P<target>[^)#\s]+)(?P
 
 
 def sources() -> dict[Path, str]:
-    """Return the file name in the site for the path of each page of the manual."""
+    """Return the file name of each page in the site, by the path of the page in the repository."""
     topics = {(PACKAGE / name).resolve(): f"{topic}.md" for topic, (name, _) in TOPICS.items()}
     return {INDEX.resolve(): "index.md", **topics}
 
 
 def page(path: Path, names: dict[Path, str], pictures: Path) -> str:
-    """Return the text of a page with its links changed for the site, and copy its pictures."""
+    """Return the text of a page with its links adapted to the site, and copy its pictures."""
 
     def link(found: re.Match[str]) -> str:
         target = found["target"]
@@ -57,7 +57,7 @@ def page(path: Path, names: dict[Path, str], pictures: Path) -> str:
 
 
 def reference() -> str:
-    """Return the page of the public Python names; mkdocstrings fills in their signatures and docstrings."""
+    """Return the page of the public Python names, into which mkdocstrings inserts signatures and docstrings."""
     names = [name for name in tsa_ctrl.__all__ if not name.startswith("_")]
     return "# Python\n\n" + "\n".join(f"::: tsa_ctrl.{name}\n" for name in names)
 

@@ -66,7 +66,7 @@ def differing(root: Path) -> dict[Path, str]:
 
 
 def write_pages(check: bool = False) -> int:
-    """Write the pages that differ from their sources. With `check` only list them, and return 1 if there are any."""
+    """Write the pages that differ from their sources. With `check`, only list them and return 1 if there are any."""
     pages = differing(command.ROOT)
     for path, text in pages.items():
         print(f"{path.relative_to(command.ROOT)}: {'differs from its sources' if check else 'written'}")

@@ -4,8 +4,8 @@ Usage: tools/run measured/diagnose [--processes 2] [--rows FILE] [--reports FOLD
 
 Each fold is a call `diagnose(logs, model, hold_out=PATTERN)` with all 25 trials. Its report is written to --reports.
 The model is fitted on the other trials, and the error includes all samples of the held-out trials. The errors of each
-split are also pooled over its folds. A fold in --rows (default: the source of the manual's table) is not run again,
-except if --pictures draws it. The data are searched in TSA_DATA, then in ../shared/data. Without data the command
+split are also pooled over its folds. A fold in --rows (default: the source of the manual's table) is not run again
+unless --pictures draws it. The command looks for the data in TSA_DATA, and then in ../shared/data. Without data it
 prints one line.
 """
 
@@ -33,9 +33,9 @@ FOLDS = {
 STEPS = ("as given", "recalibrated", "extended")
 # Errors of the manual baseline, mN*m, from the README of the data: (3.55), then with presliding, load, and a spring.
 BY_HAND = {"load": (45.7, 15.3, 9.2, 7.0), "frequency": (45.0, 12.9, 8.5, 6.4)}
-PUBLISHED = 4.42  # mN*m, of a published neural network, on other splits with all loads in the training data
+PUBLISHED = 4.42  # mN*m, error of a published neural network on other splits, with all loads in the training data
 SHOWN = ("load010_0.3Hz.csv.gz", "load050_0.3Hz.csv.gz", "load090_0.3Hz.csv.gz")
-STRETCH = (0.0, 9.0)  # s, the section of these trials that is drawn
+STRETCH = (0.0, 9.0)  # s, drawn section of these trials
 
 
 FILE = command.ROOT / "tools" / "manual" / "folds.jsonl"
@@ -98,7 +98,7 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 
 
 def spoken(pattern: str) -> str:
-    """Return the held-out load or frequency of a pattern in words."""
+    """Return the held-out load or frequency of a pattern as readable text."""
     name = pattern.strip("*_")
     return f"load {int(name.removeprefix('load'))} %" if name.startswith("load") else name.replace("Hz", " Hz")
 

@@ -1,13 +1,20 @@
 """Estimate the joint torque of a measured cable drive from the tendon elongation and the motor torque.
 
 Usage: tools/run measured/stretch
-Linear models are fitted with one load level or one frequency held out, and their error is pooled over all samples of
-the held-out trials, including reversals. The regressors are: a constant; motor torque and direction, which is (3.55)
-with free coefficients; the elongation s = r_M q_M - r_J q_J; elongation and motor torque, tau_J = P s - Q tau_M as in
-`tsa_ctrl/model/stretch.py`. Two more models add the joint angle. Its coefficient is a spring at the joint or an error
-of a pulley's radius, because only the ratio of the radii is known. The models do not use friction or pretension, and
-only the second one uses the direction. The data are searched in TSA_DATA, then in ../shared/data. Without data the
-command prints one line.
+
+Linear models are fitted with one load level or one frequency held out. Their error is pooled over all samples of the
+held-out trials, including reversals. The models have these regressors:
+
+  1. a constant
+  2. motor torque and direction, which is (3.55) with free coefficients
+  3. the elongation s = r_M q_M - r_J q_J
+  4. elongation and motor torque, tau_J = P s - Q tau_M as in `tsa_ctrl/model/stretch.py`
+  5. elongation and joint angle
+  6. elongation, motor torque and joint angle
+
+The coefficient of the joint angle is a spring at the joint or an error of a pulley radius, because only the ratio of
+the radii is known. The models do not use friction or pretension, and only the second one uses the direction. The
+command looks for the data in TSA_DATA, and then in ../shared/data. Without data it prints one line.
 """
 
 from __future__ import annotations
@@ -21,7 +28,7 @@ from tools.measured.diagnose import FOLDS
 from tsa_ctrl.identify.dataset import Dataset, load_log, matches
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 
-EVERY = 10  # every tenth sample of 1 kHz is used, because the motion is below 1 Hz
+EVERY = 10  # samples; every tenth sample of 1 kHz is sufficient, because the motion is below 1 Hz
 LINES: dict[str, tuple[str, ...]] = {
     "a constant": (),
     "motor torque and direction": ("tau_m", "direction"),

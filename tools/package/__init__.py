@@ -1,1 +1,1 @@
-"""Build and check the distribution, and list the licences of its dependencies."""
+"""Build and check the distribution, and record the licences of its dependencies."""

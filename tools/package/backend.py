@@ -2,12 +2,12 @@
 
     TSA_COMPILE=1 pip install .
 
-mypyc compiles the modules below from the same source. It needs a C compiler and Python's headers. Without the variable
-neither is needed, and the source is interpreted. `tsa doctor` reports which build runs.
+mypyc compiles the modules below from the same source. This requires a C compiler and Python's headers. Without the
+variable, neither is required and the source is interpreted. `tsa doctor` reports which build is running.
 
-A module may be listed if it has no `msgspec.Struct`, no ctypes structure, no TypeVar with values, no Enum with a
-constructor, no function of numba, and no base class of an interpreted class. mypyc ignores the class arguments of a
-Struct without a message, so that settings would accept unknown keys and could be changed.
+A module may not be listed if it has one of these: a `msgspec.Struct`, a ctypes structure, a TypeVar with values, an
+Enum with a constructor, a function of numba, or a base class of an interpreted class. For example, mypyc silently
+ignores the class arguments of a Struct, so settings would accept unknown keys and would not be frozen.
 `tests/tools/test_compiled.py` checks the list.
 """
 
@@ -66,7 +66,7 @@ def extensions() -> list[setuptools.Extension]:
 
 
 class SourceArchive(sdist):  # type: ignore[misc]  # setuptools has no types
-    """Source archive with this backend, which is needed to build it."""
+    """A source archive that contains this backend, which is needed to build it."""
 
     def make_distribution(self) -> None:
         """Add this file to the file list of setuptools, and make the distribution."""

@@ -34,7 +34,7 @@ TRIED: tuple[tuple[str, ...], ...] = (
 
 
 def source(folder: Path) -> Path:
-    """Copy the files that git tracks to `folder`, so that no other file gets into the build."""
+    """Copy the files that git tracks to `folder`, so that the build contains no other files. Return the folder."""
     names = subprocess.run(
         ["git", "-C", str(command.ROOT), "ls-files", "-z"], capture_output=True, text=True, check=True
     ).stdout.split("\0")

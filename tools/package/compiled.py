@@ -2,14 +2,14 @@
 
 Usage: tools/run package/compiled [--rows N] [--seed 0] [--speed ROUNDS] [--tests]
 
-If .cache has no build of the present source, it is made, and its time and size are printed. All commands of tools/run
-use it until the source changes. TSA_COMPILE=0 makes them interpret the source. A C compiler and Python's headers are
-required.
+If .cache has no build of the present source, the command makes one and prints its duration and size. All commands of
+tools/run use it until the source changes. With TSA_COMPILE=0 they interpret the source. A C compiler and Python's
+headers are required.
 
---rows N runs N random rows of the virtual runs of `tools/run pins` in both builds (0: none). Every value of the log,
-of the plant's truth and of the result must be equal to the last bit. --speed runs the example files alternately in both
-builds. --tests runs the tests of the loop in virtual time on the compiled build. Exit code 1: a row differs, or a
-test failed.
+--rows N runs N random rows of the virtual runs of `tools/run pins` in both builds (0: none). Every value of the log, of
+the plant's truth and of the result must be equal to the last bit. --speed runs the example files alternately in both
+builds. --tests runs the tests of the loop in virtual time on the compiled build. Exit code 1: a row differs, or a test
+failed.
 """
 
 from __future__ import annotations
@@ -140,6 +140,6 @@ def tests() -> int:
     """Return the exit code of the tests of the loop on the compiled build."""
     environment = {**os.environ, compiled.SAFE_PATH: "1", "PYTHONPATH": str(compiled.build_folder())}
     marks = "not soak and not vcan and not hil and not interpreted"
-    # -p loads the package before pytest puts this folder with the source first in the path
+    # -p loads the package before pytest puts this folder with the source at the start of the path.
     line = [sys.executable, "-m", "pytest", "-q", "-p", "tsa_ctrl", "-n", "2", "-m", marks, *TESTS]
     return subprocess.run(line, cwd=command.ROOT, env=environment, check=False).returncode

@@ -1,9 +1,9 @@
-"""Write the licences of all packages that are needed at run time, as their distributions state them.
+"""Write the licences of the packages that are needed at run time, as stated by their distributions.
 
 Usage: tools/run package/licences
 
-The file tools/package/licences.json has name, licence, and if the dependency is direct. `tools/run manual/write`
-generates a table from it.
+The file tools/package/licences.json has name and licence of each package, and a flag for direct dependencies.
+`tools/run manual/write` generates a table from it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zli
 
 
 def runtime() -> list[str]:
-    """Return the names of the direct dependencies of the package and of its extras for users."""
+    """Return the names of the direct dependencies of the package and of its extras dashboard, fleet and formats."""
     project = tomllib.loads((command.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
     lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"], *extras["formats"]]
@@ -38,7 +38,7 @@ def _name(requirement: str) -> str:
 
 
 def licence(name: str) -> str:
-    """Return the licence that the distribution states: its expression, classifier, or first line of its text."""
+    """Return the licence of a distribution: its expression, its classifiers, or the first line of its text."""
     about = metadata.metadata(name).json
     if about.get("license_expression"):
         return str(about["license_expression"])
@@ -57,7 +57,7 @@ def needed(names: list[str]) -> list[str]:
         try:
             requires = metadata.requires(name) or []
         except metadata.PackageNotFoundError:
-            continue  # for another system or an older Python
+            continue  # not installed: for another system or an older Python
         found.add(name)
         waiting += [_name(line) for line in requires if "extra ==" not in line]
     return sorted(found)

@@ -1,1 +1,1 @@
-"""Logs: the record of one cycle, its way to a file, and the tables read back from files."""
+"""Write the records of the control cycles to log files, and read logs as tables."""

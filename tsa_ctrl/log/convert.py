@@ -1,4 +1,4 @@
-"""Convert a log to CSV, CSV.gz or Parquet: one file per axis, codes as names, without columns that have no values."""
+"""Convert a log to CSV, CSV.gz or Parquet, with one file per axis, codes as names and no empty columns."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
 from tsa_ctrl.signals import COLUMNS, FIELD_NAMES
 
-ROWS = 16384  # per block that is written at once
+ROWS = 16384  # rows of a block that is written at once
 
 Codes = Mapping[str, Mapping[int, str]]
 
 
 class CsvFile:
-    """Write a CSV file in blocks of rows, optionally compressed; raises OSError.
+    """Write a CSV file in blocks of rows, optionally compressed. Methods raise OSError.
 
     A number is written as the shortest text that reads back to the same number, and nan as an empty field.
     """
 
     def __init__(self, path: Path, names: Sequence[str], codes: Codes | None = None, compressed: bool = False) -> None:
-        """Open the file and write the header line; `codes` maps the values of coded columns to names."""
+        """Open the file and write the header line. `codes` maps the values of coded columns to names."""
         self._names = names
         self._codes = codes or {}
         raw = gzip.GzipFile(path, "wb", compresslevel=4) if compressed else path.open("wb")
@@ -45,7 +45,7 @@ class CsvFile:
         self._stream.write(",".join(names) + "\n")
 
     def write(self, block: NDArray[np.float64]) -> None:
-        """Write rows, shape (k, columns)."""
+        """Write a block of rows, (k, columns)."""
         columns = [self._texts(name, block[:, i]) for i, name in enumerate(self._names)]
         self._stream.write("".join([",".join(row) + "\n" for row in zip(*columns, strict=True)]))
 
@@ -61,13 +61,22 @@ class CsvFile:
 
 
 def in_blocks(columns: Mapping[str, NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
-    """Yield the rows of the columns, each of shape (n,), in blocks of shape (k, columns)."""
+    """Yield the rows of the columns (n,) in blocks (k, columns)."""
     for start in range(0, len(next(iter(columns.values()), ())), ROWS):
         yield np.column_stack([values[start : start + ROWS] for values in columns.values()])
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray[np.float64]], keeping: bool = True) -> None:
-    """Write a table, compressed if the name ends with .gz; `keeping` keeps an existing file. Raises UsageError."""
+    """Write a table, compressed if the name ends with .gz.
+
+    Args:
+        path: file to write.
+        columns: columns by name, (n,) each.
+        keeping: True to keep an existing file as a backup.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
     with (
         outputs.beside(path, keeping) as part,
         contextlib.closing(CsvFile(part, list(columns), compressed=path.suffix == ".gz")) as file,
@@ -77,7 +86,7 @@ def write_columns(path: Path, columns: Mapping[str, NDArray[np.float64]], keepin
 
 
 def coded(values: NDArray[np.float64], names: Mapping[int, str]) -> list[str]:
-    """Return the names of codes; a code without a name is returned as a number."""
+    """Return the names of codes. A code without a name is returned as a number, and nan as an empty string."""
     return ["" if v != v else names.get(int(v), f"{v:g}") for v in values.tolist()]
 
 
@@ -89,7 +98,7 @@ Blocks = Iterator[NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class _Source:
-    """Hold one axis to write: its columns, the names of its codes, its rows in blocks of shape (k, columns)."""
+    """One axis to write: its columns, the names of its codes, and its rows in blocks (k, columns)."""
 
     axis: str | None
     names: list[str]
@@ -101,7 +110,7 @@ class _Source:
 
 @dataclass(frozen=True)
 class Written:
-    """Hold the path of one written file and notes on the parts of the log that it does not contain."""
+    """The path of a written file, and notes on the parts of the log that it does not contain."""
 
     path: Path
     notes: tuple[str, ...]
@@ -113,11 +122,17 @@ class _Sink(Protocol):
 
 
 def convert(log: str | Path, out: Path, progress: Progress = lambda share: None) -> list[Written]:
-    """Write every axis of `log` and return the files: `out` itself for one axis, OUT_AXIS for several.
+    """Write every axis of `log`, and return the files: `out` itself for one axis, OUT_AXIS for several axes.
 
-    `out` ends with .csv, .csv.gz or .parquet, or is a folder (then CSV). A file is written under another name and
-    renamed, so that it is complete or absent. `progress` receives the share done. Raises UsageError for a log or place
-    that is unusable.
+    A file is written under another name and then renamed, so that it is either complete or absent.
+
+    Args:
+        log: log of the daemon or table.
+        out: file that ends with .csv, .csv.gz or .parquet, or a folder for CSV files.
+        progress: function that receives the completed share, 0 to 1.
+
+    Raises:
+        UsageError: The log cannot be read, or `out` cannot be written.
     """
     sources = _sources(log)
     file, _ = split_axis(log)
@@ -203,9 +218,9 @@ def _open(path: Path, part: Path, source: _Source) -> _Sink:
 
 
 class _Parquet:
-    """Write a Parquet file, with codes as text, from blocks gathered in a database next to the file.
+    """Write a Parquet file, with codes as text, from blocks collected in a database next to the file.
 
-    The database makes it possible to convert a log that is larger than the memory.
+    With the database, a log may be larger than the memory.
     """
 
     def __init__(self, path: Path, source: _Source) -> None:
@@ -240,18 +255,18 @@ class _Parquet:
 
         try:
             self._connection.execute(query, parameters)
-        except duckdb.Error as error:  # a disk that is full, above all
+        except duckdb.Error as error:  # most likely a full disk
             raise OSError(said(error)) from None
 
 
 def write_last(log: Path, out: Path, seconds: float) -> float:
-    """Write the head, the records of the last `seconds` and all events of a log to a new file.
+    """Write the header, the records of the last `seconds` (s) and all events of a log to a new file.
 
     Returns:
         The duration of the written part, s.
 
     Raises:
-        UsageError: the log cannot be read, has other columns than this version, or `out` cannot be written.
+        UsageError: The log cannot be read or is from a version with other columns, or `out` cannot be written.
     """
     file = LogFile(log)
     if tuple(file.fields) != tuple(FIELD_NAMES):

@@ -1,15 +1,16 @@
 """Read CSV files of any size into columns of doubles, with errors that state row and column.
 
 Fields are separated by comma, semicolon or tab. A byte-order mark, Windows line ends, quotes, spaces and `#` lines
-above the header are accepted. A decimal comma is rejected, because a number must have the same value everywhere. DuckDB
-splits the lines and parses the numbers (each as `float()` would). This module rejects input that DuckDB accepts but a
-log must not contain, and locates the input that DuckDB rejects. A file of at most `SMALL` bytes that holds only numbers
-is read without DuckDB, so that the daemon does not load 100 MB for the file of a set-point.
+above the header are accepted. A decimal comma is rejected, because a number must have the same value everywhere.
 
-DuckDB was chosen by measurement on 400,000 rows of 10 numbers. It takes 0.55 s of one processor, pyarrow 0.48 s (and
-100 MB more on disk), pandas 0.24 s, polars 0.2 s, numpy's loadtxt 1.3 s, and the csv module with float() 3.0 s. A
-custom reader in numba takes 0.33 s, and 0.8 s more at its first use. pandas and polars accept a row that is too short,
-and numpy accepts no empty field. DuckDB rejects short rows with their position.
+DuckDB splits the lines and parses the numbers as `float()` would. This module rejects input that DuckDB accepts but a
+log must not contain, and locates the input that DuckDB rejects. A file of at most `SMALL` bytes with only numbers is
+read without DuckDB, so that the daemon does not load 100 MB for a set-point file.
+
+DuckDB was chosen after measurements with 400,000 rows of 10 numbers. It takes 0.55 s of processor time, and pyarrow
+takes 0.48 s (and 100 MB more on disk). pandas takes 0.24 s, polars 0.2 s, numpy's loadtxt 1.3 s, and the csv module
+with float() 3.0 s. A custom reader in numba takes 0.33 s, and 0.8 s more at its first use. pandas and polars accept a
+row that is too short, and numpy rejects empty fields. DuckDB rejects short rows and reports their position.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 
-# DuckDB reads and writes CSV and Parquet; it takes 69 MB of disk, pyarrow 165 MB.
+# DuckDB reads and writes CSV and Parquet. It takes 69 MB on disk, and pyarrow 165 MB.
 SETTINGS: dict[str, str | bool | int | float | list[str]] = {
     "threads": 1,  # leaves the other processors to a running daemon
     "autoinstall_known_extensions": False,
@@ -58,7 +59,7 @@ def connected(database: Path | None = None) -> Iterator[DuckDBPyConnection]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[str]:
-    """Open `path` and return a name for it without *, ? and [, which DuckDB would interpret as a pattern."""
+    """Open `path`, and yield a name for it without *, ? and [, which DuckDB would interpret as a pattern."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         yield f"/dev/fd/{descriptor}"
@@ -67,7 +68,7 @@ def opened(path: Path) -> Iterator[str]:
 
 
 def quoted(name: str) -> str:
-    """Return a column's name, quoted for a query."""
+    """Return a column name quoted for a query."""
     return '"' + name.replace('"', '""') + '"'
 
 
@@ -78,7 +79,7 @@ def doubles(values: Any) -> NDArray[np.float64]:
 
 
 def said(error: Exception) -> str:
-    """Return DuckDB's error message in one line, without the file name of `opened` and the advice on queries."""
+    """Return DuckDB's error message in one line, without the file name of `opened` and the hints on queries."""
     text = _NAME.sub("", str(error).partition("\n\n")[0])
     return " ".join(text.partition(" Error: ")[2].split() or text.split())
 
@@ -87,9 +88,9 @@ HEAD = 1 << 16  # bytes that are searched for the header
 BLOCK = 1 << 20  # bytes that are searched for blank lines at once, which limits the memory
 LONGEST = 2 << 20  # bytes of a line: 100,000 numbers of 17 digits
 DELIMITERS = ",;\t"
-LOOKED_AT = 1000  # first rows; a column that is not a signal is read only if it holds numbers alone in them
-SMALL = 1 << 20  # bytes, which take float() less than the 0.2 s in which DuckDB is imported
-_PLAIN = re.compile(r"[-+0-9.eE,; \t\r\n]*")  # numbers, delimiters and line ends alone
+LOOKED_AT = 1000  # first rows, which must be numbers in a column that is not a signal, or the column is not read
+SMALL = 1 << 20  # bytes; float() parses them in less than the 0.2 s that the import of DuckDB takes
+_PLAIN = re.compile(r"[-+0-9.eE,; \t\r\n]*")  # only numbers, delimiters and line ends
 _BLANK = re.compile(rb"\n[ \t\r]*(?=\n)")
 _LINE = re.compile(r"CSV Error on Line: (\d+)")  # message of DuckDB
 _LENGTH = re.compile(r"^Expected Number of Columns: \d+ Found: (\d+)$", re.MULTILINE)
@@ -101,10 +102,17 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns, list[str], int]:
-    """Read the columns in `wanted` (None: all signals and all other numeric columns); an empty field is nan.
+    """Read columns of a CSV file. An empty field is nan.
 
-    Returns the columns, the names of the columns that were not read and the number of lines above the first row.
-    Raises UsageError with a message of one line if the file is not a table of numbers.
+    Args:
+        path: file to read.
+        wanted: names of the columns; None for all signals and all other numeric columns.
+
+    Returns:
+        The columns, the names of the columns that were not read, and the number of lines above the first row.
+
+    Raises:
+        UsageError: The file is not a table of numbers.
     """
     try:
         with _open(path) as stream:
@@ -114,7 +122,7 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
-    kept = [place for place, name in enumerate(names) if is_selected(name, wanted)]  # names may be empty
+    kept = [place for place, name in enumerate(names) if is_selected(name, wanted)]  # by place: names may be empty
     numeric = [place for place in kept if wanted is not None or is_input(names[place])]
     with _up_to(path, end) as file:
         columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
@@ -126,10 +134,19 @@ def _open(path: Path) -> BinaryIO | gzip.GzipFile:
 
 
 def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) -> int | None:
-    """Return the number of bytes before trailing lines of spaces, which DuckDB would read as rows; None without them.
+    """Return the number of bytes before trailing lines of spaces, or None without such lines.
 
-    `head` is the part of `stream` that has been read. Raises UsageError for a blank line before a row, which DuckDB
-    would skip without a warning, and for a compressed file that unpacks to more than a log can hold.
+    DuckDB would read such lines as rows.
+
+    Args:
+        path: file, for messages.
+        stream: file after its first bytes were read.
+        head: the first bytes of the file.
+        above: number of lines above the first row.
+
+    Raises:
+        UsageError: There is a blank line before a row, which DuckDB would skip without a warning, or a compressed file
+            unpacks to more than a log can hold.
     """
     counted = DecompressionLimit(path) if isinstance(stream, gzip.GzipFile) else None
 
@@ -167,7 +184,7 @@ def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) 
 
 @contextlib.contextmanager
 def _up_to(path: Path, end: int | None) -> Iterator[Path]:
-    """Yield the path of the file, or of an unpacked copy of its first `end` bytes if `end` is given."""
+    """Yield the path of the file, or the path of an unpacked copy of its first `end` bytes."""
     if end is None:
         yield path
         return
@@ -181,7 +198,7 @@ def _up_to(path: Path, end: int | None) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class _Source:
-    """Read a table with DuckDB from `file`, which has the content of `path`; messages state `path`."""
+    """A table that DuckDB reads from `file`, which has the content of `path`. Messages contain `path`."""
 
     path: Path
     file: Path
@@ -190,7 +207,7 @@ class _Source:
     above: int
 
     def read(self, kept: list[int], numeric: list[int]) -> Columns:
-        """Return the columns at the places `kept`; those in `numeric` must be numbers, the others may be left out."""
+        """Return the columns at the places `kept`. Columns in `numeric` must have numbers. Others may be left out."""
         plain = self._plain(kept)
         if plain is not None:
             return plain
@@ -217,7 +234,7 @@ class _Source:
         return {self.names[place]: doubles(found.pop(str(place)))[:rows] for place in places}
 
     def _plain(self, kept: list[int]) -> Columns | None:
-        """Return the columns of a small file that holds only numbers; None for any other file, also for a wrong one."""
+        """Return the columns of a small file with only numbers, or None for any other or a malformed file."""
         if self.file.suffix.lower() == ".gz" or self.file.stat().st_size > SMALL:
             return None
         text = b"".join(self.file.read_bytes().split(b"\n", self.above)[self.above :]).decode("latin-1")
@@ -232,7 +249,7 @@ class _Source:
             return None
 
     def _table(self, name: str, numeric: list[int]) -> str:
-        """Return DuckDB's table function, in which the columns are named by their places."""
+        """Return DuckDB's table function, which names the columns by their places."""
         kinds = (f"'{place}': '{'DOUBLE' if place in numeric else 'VARCHAR'}'" for place in range(len(self.names)))
         options = {
             "auto_detect": "false",
@@ -249,7 +266,7 @@ class _Source:
         return f"read_csv('{name}', {', '.join(f'{key} = {value}' for key, value in options.items())})"
 
     def _rows(self, columns: list[Any]) -> int:
-        """Return the number of rows without empty rows at the end; raises UsageError for an empty row before others."""
+        """Return the number of rows without trailing empty rows. Raise UsageError for an empty row before others."""
         rows = len(columns[0]) if columns else 0
         if not all(isinstance(column, np.ma.MaskedArray) for column in columns):
             return rows
@@ -290,7 +307,7 @@ def _empty(path: Path, row: int, above: int) -> str:
 
 
 def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
-    """Return the columns' names, the delimiter, and the number of lines down to the header."""
+    """Return the column names, the delimiter, and the number of lines up to and including the header."""
     if not head.strip():
         raise UsageError(f"{path}: is empty; give a log with a header row and at least two rows")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):

@@ -1,4 +1,4 @@
-"""Summarise a log: rate, length, jitter, columns with their ranges, and the events of the recording."""
+"""Summarise a log: rate, duration, jitter, columns with their ranges, and the events of the recording."""
 
 from __future__ import annotations
 
@@ -24,9 +24,15 @@ Codes = dict[str, dict[int, str]]
 
 @dataclass(frozen=True)
 class ColumnRange:
-    """One column: unit ("" when unknown), smallest and largest value (None without any), rows without a value.
+    """The range of one column.
 
-    `names` of the codes that occur, for a coded column.
+    Attributes:
+        name: name of the column.
+        unit: unit of the column; "" if unknown.
+        low: smallest value; None without values.
+        high: largest value; None without values.
+        missing: number of rows without a value.
+        names: names of the codes that occur in a coded column.
     """
 
     name: str
@@ -39,7 +45,18 @@ class ColumnRange:
 
 @dataclass(frozen=True)
 class AxisInfo:
-    """One axis: sampling rate in Hz, length in s, jitter as a fraction of the period, samples skipped."""
+    """The summary of one axis.
+
+    Attributes:
+        axis: name of the axis; None for a table.
+        rate: sampling rate, Hz.
+        seconds: duration, s.
+        rows: number of rows.
+        jitter: largest timing error as a fraction of the period.
+        skipped: number of missing samples.
+        columns: ranges of the columns.
+        text_columns: names of the columns without numbers.
+    """
 
     axis: str | None
     rate: float
@@ -53,9 +70,15 @@ class AxisInfo:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """A log file: its axes (one without a name for a table), hash and contents of its head; `problems` in words.
+    """The summary of a log file.
 
-    `notes`: what happened, faults with their cause.
+    Attributes:
+        path: path of the log.
+        sha256: hexadecimal SHA-256 of the file.
+        axes: axes of the log. A table has one axis without a name.
+        about: metadata of the header.
+        problems: defects of the file as text.
+        notes: events of the recording, such as faults with their cause.
     """
 
     path: str
@@ -66,7 +89,7 @@ class LogInfo:
     notes: list[Note] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of `tsa log info`; rate and columns of all axes together."""
+        """Return the JSON object of `tsa log info`, with rate and columns for all axes together."""
         names = dict.fromkeys(column.name for axis in self.axes for column in axis.columns)
         names |= dict.fromkeys(name for axis in self.axes for name in axis.text_columns)
         return {
@@ -89,7 +112,7 @@ class LogInfo:
 
 
 def inspect(path: str | Path) -> LogInfo:
-    """Summarise a log. Raises UsageError if it cannot be read or has no usable time."""
+    """Summarise a log. Raise UsageError if it cannot be read or has no usable time."""
     file, axis = split_axis(path)
     sha256 = sha256_of(path)
     if kind_of(file) != ".mcap":
@@ -112,7 +135,7 @@ def inspect(path: str | Path) -> LogInfo:
 
 
 class _Columns:
-    """Collect the times of one axis (s), and of each column range, rows without a value and codes, block by block."""
+    """The times of one axis (s), and range, missing values and codes of each column, collected block by block."""
 
     def __init__(self, names: Sequence[str], codes: Codes) -> None:
         self._names = list(names)
@@ -121,10 +144,10 @@ class _Columns:
         self._high = [-np.inf] * len(self._names)
         self._missing = [0] * len(self._names)
         self._found: dict[str, set[float]] = {name: set() for name in self._names if codes.get(name)}
-        self._times = bytearray()  # grows in place; 8 bytes a row are all that is kept
+        self._times = bytearray()  # grows in place, and only these 8 bytes per row are kept
 
     def add(self, columns: Iterable[NDArray[np.float64]]) -> None:
-        """Take the next rows: a column for each name."""
+        """Add the next rows, with one column for each name."""
         for i, (name, values) in enumerate(zip(self._names, columns, strict=True)):
             if name == "t":
                 self._times += values.astype(np.float64).tobytes()
@@ -141,7 +164,7 @@ class _Columns:
         return np.frombuffer(self._times, dtype=np.float64)
 
     def ranges(self, empty: bool) -> list[ColumnRange]:
-        """Return the columns that have a value; `empty` adds those that have none."""
+        """Return the ranges of all columns with values. `empty` adds the columns without values."""
         found = []
         for i, name in enumerate(self._names):
             there = self._low[i] <= self._high[i]
@@ -155,7 +178,7 @@ class _Columns:
 
 
 def _repairs(table: Table) -> list[str]:
-    """Return the notes on duplicate time stamps and gaps, as they are reported when the log is used."""
+    """Return the notes on duplicate time stamps and gaps that are also reported when the log is used."""
     try:
         return list(dict.fromkeys(note for piece in repair_timestamps(table) for note in piece.notes))
     except UsageError as error:

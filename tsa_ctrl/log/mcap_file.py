@@ -1,9 +1,9 @@
-"""Write an MCAP file that is readable up to its last chunk, however the writing process ends.
+"""Write an MCAP file that stays readable up to its last chunk even if the writing process is killed.
 
-Format: the MCAP specification, version 0 (mcap.dev/spec). There is one channel per axis with schema encoding "ros2msg"
-and message encoding "cdr": four bytes of header, then the doubles of one record, little-endian. One more channel holds
-the events (faults with their cause) in separate chunks, as JSON in the schema "foxglove.Log". Chunks and the head
-carry a checksum. Indices for quick opening are written at the end.
+The format is the MCAP specification, version 0 (mcap.dev/spec). Each axis has one channel with schema encoding
+"ros2msg" and message encoding "cdr": four bytes of header, then the doubles of one record, little-endian. Another
+channel has the events (faults with their cause) in separate chunks, as JSON with the schema "foxglove.Log". Chunks and
+the head have a checksum. Indices for fast opening are written at the end.
 """
 
 from __future__ import annotations
@@ -44,10 +44,13 @@ from tsa_ctrl.signals import FIELDS
 
 @dataclass(frozen=True)
 class Note:
-    """Hold one event of the log, such as a fault with its cause, a loss or the end of the run.
+    """An event of the log, such as a fault with its cause, a loss or the end of the run.
 
-    `t` is in s since the log's start. `axis` is empty if the event concerns all axes. `fault` is True if the event
-    stopped the torque.
+    Attributes:
+        t: time since the start of the log, s.
+        axis: name of the axis; empty if the event concerns all axes.
+        text: description of the event.
+        fault: True if the event stopped the torque.
     """
 
     t: float
@@ -59,7 +62,7 @@ class Note:
         return f"{self.t:9.3f} s  {'FAULT  ' if self.fault else ''}{self.axis + ': ' if self.axis else ''}{self.text}"
 
     def encoded(self) -> bytes:
-        """Return JSON for the ring buffer, with the text shortened to fit."""
+        """Return the event as JSON for the ring buffer, with the text shortened to fit."""
         text = self.text
         while len(data := json.dumps({**vars(self), "text": text}).encode()) > NOTE_BYTES:
             text = text[: len(text) * 3 // 4]
@@ -67,7 +70,7 @@ class Note:
 
     @staticmethod
     def decoded(data: bytes) -> Note | None:
-        """Return the note in `data`, or None if it was overwritten while it was read."""
+        """Return the event in `data`, or None if `data` is damaged."""
         try:
             found = json.loads(data)
             return Note(float(found["t"]), str(found["axis"]), str(found["text"]), bool(found["fault"]))
@@ -81,8 +84,8 @@ CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 NOTES_TOPIC, NOTES_SCHEMA = "/events", "foxglove.Log"
 NOTES_ENCODING = "json"
 INFO, ERROR = 2, 4  # levels of foxglove.Log
-HEAD = "head"  # metadata record at the end of the head: the checksum of everything between MAGIC and this record
-FILES = "file:"  # metadata records of this prefix hold the text of a configuration file
+HEAD = "head"  # metadata record at the end of the head, with the checksum of all bytes between MAGIC and this record
+FILES = "file:"  # prefix of the metadata records that contain the text of a configuration file
 
 MESSAGE = np.dtype(
     [
@@ -113,10 +116,10 @@ def notes_schema_text() -> bytes:
 
 
 class McapFile:
-    """Write records chunk by chunk; if a chunk cannot be written, the file stays readable up to the previous one."""
+    """Write records chunk by chunk. If a chunk cannot be written, the file stays readable up to the previous one."""
 
     def __init__(self, path: Path, header: LogHeader) -> None:
-        """Create `path` (never an existing file) and write the head of the log. Raises OSError."""
+        """Create the new file `path`, and write the head of the log. Raise OSError if `path` exists or on failure."""
         self._file = path.open("xb", buffering=0)
         self._header = header
         self._position = 0
@@ -152,7 +155,7 @@ class McapFile:
         return self._position
 
     def write(self, records: Sequence[NDArray[np.float64]]) -> None:
-        """Write one chunk with the records of each axis, shape (k, fields). Raises OSError and then adds nothing."""
+        """Write one chunk with the records of each axis, (k, fields). On OSError the file stays unchanged."""
         messages = [self._messages(axis, block) for axis, block in enumerate(records)]
         if not any(len(block) for block in messages):
             return
@@ -170,7 +173,7 @@ class McapFile:
             self._sequence[axis] += len(block)
 
     def write_notes(self, notes: Sequence[Note]) -> None:
-        """Write one chunk of events. Raises OSError and then adds nothing."""
+        """Write one chunk of events. On OSError the file stays unchanged."""
         if not notes:
             return
         builder = RecordBuilder()
@@ -198,7 +201,14 @@ class McapFile:
         self._notes += len(notes)
 
     def _write_chunk(self, data: bytes, entries: dict[int, list[tuple[int, int]]], start: int, end: int) -> None:
-        """Write a chunk of message records and its indices; `entries`: time and place of each message, by channel."""
+        """Write a chunk of message records and its indices.
+
+        Args:
+            data: message records.
+            entries: time (ns) and offset (bytes) of each message by channel.
+            start: earliest time of a message, ns.
+            end: latest time of a message, ns.
+        """
         builder = RecordBuilder()
         Chunk(
             compression="zstd",
@@ -230,11 +240,11 @@ class McapFile:
         self._indices.append(index)
 
     def sync(self) -> None:
-        """Wait until the written data is on the disk. Raises OSError."""
+        """Wait until the written data is on the disk. Raise OSError on failure."""
         os.fsync(self._file.fileno())
 
     def finish(self) -> None:
-        """Write the indices and close the file; without it the file can still be read. Raises OSError."""
+        """Write the indices and close the file, which is readable even without them. Raise OSError on failure."""
         try:
             self._append(self._summary())
             self.sync()
@@ -294,7 +304,7 @@ class McapFile:
             "fields": json.dumps([column.name for column in FIELDS]),
             "units": json.dumps({column.name: column.unit for column in FIELDS}),
             "codes": json.dumps(header.codes),
-            "checksum": HEAD,  # so that a damaged record HEAD is noticed as well
+            "checksum": HEAD,  # so that a damaged HEAD record is also detected
         }
         records = [Metadata(name="tsa_ctrl", metadata=about)]
         for name, text in header.files.items():

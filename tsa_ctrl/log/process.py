@@ -16,11 +16,16 @@ from tsa_ctrl.version import __version__, build_kind
 
 @dataclass(frozen=True)
 class LogHeader:
-    """Hold the header of a log, with its origin and the meaning of its codes.
+    """The header of a log, with its origin and the meaning of its codes.
 
-    `files` maps the name of each configuration or model file to its text, `codes` the name of a coded field to
-    {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz;
-    `build` is "compiled" or "interpreted".
+    Attributes:
+        axes: names of the axes.
+        rate: rate of the loop, Hz.
+        files: text of each configuration or model file by its name.
+        codes: {code: name} by the name of a coded field.
+        started: time of t = 0, s since 1970.
+        version: version of the package.
+        build: "compiled" or "interpreted".
     """
 
     axes: tuple[str, ...]
@@ -34,10 +39,12 @@ class LogHeader:
 
 @dataclass(frozen=True)
 class LogLimits:
-    """Limit the files of a log.
+    """The limits of the log files. None removes a limit.
 
-    `file_size` in bytes and `file_age` in s end a file and begin the next. `folder_size` in bytes deletes the oldest
-    logs of the daemon in the folder. None: no limit.
+    Attributes:
+        file_size: size at which the next file is started, bytes.
+        file_age: age at which the next file is started, s.
+        folder_size: size of all logs above which the daemon's oldest logs in the folder are deleted, bytes.
     """
 
     file_size: float | None = None
@@ -45,9 +52,9 @@ class LogLimits:
     folder_size: float | None = None
 
 
-LOG_KIND, LOG_SUFFIX = "tsa", ".mcap"  # of the names of the daemon's logs: tsa-20250131-142501.mcap
-PATIENCE = 5.0  # s for the writer to drain and complete the file
-STARTED = 20.0  # s until the writer reads the ring
+LOG_KIND, LOG_SUFFIX = "tsa", ".mcap"  # parts of the daemon's log names: tsa-20250131-142501.mcap
+PATIENCE = 5.0  # s for the writer to drain the ring and complete the file
+STARTED = 20.0  # s for the writer to start reading the ring
 POLL = 0.01  # s
 
 
@@ -58,7 +65,7 @@ class LogProcess:
     """
 
     def __init__(self, path: Path, ring: RingWriter, header: LogHeader, limits: LogLimits | None = None) -> None:
-        """Start the process; raises UsageError if no new file can be created at `path`."""
+        """Start the process. Raise UsageError if no new file can be created at `path`."""
         self.path = path
         self._ring = ring
         check_place(path)
@@ -71,11 +78,11 @@ class LogProcess:
 
     @property
     def alive(self) -> bool:
-        """Return False once the process has ended; records are no longer written then."""
+        """Return False once the process has ended and no longer writes records."""
         return self._child.alive
 
     def wait_until_up(self, timeout: float = STARTED) -> None:
-        """Wait up to `timeout` s until the writer reads the ring: its start takes processor time from the loop."""
+        """Wait up to `timeout` s until the writer reads the ring, because its start takes processor time."""
         end = time.monotonic() + timeout
         while self.health().state is WriterState.STARTING and self.alive and time.monotonic() < end:
             time.sleep(POLL)
@@ -85,14 +92,14 @@ class LogProcess:
         return LogHealth(self._ring)
 
     def end(self, timeout: float = PATIENCE) -> LogHealth:
-        """Let the writer drain the ring and complete the file; it is killed after `timeout` s."""
+        """Let the writer drain the ring and complete the file, but kill it after `timeout` s. Return its report."""
         self._ring.finish()
         self._child.end(timeout)
         return self.health()
 
 
 def check_place(path: Path) -> None:
-    """Raise UsageError when a new log cannot be created at `path`; leaves nothing behind."""
+    """Raise UsageError if a new log cannot be created at `path`. Leave no file there."""
     try:
         with path.open("xb"):
             pass

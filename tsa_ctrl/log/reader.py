@@ -1,9 +1,10 @@
 """Read the daemon's MCAP logs, complete or truncated, up to the last complete chunk.
 
-The records are parsed with the mcap library, but its reader is not used. It yields single messages and takes 4.9 s of
-processor time for ten minutes at 1 kHz, whereas chunks decoded as arrays take 0.63 s. It reads nothing from a truncated
-file ("unknown (opcode 196) record has length 16256141150751413024") and passes on a flipped byte as a value. This
-module reads a truncated file up to its last chunk and skips damaged chunks. It reports both.
+The records are parsed with the mcap library, but its reader is not used. That reader yields single messages and takes
+4.9 s of processor time for ten minutes at 1 kHz. Decoding chunks as arrays takes 0.63 s. The library's reader also
+reads nothing from a truncated file ("unknown (opcode 196) record has length 16256141150751413024"), and returns a
+flipped byte as a value. This module reads a truncated file up to its last chunk, skips damaged chunks, and reports
+both.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, HEAD, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
 from tsa_ctrl.signals import JOINT_ANGLE
 
-ALWAYS = 256 << 20  # bytes that any file may unpack to: half an hour of one axis at 1 kHz as CSV
-RATIO = 200  # permitted compression ratio beyond that: logs of a rig at rest reach 60, of a moving rig 2 to 10
+ALWAYS = 256 << 20  # bytes to which any file may unpack: half an hour of one axis at 1 kHz as CSV
+RATIO = 200  # permitted compression ratio above that size: logs of a rig at rest reach 60, of a moving rig 2 to 10
 
 
 class DecompressionLimit:
@@ -42,7 +43,7 @@ class DecompressionLimit:
         self.left = max(ALWAYS, RATIO * path.stat().st_size)
 
     def take(self, size: int) -> None:
-        """Count `size` bytes; raises UsageError if the total exceeds the limit."""
+        """Count `size` bytes. Raise UsageError if the total exceeds the limit."""
         self.left -= size
         if self.left < 0:
             limit = max(ALWAYS, RATIO * self._path.stat().st_size)
@@ -67,20 +68,22 @@ _HEAD = np.dtype(
 
 
 class LogFile:
-    """Read one log: the constructor reads the header, `blocks` reads the records.
+    """A log of the daemon. The constructor reads the header, and `blocks` reads the records.
+
+    The last three attributes are valid once `blocks` has ended.
 
     Attributes:
         axes: names of the axes, in order.
         fields: names of the columns, in order.
         about: metadata of the header (version, rate, started, units, codes).
         files: text of each configuration file by its name.
-        complete: after `blocks` has ended, False if the file is truncated (its writer was killed or is still writing).
-        damaged: after `blocks` has ended, the number of chunks with a wrong checksum.
-        notes: after `blocks` has ended, the events in order; empty in logs of earlier versions.
+        complete: False if the file is truncated, because its writer was killed or is still writing.
+        damaged: number of missing or damaged chunks.
+        notes: events in order. Logs of earlier versions have none.
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the header; raises UsageError if `path` is not a log of this package."""
+        """Read the header. Raise UsageError if `path` is not a log of this package."""
         self.path = path
         self.axes: list[str] = []
         self.fields: list[str] = []
@@ -111,7 +114,7 @@ class LogFile:
 
     @property
     def problems(self) -> list[str]:
-        """Return the defects of the file as text; complete after `blocks` has ended."""
+        """Return the defects of the file as text. The list is complete once `blocks` has ended."""
         problems = (
             [] if self.complete else ["the log was cut off, or is still being written; read up to its last chunk"]
         )
@@ -120,7 +123,7 @@ class LogFile:
         return problems
 
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Yield axis and records of each chunk, shape (k, fields), with the fields in the given order."""
+        """Yield name and records (k, fields) of each axis in each chunk, with the fields in the order of `wanted`."""
         pick = [self.fields.index(name) for name in wanted]
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
@@ -130,7 +133,7 @@ class LogFile:
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
                 self.complete = True
-            elif opcode == Opcode.STATISTICS:  # a chunk with a damaged first byte was not counted
+            elif opcode == Opcode.STATISTICS:  # counts chunks that were not recognised because of a damaged first byte
                 announced = _announced(content)
                 self.damaged += 1 if announced is None else abs(announced - chunks)
             if opcode != Opcode.CHUNK:
@@ -146,7 +149,7 @@ class LogFile:
             messages = np.frombuffer(data, dtype=message)
             channel = messages["head"]["channel"]
             numbers = np.unique(channel).tolist()
-            if not self._channels.keys() >= set(numbers):  # records of an axis that the file does not announce
+            if not self._channels.keys() >= set(numbers):  # records of an axis that is not in the header
                 self.damaged += 1
                 continue
             for number in numbers:
@@ -155,7 +158,7 @@ class LogFile:
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
         """Return the chosen fields of one axis over the whole log."""
         names = list(wanted)
-        found = [bytearray() for _ in names]  # they grow in place: a list of parts would leave holes all over the heap
+        found = [bytearray() for _ in names]  # they grow in place, because a list of parts would fragment the heap
         for name, block in self.blocks(names):
             if name == axis:
                 for column, values in zip(found, block.T, strict=True):
@@ -163,9 +166,10 @@ class LogFile:
         return {name: np.frombuffer(column, dtype=np.float64) for name, column in zip(names, found, strict=True)}
 
     def joint_angles(self) -> dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]:
-        """Return for each column q_j.NAME a function of the times (s) of an axis' records; none for a single axis.
+        """Return functions that map the record times (s) of an axis to q_j.NAME, by column name.
 
-        The axes of a log share the clock of the loop. Where axis NAME has no record of that time, the value is nan.
+        The axes of a log share the clock of the loop. The value is nan at a time without a record of axis NAME. The
+        result is empty for a log with one axis.
         """
         if len(self.axes) < 2 or not {"t", "q_j"} <= set(self.fields):
             return {}
@@ -180,18 +184,18 @@ class LogFile:
         }
 
     def read_notes(self) -> list[Note]:
-        """Return the events in order: faults with their cause, losses, the end."""
+        """Return the events in order, such as faults with their cause, losses and the end of the run."""
         for _ in self.blocks(()):
             pass
         return self.notes
 
     def _holds_notes(self, data: bytes) -> bool:
-        """Chunks hold either records or notes."""
+        """Return True if an unpacked chunk contains events. A chunk contains either records or events."""
         channel = int.from_bytes(data[_PREFIX : _PREFIX + 2], "little")
         return self._notes_channel is not None and channel == self._notes_channel
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and content of each complete record, up to the point where the file is truncated."""
+        """Yield opcode and content of each complete record, up to the end of the file."""
         with self.path.open("rb") as stream:
             left = os.fstat(stream.fileno()).st_size - stream.seek(len(MAGIC))
             while left >= _PREFIX:
@@ -248,7 +252,7 @@ class LogFile:
 
 
 def _notes(data: bytes) -> list[Note]:
-    """Return the notes in an unpacked chunk of notes, without damaged ones."""
+    """Return the undamaged events of an unpacked chunk of events."""
     found = []
     position = 0
     while position + _PREFIX <= len(data):
@@ -264,7 +268,7 @@ def _notes(data: bytes) -> list[Note]:
 
 
 def _announced(content: bytes) -> int | None:
-    """Return the number of chunks according to the statistics at the end of a log, None if these are damaged."""
+    """Return the number of chunks from the statistics at the end of a log, or None if these are damaged."""
     try:
         return int(Statistics.read(_stream(content)).chunk_count)
     except _DAMAGED:
@@ -272,7 +276,7 @@ def _announced(content: bytes) -> int | None:
 
 
 def _chained(checksum: int, opcode: int, content: bytes) -> int:
-    """Return the CRC 32 of the records so far and one more."""
+    """Return the CRC 32 of all earlier records, with the CRC 32 `checksum`, and one more record."""
     return zlib.crc32(content, zlib.crc32(bytes([opcode]) + len(content).to_bytes(8, "little"), checksum))
 
 
@@ -281,7 +285,7 @@ def _stream(content: bytes) -> ReadDataStream:
 
 
 def _unpacked(content: bytes, counted: DecompressionLimit) -> bytes | None:
-    """Return the messages of a chunk, or None if they are damaged or their number is wrong. Raises UsageError."""
+    """Return the messages of a chunk, or None if they are damaged. Raise UsageError above the size limit."""
     try:
         chunk = Chunk.read(_stream(content))
         if zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
@@ -294,6 +298,6 @@ def _unpacked(content: bytes, counted: DecompressionLimit) -> bytes | None:
 
 
 def _at_times(known: NDArray[np.float64], values: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the values at the times `t`, and nan at a time that is not among the rising times `known`."""
+    """Return the values at the times `t`, or nan for a time that is not in the increasing times `known`."""
     place = np.minimum(np.searchsorted(known, t), len(known) - 1)
     return np.where(known[place] == t, values[place], np.nan)

@@ -1,8 +1,8 @@
-"""Carry records and notes (texts of events) out of the real-time process through a ring in shared memory.
+"""Pass records and notes (texts of events) from the real-time process to readers through a ring in shared memory.
 
-There is one writer and any number of readers, without locks and system calls. Each record and each note has a separate
-place (see `system.shared_memory`). A reader takes complete contents in the order of their numbers. Contents that were
-overwritten before they were read count as lost.
+The ring has one writer and any number of readers, and uses no locks or system calls. Each record and each note has its
+own place (see `system.shared_memory`). A reader takes complete contents in the order of their numbers. Records that
+were overwritten before they were read count as lost.
 """
 
 from __future__ import annotations
@@ -19,48 +19,48 @@ from numpy.typing import NDArray
 from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.shared_memory import Places, SharedMemory, space
 
-SLOTS = 8192  # records per axis: 8 s at 1 kHz, for a disk that hangs
-NOTE_BYTES = 1022  # of one note
+SLOTS = 8192  # records per axis: 8 s at 1 kHz, to bridge a slow disk
+NOTE_BYTES = 1022  # bytes of one note
 
 _MAGIC = 0x74736172696E6732  # "tsaring2"
 _HEADER = 4096  # bytes
 _FORMAT = struct.Struct(f"={len(FIELDS)}d")
-_NOTES = 64  # notes that may wait; the oldest is overwritten
+_NOTES = 64  # notes that may wait; a further one overwrites the oldest
 
 
 class _Word(IntEnum):
-    """List the words of the header, 8 bytes each."""
+    """The words of the header, 8 bytes each."""
 
     MAGIC = 0
     AXES = 1
     SLOTS = 2
     FIELDS = 3
-    CLOSED = 4  # by the owner: no more records
-    NOTES = 5  # by the owner: notes written
-    WRITER_STATE = 8  # by the log writer, as the words that follow
+    CLOSED = 4  # set by the owner after the last record
+    NOTES = 5  # set by the owner: number of written notes
+    WRITER_STATE = 8  # set by the log writer, like the words up to REPLACED
     WRITTEN = 9
     LOST = 10
-    TROUBLE = 11  # errno of a failed write, 0: none
-    HEARD = 12  # ns, monotonic, of the writer's last sign of life
+    TROUBLE = 11  # errno of a failed write, 0 without one
+    HEARD = 12  # ns, monotonic, time of the writer's last sign of life
     REPLACED = 13  # number of replaced writers
-    COUNT = 64  # of axis 0: records written; one word per axis from here
-    STORED = 288  # of axis 0: number of the last record that the log writer is done with; one word per axis from here
+    COUNT = 64  # first of one word per axis: number of records in the ring so far
+    STORED = 288  # first of one word per axis: number of the last record that the log writer has stored
 
 
 MAX_AXES = _HEADER // 8 - _Word.STORED
 
 
 class WriterState(IntEnum):
-    """List the states that the log writer reports through the ring."""
+    """The state that the log writer reports through the ring."""
 
     STARTING = 0
     WRITING = 1
-    TROUBLED = 2  # cannot write; drains the ring, counts lost records and tries again
+    TROUBLED = 2  # cannot write, but drains the ring, counts lost records and tries again
     ENDED = 3
 
 
 class Ring:
-    """Map the memory; use `RingWriter` and `RingReader`."""
+    """The mapped memory of a ring, the base of `RingWriter` and `RingReader`."""
 
     def __init__(self, axes: int, slots: int, fd: int | None = None) -> None:
         records, notes = space(slots, _FORMAT.size), space(_NOTES, NOTE_BYTES)
@@ -78,7 +78,7 @@ class Ring:
 
     @property
     def heard(self) -> float:
-        """Return the time of the log writer's last sign of life, s, monotonic; 0 before the first."""
+        """Return the time of the log writer's last sign of life, s (monotonic), or 0 before the first one."""
         return self._words[_Word.HEARD] * 1e-9
 
     @property
@@ -91,10 +91,10 @@ class Ring:
 
 
 class RingWriter(Ring):
-    """Write the ring in the real-time process; pass `fd` to the readers."""
+    """The writer's side of the ring, in the real-time process. `fd` must be passed to the readers."""
 
     def __init__(self, axes: int, slots: int = SLOTS) -> None:
-        """Create the memory for `axes` axes; raises ValueError for sizes out of range."""
+        """Create the memory for `axes` axes. Raise ValueError for sizes out of range."""
         if not 0 < axes <= MAX_AXES or slots < 2:
             raise ValueError(f"{axes} axes of {slots} slots: need 1 to {MAX_AXES} axes and at least 2 slots")
         super().__init__(axes, slots)
@@ -104,27 +104,35 @@ class RingWriter(Ring):
         self._words[_Word.MAGIC] = _MAGIC
 
     def push(self, axis: int, record: Sequence[float]) -> None:
-        """Store one value for each of `FIELDS`. Never blocks; the oldest is overwritten."""
+        """Store a record with one value for each of `FIELDS`. The call never blocks and may overwrite the oldest."""
         self._counts[axis] = count = self._counts[axis] + 1
         self._places[axis].write(count, _FORMAT.pack(*record))
         self._words[_Word.COUNT + axis] = count
 
     def note(self, text: bytes) -> None:
-        """Store one note, cut to NOTE_BYTES. Never blocks; the oldest note is overwritten."""
+        """Store a note, cut to NOTE_BYTES. The call never blocks and may overwrite the oldest note."""
         count = self._words[_Word.NOTES] + 1
         self._notes.write(count, text[:NOTE_BYTES])
         self._words[_Word.NOTES] = count
 
     def finish(self) -> None:
-        """Report the end of the records: the log writer drains the ring, completes the file and ends."""
+        """Report the end of the records, so that the log writer drains the ring, completes the file and ends."""
         self._words[_Word.CLOSED] = 1
 
 
 class RingReader(Ring):
-    """Read the ring from a separate position: new records only, or all that no writer has stored (`from_start`)."""
+    """A reader of the ring with its own position."""
 
     def __init__(self, fd: int, from_start: bool = True) -> None:
-        """Map the ring of a descriptor; raises ValueError if it is not a ring of this version."""
+        """Map the ring of a descriptor.
+
+        Args:
+            fd: descriptor of the ring.
+            from_start: True to start after the last stored record, False to read new records only.
+
+        Raises:
+            ValueError: The descriptor is not a ring of this version.
+        """
         magic, axes, slots, fields = struct.unpack("=4Q", os.pread(fd, 32, 0).ljust(32, b"\0"))
         if magic != _MAGIC or fields != len(FIELDS):
             raise ValueError("not a ring of this version")
@@ -132,14 +140,14 @@ class RingReader(Ring):
         stored = [self._words[_Word.STORED + axis] for axis in range(self.axes)]
         self._next = [stored[axis] + 1 if from_start else self._count(axis) + 1 for axis in range(self.axes)]
         self._next_note = 1 if from_start else self.word(_Word.NOTES) + 1
-        self.written = self.word(_Word.WRITTEN)  # by those before this one
+        self.written = self.word(_Word.WRITTEN)  # records written by earlier writers
         self.lost = sum(stored) - self.written
 
     def _count(self, axis: int) -> int:
         return self._words[_Word.COUNT + axis]
 
     def read(self, axis: int) -> NDArray[np.float64]:
-        """Return the records of one axis since the last call, oldest first, shape (k, fields)."""
+        """Return the records of one axis since the last call, oldest first, (k, fields)."""
         first = self._next[axis]
         found, self._next[axis] = _taken(self._places[axis], first, self._count(axis))
         self.lost += self._next[axis] - first - len(found)
@@ -164,12 +172,12 @@ class RingReader(Ring):
         self._words[_Word.REPLACED] = number
 
     def stored(self) -> None:
-        """Record that all records read are stored; a reader that replaces this one begins after them."""
+        """Record that all read records are stored, so that a replacement of this reader starts after them."""
         for axis, following in enumerate(self._next):
             self._words[_Word.STORED + axis] = following - 1
 
     def report(self, state: WriterState, written: int, lost: int, trouble: int) -> None:
-        """Report to the owner: records written and lost, errno of a failed write (0: none)."""
+        """Report state, written and lost records, and the errno of a failed write (0 without one) to the owner."""
         self.alive()
         self._words[_Word.WRITTEN] = written
         self._words[_Word.LOST] = lost
@@ -184,13 +192,13 @@ def _taken(places: Places, first: int, last: int) -> tuple[list[bytes], int]:
         content = places.read(number)
         if content is not None:
             found.append(content)
-        elif places.claimed(number) <= number:  # on its way: nothing later has taken its place
+        elif places.claimed(number) <= number:  # not yet complete, because no later content has taken its place
             return found, number
     return found, last + 1
 
 
 class LogHealth:
-    """Hold the last report of the log writer, for the status and the summary."""
+    """The last report of the log writer, for the status and the summary."""
 
     def __init__(self, ring: Ring) -> None:
         self.state = WriterState(ring.word(_Word.WRITER_STATE))

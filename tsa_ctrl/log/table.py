@@ -1,6 +1,6 @@
-"""Read a log file of any kind as a table of columns, and check a table of waypoints for its players.
+"""Read a log file of any kind as a table of columns, and check tables of waypoints.
 
-Waypoints are a table over a rising time, for example of a set-point or a motion.
+Waypoints are a table over increasing time, for example of a set-point or a motion.
 """
 
 from __future__ import annotations
@@ -19,18 +19,25 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.csv_table import connected, doubles, opened, quoted, read_csv, said
 from tsa_ctrl.signals import is_selected
 
-_NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?\b|FLOAT|DOUBLE|DECIMAL")  # as DuckDB names types
+_NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?\b|FLOAT|DOUBLE|DECIMAL")  # DuckDB's names of types
 
 ENDINGS = (".csv", ".csv.gz", ".parquet", ".mcap")
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one axis, float64, all of one length; nan where the file has nothing.
+    """The columns of one axis, float64 and of equal length, with nan for missing values.
 
-    `label` names the file (and axis) in messages, `above` is the number of lines above the first row of a text file
-    (None otherwise), `left_out` the columns not loaded, `recorded` true for the daemon's own log. `rows` (n) are the
-    file's rows of those here (None: all of them), `notes` the repairs in words.
+    Attributes:
+        label: name of the file (and axis) in messages.
+        columns: columns by name, (n,) each.
+        left_out: names of the columns that were not loaded.
+        above: number of lines above the first row of a text file; None for other files.
+        axis: name of the axis; None for a table.
+        recorded: True for a log of the daemon.
+        metadata: metadata of the file.
+        rows: row of the file for each row of the table, (n,); None if they are the same.
+        notes: descriptions of the repairs.
     """
 
     label: str
@@ -47,13 +54,13 @@ class Table:
         return len(next(iter(self.columns.values()), ()))
 
     def place(self, row: int) -> str:
-        """Return the number of a row (0-based index) for messages: counted from 1, with the line of a text file."""
+        """Return the place of a row (0-based index) for messages: its number from 1, and the line of a text file."""
         number = (row if self.rows is None else int(self.rows[row])) + 1
         return f"row {number}" if self.above is None else f"row {number} (line {number + self.above})"
 
 
 def kind_of(path: Path) -> str:
-    """Return the ending of the file name; raises UsageError for an unknown one."""
+    """Return the ending of the file name. Raise UsageError for an unknown ending."""
     name = path.name.lower()
     for ending in ENDINGS:
         if name.endswith(ending):
@@ -62,7 +69,7 @@ def kind_of(path: Path) -> str:
 
 
 def split_axis(path: str | Path) -> tuple[Path, str | None]:
-    """Split `run.mcap:NAME` into file and axis; a file whose name contains the colon has no axis."""
+    """Split `run.mcap:NAME` into file and axis. The axis is None if a file with the whole name exists."""
     file = Path(path)
     stem, colon, axis = str(path).rpartition(":")
     if colon and not file.exists() and stem.lower().endswith(".mcap"):
@@ -71,7 +78,7 @@ def split_axis(path: str | Path) -> tuple[Path, str | None]:
 
 
 def check_readable(path: Path) -> None:
-    """Raise UsageError when `path` is not a file that can be read."""
+    """Raise UsageError if `path` is not a readable file."""
     try:
         with path.open("rb"):
             return
@@ -84,7 +91,7 @@ def check_readable(path: Path) -> None:
 
 
 def sha256_of(path: str | Path) -> str:
-    """Return the hexadecimal SHA-256 of a log file, by which a result is traced back to it."""
+    """Return the hexadecimal SHA-256 of a log file, by which a result can be traced to it."""
     file, _ = split_axis(path)
     check_readable(file)
     with file.open("rb") as stream:
@@ -92,10 +99,10 @@ def sha256_of(path: str | Path) -> str:
 
 
 def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table:
-    """Read one axis of a log: the columns `wanted`, or all numeric columns.
+    """Read the columns `wanted`, or all numeric columns, of one axis of a log.
 
     Raises:
-        UsageError: the file is missing, of an unknown kind or damaged, or has several axes and none is named.
+        UsageError: The file is missing, damaged or of an unknown kind, or it has several axes and `path` names none.
     """
     file, axis = split_axis(path)
     check_readable(file)
@@ -110,7 +117,7 @@ def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table
 
 
 def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> Table:
-    """Read one axis of the daemon's log, without columns that have no value."""
+    """Read one axis of a log of the daemon, without empty columns."""
     from tsa_ctrl.log.reader import LogFile
 
     log = LogFile(path)
@@ -149,7 +156,7 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
                     raise UsageError(f"{path}: column {name} is {kind}, not a number; convert it")
             columns = {}
             for name in numeric:
-                if is_selected(name, wanted):  # read apart, so that only one is in memory twice
+                if is_selected(name, wanted):  # read one by one, so that only one column is in memory twice
                     query = f"SELECT CAST({quoted(name)} AS DOUBLE) AS x FROM read_parquet('{file}')"
                     columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
     except duckdb.Error as error:
@@ -161,7 +168,7 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
 def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, str | None]]:
     """Return name and type of the top-level columns of a Parquet schema.
 
-    `elements`: (name, number of children, type); each element comes before its children.
+    `elements` has name, number of children and type of each element. An element comes before its children.
     """
     columns, deeper = [], 0
     for name, children, kind in elements[1:]:
@@ -171,9 +178,9 @@ def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, s
     return columns
 
 
-STOP_MARGIN = 0.05  # s before the end of a run that are left out, because the stop may have begun
+STOP_MARGIN = 0.05  # s before the end of a run that are left out, because the stop may have started
 STRETCH = "tau_j_stretch"
-LEAST_CYCLES = 100  # with torque; fewer do not suffice for an evaluation
+LEAST_CYCLES = 100  # least number of cycles with torque for an evaluation
 
 
 def load_run(
@@ -191,17 +198,17 @@ def load_run(
     Args:
         log: log of the daemon.
         names: columns to read in addition to t, tau_j_des, tau_m_cmd and tau_j.
-        fade_in: s after the enable that are left out.
-        seconds: s of torque, from the enable on.
-        cause: why the run ended, for the error message.
-        by_stretch: True takes tau_j from the tendon elongation, for a rig without a joint torque sensor.
+        fade_in: time after the enable that is left out, s.
+        seconds: time with torque from the enable, s.
+        cause: reason for the end of the run, for the error message.
+        by_stretch: True to take tau_j from the tendon elongation, for a rig without a joint torque sensor.
 
     Returns:
-        Arrays of equal length by column, `t` in s since the enable.
+        Arrays of equal length by column, with `t` in s since the enable.
 
     Raises:
-        BusError: the log holds too little torque.
-        UsageError: the joint torque sensor sent nothing.
+        BusError: The log contains too little torque.
+        UsageError: The joint torque sensor sent no values.
     """
     columns = read_table(
         log, {"t", "tau_j_des", "tau_m_cmd", "tau_j", *([STRETCH] if by_stretch else []), *names}
@@ -229,10 +236,11 @@ LEAST_ROWS = 2
 
 
 def read_waypoints(path: str | Path, needed: Sequence[str], optional: Sequence[str] = ()) -> Table:
-    """Read the columns `t` (s), `needed` and, where there, `optional` of a CSV, CSV.gz or Parquet file.
+    """Read the columns `t` (s), `needed` and, if present, `optional` of a CSV, CSV.gz or Parquet file.
 
-    Raises UsageError naming file, column and row: a column that is missing, a value that is not finite, fewer than two
-    rows, a time that does not rise.
+    Raises:
+        UsageError: A column is missing, a value is not finite, there are fewer than two rows, or time does not
+            increase. The message has file, column and row.
     """
     wanted = ("t", *needed, *optional)
     table = read_table(path, wanted)
@@ -253,6 +261,6 @@ def read_waypoints(path: str | Path, needed: Sequence[str], optional: Sequence[s
 
 
 def from_zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the times relative to the first."""
+    """Return the times relative to the first time."""
     shifted: NDArray[np.float64] = t - t[0]
     return shifted

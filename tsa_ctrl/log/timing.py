@@ -1,4 +1,4 @@
-"""The time of a log: its period, the deviation of samples from a uniform grid, and repeated or missing times."""
+"""Analyse the times of a log: its period, deviations from a uniform grid, and repeated or missing samples."""
 
 from __future__ import annotations
 
@@ -14,21 +14,26 @@ from tsa_ctrl.log.table import Table
 
 Array = NDArray[np.float64]
 
-# s without a row, or without a value of a device, that a straight line fills: of a joint's fastest motion, 5 Hz,
-# it misses (2 pi 5 Hz 20 ms)^2 / 8 = 5 % at most
+# s, longest time without a row, or without a value of a device, that linear interpolation fills. For a joint's fastest
+# motion, 5 Hz, its error is at most (2 pi 5 Hz 20 ms)^2 / 8 = 5 %.
 LONGEST_SKIP = 0.020
-CLOSE = 0.20  # of the typical step: a fitted period further away than this is the work of holes, not of rounding
+CLOSE = 0.20  # of the typical step: a larger difference of the fitted period is caused by gaps, not by rounding
 
 
 @dataclass(frozen=True)
 class TimeGrid:
-    """The uniform grid that fits a log's times.
+    """The uniform grid that fits the times of a log.
 
-    `index` is the number of each row's sample on the grid (rows counted, and skipped cycles where those are known);
-    `period` in s fits all rows, `typical` is the median step; `times` is the grid's time of each row. `jitter` is the
-    largest deviation of a time from the grid or of a step from the period, whichever is smaller, as a fraction of the
-    period: noise of the stamps doubles in the steps, and a slowly drifting clock adds up in the times. `worst` is the
-    row (0-based) after the step that is furthest off.
+    `jitter` is the smaller of two largest deviations: of a time from the grid, and of a step from the period. Noise of
+    the stamps doubles in the steps, and the drift of a slow clock accumulates in the times.
+
+    Attributes:
+        index: sample number of each row on the grid, including known skipped cycles, (n,).
+        period: period that fits all rows, s.
+        typical: median step, s.
+        times: time of each row on the grid, s, (n,).
+        jitter: largest deviation as a fraction of the period.
+        worst: row (0-based) after the step with the largest deviation.
     """
 
     index: NDArray[np.int64]
@@ -40,22 +45,22 @@ class TimeGrid:
 
     @property
     def rate(self) -> float:
-        """Return the rate in Hz, without the noise of the last digits."""
+        """Return the rate in Hz, without rounding noise in the last digits."""
         return float(f"{1.0 / self.period:.10g}")
 
     @property
     def skipped(self) -> int:
-        """Return the number of samples of the grid that no row fills."""
+        """Return the number of grid samples without a row."""
         return int(self.index[-1]) + 1 - len(self.index)
 
 
 def longest_step(typical: float, longest_skip: float) -> float:
-    """Return the longest step (s) between two rows that is not a hole: a skip or one slow sample, and its lateness."""
+    """Return the longest step (s) between two rows that is not a gap: a skip or one slow sample, plus its jitter."""
     return max(longest_skip, typical) + 1.5 * typical
 
 
 def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
-    """Return the grid of increasing times (n,), n >= 2; skips of up to `longest_skip` s count as whole samples."""
+    """Return the grid of increasing times (n,), n >= 2. Skips of up to `longest_skip` s count as whole samples."""
     steps = np.diff(t)
     typical = float(np.median(steps))
     whole = np.maximum(np.rint(steps / typical), 1.0)
@@ -66,9 +71,9 @@ def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
 
 
 def fit_stamps(t: Array) -> TimeGrid:
-    """Return the grid of increasing stamps without holes (n,), n >= 2, with lost samples counted if this fits better.
+    """Return the grid of increasing stamps (n,) without gaps, n >= 2, with lost samples counted if this fits better.
 
-    Late rows and noisy stamps are the alternative: every row is one sample, and a long step is followed by a short.
+    The alternative is late rows and noisy stamps: every row is one sample, and a short step follows a long one.
     """
     steps = np.diff(t)
     typical = float(np.median(steps))
@@ -80,7 +85,7 @@ def fit_stamps(t: Array) -> TimeGrid:
 
 
 def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
-    """Return the grid whose steps span `whole` samples (n - 1)."""
+    """Return the grid whose steps span `whole` samples, (n - 1,)."""
     steps = np.diff(t)
     index = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     centred = index - float(np.mean(index))
@@ -93,9 +98,13 @@ def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
 
 
 def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
-    """Raise UsageError if a time is not a number, repeats or decreases; `first` is the table's row of t[0].
+    """Raise UsageError if a time is not a number, repeats or decreases.
 
-    `doubled`: a stamp may repeat the row before.
+    Args:
+        table: table of the times, for messages.
+        t: times, s, (n,).
+        first: row of t[0] in the table.
+        doubled: True to accept a stamp that equals the previous one.
     """
     good = np.isfinite(t)
     if not good.all():
@@ -114,23 +123,23 @@ def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = Fal
 
 # Repair the time stamps of a table: average rows with equal stamps and split the table at gaps.
 
-SHORTEST = 1.0  # s, of a piece; in a shorter one the ends take half (0.15 s of filter each, friction build-up)
-LEAST_KEPT = 0.5  # share of the rows; if more are lost, the time stamps are wrong rather than some rows missing
+SHORTEST = 1.0  # s of a piece; in a shorter piece both ends (0.15 s of filter each, friction build-up) take half
+LEAST_KEPT = 0.5  # least share of kept rows; if more rows are lost, the time stamps are probably wrong
 
 
 def repair_timestamps(table: Table, strict: bool = False) -> list[Table]:
-    """Return the table as pieces without gaps and duplicate time stamps; `notes` of each piece list the changes.
+    """Return the table as pieces without gaps and duplicate time stamps. The `notes` of each piece list the changes.
 
     Late rows, lost samples and noisy stamps are kept, because `timing.resampled` interpolates linearly between the
-    stamps. A gap is a step too long for that. A log of the daemon, which counts its lost cycles, and a table without
-    time are returned unchanged.
+    stamps. A step that is too long for interpolation is a gap. A log of the daemon, which counts its lost cycles, and a
+    table without time are returned unchanged.
 
     Args:
-        table: the table as it was read.
-        strict: True returns the table unchanged, so that time stamps that do not increase are rejected later.
+        table: table as read from the file.
+        strict: True to return the table unchanged, so that time stamps that do not increase are rejected later.
 
     Raises:
-        UsageError: time is not a number or decreases, or gaps leave too few rows. The message is one line with file,
+        UsageError: Time is not a number or decreases, or gaps leave too few rows. The message is one line with file,
             row, column and remedy.
     """
     t = table.columns.get("t")
@@ -142,7 +151,7 @@ def repair_timestamps(table: Table, strict: bool = False) -> list[Table]:
 
 
 def _joined(table: Table) -> Table:
-    """Average rows with the same time stamp, which a coarse clock or a row written twice causes."""
+    """Average rows with equal time stamps, which a coarse clock or a row written twice causes."""
     t = table.columns["t"]
     new = np.concatenate([[True], np.diff(t) > 0.0])
     if new.all():

@@ -1,8 +1,9 @@
 """Write records from the ring to the file: `python -m tsa_ctrl.log.writer FD PATH`, with the header on stdin.
 
-The process drains the ring and ends when its owner closes stdin or dies. If the disk is full or missing, it reports
-this through the ring, counts it and tries again. The real-time process never waits for it. A writer that hangs or dies
-is replaced by another one, which writes the remaining records of the ring to a new file (`system.process_supervisor`).
+The process drains the ring, and ends when its owner closes stdin or dies. If the disk is full or missing, the process
+reports this through the ring, counts lost records and tries again. The real-time process never waits for it. A writer
+that hangs or dies is replaced by another one, which writes the remaining records of the ring to a new file
+(`system.process_supervisor`).
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from tsa_ctrl.log.ring import RingReader, WriterState
 from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.process_supervisor import ignore, supervise
 
-POLL = 0.05  # s between looks at the ring
-CHUNK = 0.5  # s of records in one chunk: the loss of a kill
-SYNCED = 1.0  # s between two fsync calls: a power failure loses the records since the last one
-RETRY = 1.0  # s between attempts after a trouble
-HANGS = 4.0  # s without a sign of life until another one takes over: half of the ring's content at 1 kHz
+POLL = 0.05  # s between two reads of the ring
+CHUNK = 0.5  # s of records in one chunk, which a killed writer loses
+SYNCED = 1.0  # s between two fsync calls: a power failure loses the records since the last call
+RETRY = 1.0  # s between attempts after a failed write
+HANGS = 4.0  # s without a sign of life until another writer takes over: half of the ring's content at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
-IN_USE = 10.0  # s since its last change, within which a log may belong to another daemon and is not deleted
-MOST_NOTES = 1000  # kept while the disk is in trouble
-MOST_PENDING = 120_000  # records kept while the disk is in trouble, about 25 MB; older ones are lost
+IN_USE = 10.0  # s after its last change during which a log may belong to another daemon and is not deleted
+MOST_NOTES = 1000  # notes kept while writing fails
+MOST_PENDING = 120_000  # records kept while writing fails, about 25 MB; older records are lost
 
 Blocks = list[NDArray[np.float64]]
 
 
 class LogWriter:
-    """Drain one ring into a file, or several in a row; `step` is one look, without sleeping.
+    """Write one ring to one or several consecutive files. `step` reads the ring once and does not sleep.
 
-    The files are `first`, then NAME-2.mcap, NAME-3.mcap; a file that exists is never continued.
+    The files are `first`, then NAME-2.mcap, NAME-3.mcap and so on. An existing file is never continued.
     """
 
     def __init__(self, ring: RingReader, first: Path, header: LogHeader, limits: LogLimits | None = None) -> None:
@@ -51,26 +52,23 @@ class LogWriter:
         self._path = next_file(first) if first.exists() else first
         self._header = header
         self._limits = limits or LogLimits()
-        self._begun = 0.0  # s, when the file was begun
+        self._begun = 0.0  # s, start of the file
         self._file: McapFile | None = None
         self._pending: list[Blocks] = [[] for _ in header.axes]
         self._notes: list[Note] = []
         self._waiting = 0
-        self._newest = 0.0  # s, of the log's time
-        self._written = ring.written  # by those before this one
+        self._newest = 0.0  # s, log time of the newest record
+        self._written = ring.written  # records in earlier files
         self._dropped = 0
         self._trouble = 0
         self._due = 0.0
-        self._syncing: Future[None] = Future()  # in a thread: a memory card may take seconds, and the ring holds 8 s
+        self._syncing: Future[None] = Future()  # in a thread: a memory card may take seconds, but the ring holds 8 s
         self._syncing.set_result(None)
         self._sync_due = 0.0
         self._disk = ThreadPoolExecutor(1)
 
     def step(self, now: float, last: bool = False) -> None:
-        """Take the contents of the ring.
-
-        Write a chunk when it is due, or at once when `last`. `now` in s, any clock.
-        """
+        """Read the ring, and write a chunk if it is due or `last` is True. `now` is in s on any clock."""
         for axis, pending in enumerate(self._pending):
             block = self._ring.read(axis)
             if len(block):
@@ -89,7 +87,7 @@ class LogWriter:
         self._report(WriterState.TROUBLED if self._trouble else WriterState.WRITING)
 
     def end(self, orphaned: bool = False) -> None:
-        """Write the rest and complete the file. `orphaned`: the loop is gone without a word, which is noted."""
+        """Write the rest and complete the file. Add a fault note if the loop's process died (`orphaned`)."""
         self.step(0.0, last=True)
         if orphaned:
             self._notes.append(Note(self._newest, "", DEAD, fault=True))
@@ -97,7 +95,7 @@ class LogWriter:
         try:
             if self._file is not None:
                 self._file.finish()
-            self._syncing.result()  # the end of the file before, if it was rotated a moment ago
+            self._syncing.result()  # `finish` of the previous file, if it was rotated just before
         except OSError as error:
             self._trouble = error.errno or errno.EIO
         self._disk.shutdown(wait=False)
@@ -122,7 +120,7 @@ class LogWriter:
         self._trouble = 0
 
     def _rotate(self, file: McapFile, now: float) -> None:
-        """End the file once it is too large or too old; the next write begins another one."""
+        """End the file once it is too large or too old. The next write starts another file."""
         limits = self._limits
         large = limits.file_size is not None and file.size >= limits.file_size
         if not (large or (limits.file_age is not None and now - self._begun >= limits.file_age)):
@@ -136,7 +134,7 @@ class LogWriter:
         self._notes.append(Note(self._newest, "", f"this log goes on from {self._path.name}", False))
         self._written += file.written
         self._file, self._path = None, following
-        self._syncing = self._disk.submit(file.finish)  # after a sync that still runs
+        self._syncing = self._disk.submit(file.finish)  # runs after a sync that is still in progress
 
     def _tidy(self) -> None:
         """Delete the oldest logs of the daemon in the folder while all of them exceed `folder_size`."""
@@ -160,7 +158,7 @@ class LogWriter:
             )
 
     def _sync(self, file: McapFile, now: float) -> None:
-        """Have the disk store the file once a second, and raise the OSError of the last time."""
+        """Start an fsync once a second, and raise the OSError of the previous one."""
         if self._syncing.done() and now >= self._sync_due:
             self._sync_due = now + SYNCED
             before, self._syncing = self._syncing, self._disk.submit(file.sync)
@@ -194,10 +192,10 @@ def _joined(blocks: Blocks) -> NDArray[np.float64]:
 
 def main(argv: list[str]) -> int:
     """Run until the owner finishes the ring or dies."""
-    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the owner decides when records end
+    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # only the owner ends this process
     fd, path = int(argv[0]), Path(argv[1])
     asked = sys.stdin.buffer.readline()
-    if not asked:  # the owner is gone already
+    if not asked:  # the owner has already ended
         return 0
     header, limits = msgspec.json.decode(asked, type=tuple[LogHeader, LogLimits])
     ring = RingReader(fd)
@@ -221,7 +219,7 @@ def write(ring: RingReader, path: Path, header: LogHeader, limits: LogLimits) ->
 
 
 def next_file(path: Path) -> Path:
-    """Return the first free path among NAME-2.mcap, NAME-3.mcap, ... in which the log NAME.mcap goes on."""
+    """Return the first free path among NAME-2.mcap, NAME-3.mcap, ..., in which the log NAME.mcap continues."""
     number = 2
     while (found := path.with_name(f"{path.stem}-{number}{path.suffix}")).exists():
         number += 1

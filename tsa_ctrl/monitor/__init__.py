@@ -1,1 +1,1 @@
-"""An independent second channel: it watches the bus, and takes the torque away when the loop or a node does wrong."""
+"""Monitor the bus as an independent second channel, and stop the torque on a fault of the loop or of a node."""

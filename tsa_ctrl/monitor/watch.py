@@ -1,6 +1,6 @@
-"""Decide from CAN frames alone whether the torque must go. No clock, no input or output, no model of the actuator.
+"""Decide from CAN frames alone whether the torque must be stopped, without a clock, I/O or a model of the actuator.
 
-Only the frame tables of `bus.canopen` are shared with the loop. `now` is the arrival time of a frame in s.
+The module shares only the frame tables of `bus.canopen` with the loop. `now` is the arrival time of a frame in s.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tsa_ctrl.bus.canopen import cia301, cia402, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
 
-FINDINGS = {  # id: title, s that it must last, detail
+FINDINGS = {  # id: title, s for which it must last, detail
     "command_torque": ("commanded torque above the limit", 0.0, "{:.2f} N*m, the limit is {:g} N*m"),
     "command_step": ("commanded torque grows too fast", 0.0, "by {:.2f} N*m in {:.4f} s, the limit is {:g} N*m/s"),
     "torque": ("reported torque above the limit", 0.01, "{:.2f} N*m, the limit is {:g} N*m"),
@@ -43,7 +43,7 @@ FINDINGS = {  # id: title, s that it must last, detail
 
 
 class Stop(msgspec.Struct, frozen=True):
-    """Hold the reason why the monitor stops the torque, or a notice that needs no action."""
+    """The reason why the monitor stops the torque, or a notice that requires no action."""
 
     id: str
     title: str
@@ -55,10 +55,10 @@ class Stop(msgspec.Struct, frozen=True):
 
 
 class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
-    """Hold the monitor's settings of one axis, torque and angle at the motor pulley; digits have the wire's sign."""
+    """The monitor's settings of one axis, with torque and angle at the motor pulley. Digits have the bus sign."""
 
     name: str
-    node_id: int  # of the drive
+    node_id: int  # node id of the drive
     slot: int = 1
     pdo_node_id: int | None = None
     has_error_code: bool = True  # 0x603F is in the second TPDO
@@ -77,8 +77,8 @@ class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
     motor_over_speed: float  # rad/s
     travel: tuple[float, float] | None = None  # rad of the joint
     ratio: float  # 1, r_J / r_M
-    slack: float  # rad, motor against joint without torque
-    compliance: float  # rad/(N*m), motor against joint
+    slack: float  # rad, largest elongation without torque
+    compliance: float  # rad/(N*m), elongation by the motor torque
     silence: float  # s without SYNC, command or answer
 
 
@@ -86,28 +86,28 @@ class Watched(msgspec.Struct, frozen=True, kw_only=True):
     """The axes and nodes of one bus that a monitor checks."""
 
     axes: tuple[WatchedAxis, ...]
-    nodes: tuple[int, ...]  # every node of the axes
+    nodes: tuple[int, ...]  # all nodes of the axes
     period: float  # s of SYNC
     host_node_id: int
     host_silence: float  # s without the heartbeat of the host
 
 
-SPEED_WINDOW = 0.01  # s, over which positions are differentiated
-SURPLUS, FORGIVEN = 3.0, 0.05  # frames beyond one per SYNC, and the share forgiven per SYNC: bus errors repeat some
-RATE_WINDOW, FAST, SLOW = 32, 1.5, 0.5  # SYNC periods over which SYNCs are counted; of the rate
-MEMORY = 0.2  # s, over which 0x606C is compared with 0x6064, and for which tendons may stay stretched after a torque
-VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: error of a drive's 0x606C
-RATIO_ERROR, LATE, CREEP = 0.02, 3e-3, 0.2  # 1 of the travel; s between two encoders; 1/s of the allowance
-STUCK, FROZEN = 0.25, 0.05  # of the torque limit, by which the command moves while a measurement does not
-_COUNTER = 1 << 32  # where 0x6064 wraps
+SPEED_WINDOW = 0.01  # s over which positions are differentiated
+SURPLUS, FORGIVEN = 3.0, 0.05  # frames beyond one per SYNC, and their decrease per SYNC, because bus errors repeat some
+RATE_WINDOW, FAST, SLOW = 32, 1.5, 0.5  # SYNC periods over which SYNCs are counted; bounds as multiples of the rate
+MEMORY = 0.2  # s over which 0x606C is compared with 0x6064, and for which tendons may stay stretched after a torque
+VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: errors of a drive's 0x606C
+RATIO_ERROR, LATE, CREEP = 0.02, 3e-3, 0.2  # 1, of the travel; s, between encoders; 1/s, of the permitted elongation
+STUCK, FROZEN = 0.25, 0.05  # of the torque limit, change of the command during which a measurement must change
+_COUNTER = 1 << 32  # range of 0x6064
 _ON = frozenset({PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE})
 _SDO_WRITES = frozenset({0, 1, 6})  # client command specifiers: download segment, download, block download
-_LSS_QUESTIONS = range(0x46, 0x60)  # CiA 305: identify and inquire; every other LSS service may change a node
+_LSS_QUESTIONS = range(0x46, 0x60)  # CiA 305: identify and inquire; all other LSS services may change a node
 Frame = tuple[int, bytes]
 
 
 class _Angle:
-    """A counter that wraps, as an angle in rad, with its step and its speed over `SPEED_WINDOW`."""
+    """The angle (rad) of a counter that wraps, with its last step (rad) and its speed (rad/s) over `SPEED_WINDOW`."""
 
     def __init__(self, digit: float, wraps: int, zero: int, period: float) -> None:
         self._digit, self._wraps, self.count, self._last, self._fresh = digit, wraps, zero, zero, False
@@ -118,7 +118,7 @@ class _Angle:
         self.count, self._fresh = values[0], True
 
     def update(self, sampled: float) -> bool:
-        """Follow the count of the SYNC at `sampled` s; return False without a new count."""
+        """Update the angle with the count of the SYNC at `sampled` (s). Return False without a new count."""
         if not self._fresh:
             return False
         half = self._wraps // 2
@@ -132,14 +132,19 @@ class _Angle:
 
 
 class _Stream:
-    """Frames of one identifier: when the last one came, and how many came beyond one per SYNC."""
+    """The frames of one identifier: the time of the last one, and the number of surplus frames beyond one per SYNC."""
 
     def __init__(self, can_id: int, silence: float) -> None:
         self.can_id, self.silence, self.heard, self.credit, self.surplus = can_id, silence, -math.inf, 2, 0.0
 
 
 class _Axis:
-    """One axis: `on` while its drive may give torque, `gone` once the drive reported that it gives none."""
+    """The checks of one axis.
+
+    Attributes:
+        on: True while the drive may produce torque.
+        gone: True once the drive has reported that it produces no torque.
+    """
 
     def __init__(self, watched: WatchedAxis, period: float, act: Callable[..., None]) -> None:
         self.watched, self._period, self._act = watched, period, act
@@ -157,16 +162,16 @@ class _Axis:
         self._begin(0.0)
 
     def _begin(self, now: float) -> None:
-        """Start every check afresh: torque may begin."""
+        """Restart all checks, because torque may start."""
         for stream in self.streams:
             stream.heard = max(stream.heard, now)
-        self._since: dict[str, float] = {}  # s, from when on a check fails
+        self._since: dict[str, float] = {}  # s, start of each failing check
         self._held: dict[str, tuple[object, float, float]] = {}  # content, and the command's range since it changed
         self._offset, self._from = math.nan, self.motor.angle
         self._load = self._fast = self._way = self._mismatch = 0.0
 
     def _check(self, now: float, cause: str, wrong: bool, *values: float) -> None:
-        """Act on a condition that has lasted for its time without a break."""
+        """Stop the torque if a wrong condition has lasted for its time without interruption."""
         if not wrong:
             self._since.pop(cause, None)
         elif self.on:
@@ -175,7 +180,7 @@ class _Axis:
                 self._act(cause, now, *values, where=f"axis '{self.watched.name}': ")
 
     def _moved(self, name: str, content: object) -> float:
-        """Return by how much the command moved (N*m) while `content` did not change by one bit."""
+        """Return the range of the command (N*m) since `content` last changed."""
         held, low, high = self._held.get(name, (None, 0.0, 0.0))
         command = self._command
         low, high = (min(low, command), max(high, command)) if held == content else (command, command)
@@ -202,14 +207,14 @@ class _Axis:
         self._check(now, "command_step", growth > most, growth, elapsed, watched.torque_rate)
 
     def take_motion(self, values: tuple[Any, ...], now: float) -> None:
-        """Follow state, torque and speed that the drive reports."""
+        """Record state, torque and speed that the drive reports."""
         self.take_state(values[0])
         self._switch(now)
         self._raw = values[1:]
         self._torque, self._speed = values[1] * self.watched.torque_digit, values[2] * self.watched.velocity_digit
 
     def take_lean_motion(self, values: tuple[Any, ...], now: float) -> None:
-        """Follow state, torque and position of a drive that does not send 0x606C."""
+        """Record state, torque and position of a drive that does not send 0x606C."""
         self.take_motion((*values[:2], 0), now)
         self.motor.take(values[2:], now)
 
@@ -218,12 +223,12 @@ class _Axis:
         self.gone = self.gone or not self._enabled
 
     def take_answer(self, data: bytes, now: float) -> None:
-        """Follow the answer to an SDO read of the statusword."""
+        """Record the state from an answer to an SDO read of the statusword."""
         if len(data) == 8 and data[0] == 0x4B and data[1:4] == self.statusword:
             self.take_state(int.from_bytes(data[4:6], "little"))
 
     def judge(self, sampled: float, now: float) -> None:
-        """Compare the samples of the SYNC at `sampled` s with each other."""
+        """Check the samples of the SYNC at `sampled` (s) against the limits and each other."""
         watched, motor, joint, check = self.watched, self.motor, self.joint, self._check
         moved, joint_moved = motor.update(sampled), joint.update(sampled)
         elapsed = sampled - self._sampled
@@ -251,7 +256,7 @@ class _Axis:
             self._compare(elapsed, now, joint_moved and not geared)
 
     def _compare(self, elapsed: float, now: float, has_joint: bool) -> None:
-        """Compare 0x606C with 0x6064, both as a way; and q_M with q_J by the ratio of the radii."""
+        """Compare the paths from 0x606C and 0x6064, and compare q_M with q_J by the ratio of the radii."""
         watched, motor, kept = self.watched, self.motor, math.exp(-elapsed / MEMORY)
         way, digit = self._speed * elapsed, abs(watched.velocity_digit)
         self._fast = max(abs(self._speed), abs(motor.speed), self._fast * kept)
@@ -273,7 +278,12 @@ class _Axis:
 
 
 class Monitor:
-    """Check the frames of one bus. `stop`: the cause, latched; `notices` by id: harmless frames of another master."""
+    """Check the frames of one bus.
+
+    Attributes:
+        stop: latched cause of the stop; None without one.
+        notices: harmless frames of another master by id of `FINDINGS`.
+    """
 
     def __init__(self, watched: Watched) -> None:
         self.stop: Stop | None = None
@@ -305,7 +315,10 @@ class Monitor:
             self._hear(cia301.SDO_ANSWER + axis.watched.node_id, axis.take_answer)
 
     def step(self, frame: Frame | None, now: float) -> Stop | None:
-        """Take a frame that arrived at `now`, or None when every frame until `now` was taken; return the cause."""
+        """Process one frame that arrived at `now` (s), and return the cause of a stop or None.
+
+        Call it with None once all frames until `now` have been processed, to detect missing frames.
+        """
         if frame is None:
             self._look_for_silence(now)
         else:
@@ -315,19 +328,19 @@ class Monitor:
 
     @property
     def on(self) -> bool:
-        """Return True while a drive may give torque."""
+        """Return True while a drive may produce torque."""
         return any(axis.on for axis in self._axes)
 
     @property
     def confirmed(self) -> bool:
-        """Return True once every drive reported after the stop that it gives no torque."""
+        """Return True once every drive has reported after the stop that it produces no torque."""
         return all(axis.gone for axis in self._axes)
 
     def action(self, number: int) -> list[Frame]:
-        """Return the frames of this repetition of the stop, from 0 on.
+        """Return the frames of repetition `number` (from 0) of the stop.
 
-        NMT stop comes first. A stopped node answers nothing, so the next repetition makes it pre-operational, disables
-        a drive that did not react to it, and asks for its state. RPDOs act in neither state.
+        NMT stop comes first. A stopped node answers no SDO, so the next repetition makes it pre-operational, disables a
+        drive that did not react to the stop, and requests its state. RPDOs have no effect in either state.
         """
         nodes = dict.fromkeys(axis.watched.node_id for axis in self._axes)
         if number % 2 == 0:
@@ -340,7 +353,7 @@ class Monitor:
         return frames
 
     def act(self, cause: str, now: float, *values: object, where: str = "") -> None:
-        """Latch the first cause, an id of `FINDINGS`, with the values of its detail."""
+        """Latch `cause`, an id of `FINDINGS`, with the values of its detail, unless a cause is latched already."""
         if self.stop is None:
             title, _, detail = FINDINGS[cause]
             self.stop = Stop(cause, title, where + detail.format(*values), now)
@@ -353,7 +366,7 @@ class Monitor:
             self.notices[cause] = Stop(cause, title, detail.format(*values), now)
 
     def _meet(self, cause: str, now: float, *values: object) -> None:
-        """Act on a frame that only another master sends while torque is on."""
+        """Stop the torque on a frame that only another master sends while torque is on."""
         if self.on:
             self.act(cause, now, *values)
 
@@ -366,7 +379,7 @@ class Monitor:
         unpack, length = layout.struct.unpack, layout.length
 
         def handle(data: bytes, now: float) -> None:
-            if len(data) != length:  # not the frame that is waited for
+            if len(data) != length:  # not the expected PDO
                 return
             stream.heard = now
             if stream.credit:
@@ -385,7 +398,7 @@ class Monitor:
         for axis in self._axes:
             axis.judge(sampled, now)
             for stream in axis.streams:
-                stream.credit = 1 if stream.credit == 0 else 2  # one more, for an answer that is late by one SYNC
+                stream.credit = 1 if stream.credit == 0 else 2  # 2 permits an answer that is late by one SYNC
                 if stream.surplus > 0.0:
                     stream.surplus -= FORGIVEN
         began, count = self._counted

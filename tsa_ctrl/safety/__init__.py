@@ -1,1 +1,1 @@
-"""Keep the torque safe, whatever law requests it. Imports the bus only: predictions of a model are arguments."""
+"""Keep the torque safe under any control law. Import only the bus; receive model predictions as arguments."""

@@ -20,7 +20,7 @@ def stale(image: Image) -> str:
 
 
 def lossy(image: Image, cycles: int) -> str:
-    """Return the lost answers, commands and periods by node, if single losses add up to a fault."""
+    """Return the lost answers by node, and the lost commands and periods, when single losses add up to a fault."""
     lost = [f"{health} {health.missed}" for health in image.nodes if health.missed]
     lost += [f"commands {image.dropped}"] if image.dropped else []
     lost += [f"skipped periods {image.skipped}"] if image.skipped else []
@@ -28,13 +28,13 @@ def lossy(image: Image, cycles: int) -> str:
 
 
 def skipped(image: Image, begin: float, planned: int) -> str:
-    """Return how many of the periods `planned` since `begin` (s) the loop skipped, and the remedy."""
+    """Return how many of the `planned` periods since `begin` (s) the loop skipped, and the remedy."""
     overruns = image.overruns
     return f"{overruns.skipped(begin)} of {planned} periods had no cycle: {overruns.remedy(begin, planned)}"
 
 
 def silent(health: NodeHealth, now: float) -> str:
-    """Return for how long a node has sent no heartbeat, and whether it answered to node guarding in vain."""
+    """Return how long a node has sent no heartbeat, and how often its node guarding answers repeated a toggle bit."""
     stuck = f"; {health.untoggled} answers to node guarding repeated their toggle bit" if health.untoggled else ""
     return f"{health}: none for {1e3 * (now - health.heard):.0f} ms{stuck}"
 
@@ -46,7 +46,7 @@ def _missing(health: NodeHealth) -> str:
 
 
 def not_enabled(image: Image, waited: float, in_mode: bool, following: bool, shows_late: bool) -> str:
-    """Return the state in which a drive stopped on its way to operation enabled; `waited` in s."""
+    """Return the state in which a drive stayed on its way to operation enabled after `waited` s."""
     state = cia402.decode(image.statusword)
     found = f"drive is in {state.value} after {waited:g} s"
     if not in_mode and (state is PowerState.OPERATION_ENABLED or not shows_late):

@@ -1,4 +1,4 @@
-"""Safety bounds that are looser than shipped: one table of keys, compared with the defaults of their sections."""
+"""Find safety bounds that are looser than shipped, by a table of keys and the defaults of their sections."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 Shipped = Mapping[tuple[str, str], float]  # by section and key
 
-# Keys that are looser the greater they are (a flag: when it differs), by section, each with its unit.
+# Keys by section, each with its unit. A number is looser if it is larger, and a flag (unit "") if it differs.
 KEYS: Mapping[str, Mapping[str, str]] = {
     "controller": {"stop_time": "s"},
     "realtime": {"allow_without": ""},
@@ -39,7 +39,7 @@ KEYS: Mapping[str, Mapping[str, str]] = {
     "axis.plausibility": {"torque": "N*m", "joint_torque": "N*m", "duration": "s", "slip": "rad"},
     "axis.passivity": {"energy": "J", "buzz": "N*m"},
 }
-WORN_FACTOR = 2.0  # 1: in class "worn" no bound may be looser than that times the shipped one
+WORN_FACTOR = 2.0  # 1: class "worn" rejects a bound above this multiple of the shipped one
 
 
 class Loose(NamedTuple):
@@ -68,8 +68,8 @@ def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped
     """Yield every bound that is looser than shipped.
 
     Args:
-        sections: settings by the names of their tables; an absent one is None.
-        shipped: defaults that differ from the defaults of the settings classes.
+        sections: settings by table name, None for an absent table.
+        shipped: shipped values that differ from the defaults of the settings classes.
     """
     for name, section in sections.items():
         if section is None:
@@ -87,7 +87,7 @@ def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped
 
 
 def _size(value: object) -> float | None:
-    """Return a setting as one number: of a range the end that is farther from 0."""
+    """Return a setting as one number. For a range this is the larger magnitude of its ends."""
     if isinstance(value, tuple):
         return max(abs(float(end)) for end in value)
     return float(value) if isinstance(value, int | float) else None

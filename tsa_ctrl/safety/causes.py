@@ -18,9 +18,9 @@ class Cause(Enum):
 
     Attributes:
         id: stable name for programs, `cause_id` in JSON.
-        title: name for people; the text of a fault begins with it.
-        remedy: the steps that the user takes.
-        needs_bring_up: True if the nodes may have lost their configuration, so that a reset alone is not enough.
+        title: readable name, with which the text of a fault begins.
+        remedy: steps for the user.
+        needs_bring_up: True if the nodes may have lost their configuration, so that a reset alone is not sufficient.
     """
 
     BUS_FAULT = (
@@ -200,7 +200,7 @@ REMEDIES = {cause.id: cause.remedy for cause in Cause}
 
 
 class Finding(NamedTuple):
-    """Hold the result of a check: the cause, and one line with the place and the values of the finding."""
+    """The result of a failed check: its cause, and one line with the place and the values."""
 
     cause: Cause
     detail: str
@@ -211,7 +211,13 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Hold a latched fault: `detail` has node and finding in one line; `time`: of the cycle, s."""
+    """A latched fault.
+
+    Attributes:
+        cause: cause of the fault.
+        detail: node and finding in one line.
+        time: time of the cycle, s.
+    """
 
     cause: Cause
     detail: str

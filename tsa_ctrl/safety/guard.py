@@ -1,16 +1,17 @@
 """Withdraw the compensation when it drives the joint or the motor oscillates on its tendons, and report the reason.
 
-If the joint gained energy, the share is reduced to what the measured friction permits (`CAUTIOUS`, `UNSURE`), in
-proportion to the error. A person who moves the joint would otherwise meet its whole friction at once, because the term
-exceeded it by two percent: 2.4 N*m on a rig with x = 0.9. If the motor oscillated, the compensation is withdrawn.
+If the joint gained energy, the guard reduces the share in proportion to the error, to a share that the measured
+friction permits (`CAUTIOUS`, `UNSURE`). Full withdrawal after an excess of 2 % would suddenly expose a person who moves
+the joint to all of its friction. This is 2.4 N*m on a rig with x = 0.9. If the motor oscillated, the guard withdraws
+the whole compensation.
 
-The first detection lasts for a moment. The share returns to `RETURNED` within `HOLD` + `RECOVERY`, and to its full
-value after `FORGIVEN`. Half of the energy threshold applies until then. A second detection within `FORGIVEN` is latched
-until the axis is disabled, and a third one latches 0.
+The first reduction is temporary. The share returns to `RETURNED` within `HOLD` + `RECOVERY`, and to its full value
+after `FORGIVEN`. Half of the energy threshold applies until then. A second detection within `FORGIVEN` is latched
+until the axis is disabled or the latch is released, and a third one latches 0.
 
-The excess of the term has stretched the tendons, and the motor drives the joint on while they relax. The excess
-therefore acts in the other direction for `UNWIND` first. The joint of a weight that moves at 3 rad/s while 90 % of the
-pretension is lost at once receives 9.6 mJ with this reversal, and 13.4 mJ without it.
+An excessive term has stretched the tendons, and the motor keeps driving the joint while they relax. For `UNWIND`, the
+guard therefore first applies the excess in the opposite direction. Consider a weight that moves at 3 rad/s when 90 %
+of the pretension is suddenly lost. Its joint receives 9.6 mJ with this reversal, and 13.4 mJ without it.
 """
 
 from __future__ import annotations
@@ -24,24 +25,32 @@ from tsa_ctrl.safety.settings import PassivitySettings
 
 LOWEST = 20.0  # Hz: faster than a limb moves; a reversal of the friction term contains higher frequencies
 BLOCK = 0.04  # s
-BLOCKS = 10  # in a row: 0.4 s; the reversals of a motion of 5 Hz are 0.1 s apart, and leave one in between empty
-EXPLAINED = 0.2  # ratio of the amplitudes of set-point and law in the band, from which the oscillation is desired
+BLOCKS = 10  # in a row: 0.4 s; a motion of 5 Hz reverses every 0.1 s, which leaves a quiet block in between
+EXPLAINED = 0.2  # ratio of the amplitudes of set-point and law in the band above which the oscillation is desired
 
 
 class Buzz:
-    """Detect a sustained oscillation of the motor on its tendons; `frequency` (Hz): of the last detection.
+    """Detect a sustained oscillation of the motor on its tendons.
 
-    It hardly moves the joint, so `passivity` does not detect it. The torque that the law adds to the set-point's part
-    must exceed the level in `BLOCKS` blocks in a row, which no single friction reversal does. Set-points in the same
-    band and reversals that follow the joint, for example of a trembling hand, are excluded.
+    The oscillation hardly moves the joint, so `passivity` does not detect it. The torque that the law adds to the
+    set-point's part must exceed the level in `BLOCKS` consecutive blocks. No single friction reversal lasts that long.
+    Set-points in the same band are excluded, and so are reversals that follow the joint, for example a hand tremor.
+
+    Attributes:
+        frequency: frequency of the last detected oscillation, Hz.
     """
 
     def __init__(self, level: float, period: float) -> None:
-        """`level`: RMS in N*m at the motor; `period` in s."""
+        """Prepare the detector.
+
+        Args:
+            level: RMS threshold at the motor, N*m.
+            period: control period, s.
+        """
         self._forget = 1.0 - math.exp(-2.0 * math.pi * LOWEST * period)
         self._length = max(2, round(BLOCK / period))
         self._level = level * level * self._length
-        self._hertz = 0.5 / (self._length * period)  # of one change of sign in a block
+        self._hertz = 0.5 / (self._length * period)  # Hz for each change of sign in a block
         self.reset()
 
     def reset(self) -> None:
@@ -62,7 +71,7 @@ class Buzz:
         Args:
             added: torque that the law adds to the set-point's part, N*m at the motor.
             wanted: the set-point's part, N*m at the motor.
-            turns: True while the friction term reverses with the joint's motion; the cycle then does not count.
+            turns: True while the friction term reverses with the joint's motion. Such a cycle is not counted.
         """
         slow = self._added
         if not -1e6 < added + wanted < 1e6:
@@ -92,26 +101,26 @@ class Buzz:
         return True
 
 
-FALL = 0.02  # s in which an oscillating motor loses the term: a step would let the motor swing into over-speed
-HOLD = 0.05  # s with the reduced share, in which the oscillation of motor and tendons decays
-UNWIND = 4e-3  # s in which the excess is reversed: a third of an oscillation period; half a share for 6 ms left 10.8 mJ
-RECOVERY = 0.3  # s in which the compensation returns: a lasting cause is then detected again within a second
+FALL = 0.02  # s to fade out the term of an oscillating motor: a step would make the motor swing into over-speed
+HOLD = 0.05  # s with the reduced share, while the oscillation of motor and tendons decays
+UNWIND = 4e-3  # s of reversed excess: a third of an oscillation period; half a share for 6 ms left 10.8 mJ
+RECOVERY = 0.3  # s in which the compensation returns, so that a lasting cause is detected again within a second
 # Share that returns before `FORGIVEN`. An estimator that finds half of the friction is up to 12 % too high for two
 # seconds. A limb at 3.4 rad/s receives 10 mJ from an excess of 20 mN*m, less than the gain error of a sensor.
 RETURNED = 0.9
 FORGIVEN = 60.0  # s after which the next detection counts as the first
-UNSURE = 0.1  # of the model's friction torque, subtracted from the measured one: a slack tendon shows a tenth too much
-CAUTIOUS = 0.8  # share of the remaining friction that is compensated once latched
-LEFT = 0.5  # share of the compensation once latched for an oscillation
-CLEAR = 0.9  # of the model's friction torque: if the measured one is larger, friction is not the cause
+UNSURE = 0.1  # of the model's friction torque, subtracted from the measured one: a slack tendon shows 10 % too much
+CAUTIOUS = 0.8  # share of the remaining friction that is compensated after a latched detection of energy
+LEFT = 0.5  # share of the compensation after a latched detection of an oscillation
+CLEAR = 0.9  # of the model's friction torque: friction is not the cause if the measured torque is larger
 
 
 @dataclass(slots=True)
 class Observed:
-    """The measurements and torques of one cycle that the guard checks; an axis reuses the same object.
+    """The measurements and torques of one cycle that the guard checks. An axis reuses the same object.
 
     Attributes:
-        tau_j: delivered torque at the joint, N*m; nan where it is not known.
+        tau_j: delivered torque at the joint, N*m; nan if unknown.
         wanted: set-point, N*m at the joint.
         rate: slope of the set-point, N*m/s.
         omega_j: joint velocity, rad/s.
@@ -119,7 +128,7 @@ class Observed:
         half_loop: friction torque of the model, N*m at the joint.
         added: torque that the law added to the set-point's part, N*m at the motor.
         ideal: the set-point's part, N*m at the motor.
-        swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 if not known.
+        swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 if unknown.
         turns: True while the term reverses with the joint's motion.
     """
 
@@ -138,11 +147,16 @@ class Observed:
 class Guard:
     """Withdraw compensation and damping when they feed energy into the motion.
 
-    `back_off` multiplies the compensation, `damping` the damping of the motor; both are 1 until a detection. `count` is
-    the number of detections, `words` describes the last one, and `reason` is set while the compensation is reduced.
-    `ratio` is the friction torque over the model's (1) if this cycle has found less of it, else nan.
+    A client can only lower `back_off`, and the guard latches the lower value. `release` and `reset` restore it.
 
-    A client can only lower `back_off`, and the guard latches it there. Only `release` restores it.
+    Attributes:
+        back_off: factor of the compensation, 1 until a detection.
+        damping: factor of the motor's damping, 1 until a detection.
+        count: number of detections.
+        words: description of the last detection.
+        reason: reason of the present reduction, `Reason.NONE` without one.
+        latched: True while the reduction is latched.
+        ratio: measured friction torque over the model's if this cycle found less friction, else nan.
     """
 
     def __init__(
@@ -152,9 +166,9 @@ class Guard:
 
         Args:
             settings: [axis.passivity].
-            period: s.
+            period: control period, s.
             by_stretch: True if the delivered torque is estimated from the tendon elongation, which is less certain.
-            compliance: of the joint with the motor locked, rad/(N*m).
+            compliance: compliance of the joint with the motor locked, rad/(N*m).
         """
         self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period, compliance)
         self._buzz = Buzz(settings.buzz, period)
@@ -164,7 +178,7 @@ class Guard:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything but `count`; called while torque is not permitted."""
+        """Reset everything except `count` and `words`. The axis calls this while torque is not permitted."""
         self.ratio = math.nan
         self._passivity.reset()
         self._passivity.wary = False
@@ -172,9 +186,9 @@ class Guard:
         self._back_off = self.damping = 1.0
         self.reason = Reason.NONE
         self.latched = False
-        self._left = self._held = 0.0  # s, of the tolerance and of the hold
-        self._drove, self._unwinding = 0.0, 0  # 1, excess that drove the joint; cycles in which it is reversed
-        self._falling = 0.0  # 1, of the share that remains while the motor chatters
+        self._left = self._held = 0.0  # s that remain of `FORGIVEN` and of `HOLD`
+        self._drove, self._unwinding = 0.0, 0  # excess share that drove the joint; remaining cycles of its reversal
+        self._falling = 0.0  # withdrawn share that still fades out while the motor oscillates
 
     def pass_over(self, periods: int) -> None:
         """Count periods without a cycle."""
@@ -191,9 +205,10 @@ class Guard:
             self.latched = True
 
     def release(self) -> None:
-        """Release the latch: the compensation returns as after a first time, and the next time latches again.
+        """Release the latch, so that the compensation returns as after a first detection.
 
-        The energy of the present motion stays counted, so a release never hides it.
+        A detection within `FORGIVEN` of the last one latches again. A release keeps the energy that the present motion
+        has accumulated.
         """
         self.latched = False
 
@@ -201,8 +216,8 @@ class Guard:
     def share(self) -> float:
         """Return the factor of the compensation in the law.
 
-        It is `back_off`, except after a detection: of energy, the excess acts in the other direction for `UNWIND`; of
-        an oscillation, the lost share decreases to 0 within `FALL`.
+        It equals `back_off` except shortly after a detection. After a detection of energy, the excess is subtracted
+        for `UNWIND`. After a detection of an oscillation, the withdrawn share fades to 0 within `FALL`.
         """
         return self._back_off - self._drove if self._unwinding else self._back_off + self._falling
 
@@ -268,7 +283,7 @@ class Guard:
             f"{1e3 * since:.0f} ms",
             cause,
         )
-        self._drove, self._unwinding = excess, int(UNWIND / self._period)  # a slow loop has no time
+        self._drove, self._unwinding = excess, int(UNWIND / self._period)  # 0 in a loop with a longer period
 
     def _buzzes(self) -> None:
         self.damping = 0.0

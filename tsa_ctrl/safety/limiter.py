@@ -1,9 +1,12 @@
-"""The last station before the bus: separate, dumb, and suspicious of everything.
+"""Limit the motor torque as the last step before the bus. The module is deliberately simple and trusts no input.
 
-Order: enabled? fresh? finite? over-speed? then rate, joint speed, joint travel, distance of command to measured, and
-absolute. Faults give exactly 0 in the same cycle; limits bend the torque. The rate bounds how fast the torque's size
-may grow, never how fast it may fall: a limit acts at once. No limit takes a torque further from 0 than
-was asked: a lying measurement can only weaken the motor. The absolute limit has the last word.
+The limiter first checks that torque is enabled and that the inputs are fresh, finite and below over-speed. A failed
+check sets the torque to exactly 0 in the same cycle. The limits follow in this order: rate, joint speed, joint travel,
+distance between command and measured torque, and absolute torque. They only reduce the torque.
+
+The rate limits how fast the magnitude of the torque may grow, never how fast it may fall, so every limit acts
+immediately. No limit raises the magnitude above the requested torque, so a wrong measurement can only weaken the
+motor. The absolute limit is applied last.
 """
 
 from __future__ import annotations
@@ -21,8 +24,9 @@ Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
 class Reason(IntEnum):
-    """Reason why the sent torque differs from the desired one; of several, the strongest. Values are
-    the log's codes.
+    """The reason why the sent torque differs from the desired one. Values are the log's codes.
+
+    If several limits act, the limiter reports the one that it applied last.
     """
 
     NONE = 0
@@ -36,13 +40,13 @@ class Reason(IntEnum):
     RATE = 8
     ABSOLUTE = 9
     OSCILLATION = 10  # the torque is as desired, but the motor oscillated and the guard limits the compensation
-    DOMAIN = 11  # limited by the law before this check: beyond it one tendon goes slack
+    DOMAIN = 11  # the law limited the torque before this check, because one tendon would go slack
     PASSIVITY = 12  # as desired, but the compensation moved the joint and the guard limits it
-    SENSE = 13  # small until the motor has proven its polarity since the enable: see safety.polarity_check
-    UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
+    SENSE = 13  # small after each enable until the motor has shown its polarity: see safety.polarity_check
+    UNPROVEN = 14  # as desired, but the sensors confirm less friction than the model has
 
 
-# The effect of each limit and the remedy, in plain words. Faults have their own texts in `safety.causes`.
+# The effect of each limit and the remedy, for users. Faults have their own texts in `safety.causes`.
 MEANINGS = {
     Reason.STALE: "no torque in cycles without fresh measurements; look for lost frames with tsa doctor",
     Reason.SPEED: "the torque fades out above 80 % of joint_speed",
@@ -60,20 +64,20 @@ MEANINGS = {
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.limits]: the bounds of one axis' motor torque; only `torque` has no default."""
+    """[axis.limits]: the limits of one axis' motor torque. Only `torque` has no default."""
 
     torque: Torque  # N*m at the motor, absolute
     torque_share: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None  # 1, of the rated torque, in place of torque
     rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
     distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
-    joint_speed: Speed = 10.0  # rad/s: driving torque fades to 0 towards it, from 80 % of it on
-    over_speed: Speed = 12.0  # rad/s at the joint, latches: no knee or elbow is led faster than 8
-    motor_over_speed: Speed = 20.0  # rad/s at the motor, latches: a torn tendon is a runaway
-    travel: tuple[float, float] | None = None  # rad, joint; outward torque is 0 beyond
+    joint_speed: Speed = 10.0  # rad/s: driving torque fades out between 80 % and 100 % of this speed
+    over_speed: Speed = 12.0  # rad/s at the joint, latches: no knee or elbow moves faster than 8 rad/s
+    motor_over_speed: Speed = 20.0  # rad/s at the motor, latches: after a torn tendon the motor runs away
+    travel: tuple[float, float] | None = None  # rad, joint; outward torque is 0 beyond either end
     travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
 
     def __post_init__(self) -> None:
-        if self.torque_share is not None:  # else it is `torque` by now
+        if self.torque_share is not None:  # `resolve_torque` replaces it unless the file also has `torque`
             raise ValueError("both torque and torque_share are given; keep one of them")
         if self.travel is not None and self.travel[1] - self.travel[0] <= 2.0 * self.travel_margin:
             raise ValueError(
@@ -82,7 +86,7 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
             )
 
     def check_order(self) -> None:
-        """Raise ValueError if over_speed is not above joint_speed; for limits that are complete."""
+        """Raise ValueError if over_speed is not above joint_speed. Call this once all limits are complete."""
         if self.over_speed <= self.joint_speed:
             raise ValueError(
                 f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"
@@ -90,13 +94,13 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 class Limiter:
-    """One axis' limiter; `over_speed` is latched until `reset`."""
+    """The torque limiter of one axis. `over_speed` is latched until `reset`."""
 
     def __init__(self, settings: LimiterSettings, period: float) -> None:
         self.torque = settings.torque
         self.rate = settings.rate
         self.over_speed = False
-        self.ceiling = math.inf  # N*m, an absolute limit for now
+        self.ceiling = math.inf  # N*m, temporary absolute limit
         self._distance = settings.torque if settings.distance is None else settings.distance
         self._speed = settings.joint_speed
         self._speed_onset = 0.8 * settings.joint_speed
@@ -108,7 +112,7 @@ class Limiter:
         self._last = 0.0
 
     def reset(self) -> None:
-        """Release the over-speed latch; only for an explicit re-start."""
+        """Release the over-speed latch. Call this only for an explicit restart."""
         self.over_speed = False
         self._last = 0.0
 
@@ -122,15 +126,22 @@ class Limiter:
         q_j: float,
         omega_j: float,
     ) -> tuple[float, Reason]:
-        """Return the permitted torque (N*m), and the reason if it differs from `wanted`.
+        """Return the permitted motor torque (N*m), and the reason if it differs from `wanted`.
 
-        `tau_m` (N*m), the speeds (rad/s) and `q_j` (rad) are measured values.
+        Args:
+            wanted: requested motor torque, N*m.
+            enabled: True if torque is permitted.
+            fresh: True if the measurements are from this cycle.
+            tau_m: measured motor torque, N*m.
+            omega_m: measured motor speed, rad/s.
+            q_j: measured joint angle, rad.
+            omega_j: measured joint speed, rad/s.
         """
         if not enabled:
             return self._zero(Reason.DISABLED)
         if not fresh:
             return self._zero(Reason.STALE)
-        if not isfinite(wanted + tau_m + omega_m + q_j + omega_j):  # no sum of finite values is that large
+        if not isfinite(wanted + tau_m + omega_m + q_j + omega_j):  # no sum of real measurements overflows
             return self._zero(Reason.NOT_FINITE)
         if self.over_speed or abs(omega_j) >= self._over_speed_j or abs(omega_m) >= self._over_speed_m:
             self.over_speed = True

@@ -1,4 +1,4 @@
-"""Count commands that a drive does not receive: with many of them in a second, its torque is some cycles old."""
+"""Count the commands that a drive misses. With many of them within a second, its torque is several cycles old."""
 
 from __future__ import annotations
 
@@ -8,16 +8,21 @@ from tsa_ctrl.safety.debounce import Often
 
 
 class LostCommands:
-    """One axis' check; `update` while torque is permitted, `reset` when it is not."""
+    """Check the drive of one axis. Call `update` while torque is permitted, and `reset` while it is not."""
 
     def __init__(self, hearing: Hearing, name: str) -> None:
-        """`name` of the drive, for people."""
+        """Prepare the check.
+
+        Args:
+            hearing: commands that the drive was read back to hold.
+            name: the drive's name in messages.
+        """
         self._hearing = hearing
         self._name = name
         self.reset()
 
     def reset(self) -> None:
-        """Start a new count for the next enable, because torque is no longer permitted."""
+        """Start a new count, because torque is not permitted."""
         self._seen = self._hearing.unheard
         self._begin()
 
@@ -26,12 +31,12 @@ class LostCommands:
         self._often = Often(self._most)
 
     def update(self, now: float) -> Finding | None:
-        """Return a finding once too many commands were missed within a second; `now` in s."""
+        """Return a finding once the drive has missed too many commands within a second; `now` is in s."""
         hearing = self._hearing
         if hearing.unheard == self._seen:
             return None
         self._seen = hearing.unheard
-        if hearing.too_many != self._most:  # configured since
+        if hearing.too_many != self._most:  # the drive was configured in the meantime
             self._begin()
         if not self._often.happened(now):
             return None

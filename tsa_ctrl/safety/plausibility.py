@@ -1,17 +1,17 @@
 """Detect faulty sensors and loose parts by contradictions between the measurements and the command.
 
     torque        the reported motor torque differs from the commanded one
-    frozen        no bit of the drive's feedback changes while the command does
+    frozen        no bit of the drive's feedback changes although the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
                   sign, or a motor whose torque differs from the reported one (`residuals.Elongation`, or a given angle)
     velocity      the drive's velocity is not the derivative of its position (loops of 400 Hz and more)
-    standstill    the position of motor or joint repeats its last count although the axis moves on
+    standstill    the position of the joint repeats its last count although the joint still moves
     noise         the joint torque sensor repeats one value, although it has shown noise without torque
-    joint_torque  the joint torque sensor, if there is one, contradicts the model: a reversed sign,
-                  or a motor that gives more torque than it reports
+    joint_torque  the joint torque sensor, if there is one, contradicts the model: a reversed sign, or a motor that
+                  delivers more torque than it reports
 
-A contradiction counts only after it has lasted. A single sample that agrees does not clear it (`safety.debounce`). Like
-the limiter, this module imports nothing of the control law.
+A contradiction must last before it becomes a finding. A single sample that agrees does not clear it
+(`safety.debounce`). Like the limiter, this module imports nothing from the control law.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
 DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: too little to throw a person
 PREDICTION_SHARE = 0.4  # of the model's torque without friction: the largest error of a calibration
 FROZEN_SHARE = 0.05  # of rated torque: change of the command while the feedback does not change
-BEGUN = 0.5  # of that, from which on the drive must respond: the noise of a constant command is smaller
-FROZEN_TIME = 0.03  # s from then on, in which the drive must respond
+BEGUN = 0.5  # of that change, above which the drive must respond: the noise of a constant command is smaller
+FROZEN_TIME = 0.03  # s within which the drive must then respond
 SLIP_TIME = 0.01  # s beyond a given angle
-VELOCITY_TIME = 0.02  # s that velocity and position must contradict each other
+VELOCITY_TIME = 0.02  # s for which velocity and position must contradict each other
 
 
 class Plausibility:
-    """One axis' check; `update` while torque is permitted, `reset` when it is not."""
+    """Check the plausibility of one axis. Call `update` while torque is permitted, and `reset` while it is not."""
 
     def __init__(
         self,
@@ -55,10 +55,10 @@ class Plausibility:
             limit: torque limit of the limiter, N*m.
             rated: rated torque at the motor pulley, N*m.
             radii: r_M and r_J, m.
-            has_encoder: True with a joint encoder.
+            has_encoder: True if the axis has a joint encoder.
             give: compliance between motor and joint.
-            period: s.
-            counts: one count of the motor's and the joint's encoder, rad at the motor.
+            period: control period, s.
+            counts: one count of the motor's and of the joint's encoder, rad at the motor.
             reports_velocity: True if the drive sends a measured velocity.
         """
         r_m, r_j = radii
@@ -82,7 +82,7 @@ class Plausibility:
         self.reset()
 
     def reset(self) -> None:
-        """Clear all checks while torque is not permitted."""
+        """Reset all checks while torque is not permitted."""
         self._offset = math.nan
         for clock in (self._torque_wrong, self._joint_wrong, self._slipped, self._velocity_wrong):
             clock.reset()
@@ -92,7 +92,7 @@ class Plausibility:
         self._noise.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
-        self._moved_at = math.inf  # s, since when the command differs from its earlier value
+        self._moved_at = math.inf  # s, time at which the command first differed from its earlier value
         self._low = self._high = 0.0
 
     def learn(self, tau_j: float) -> None:
@@ -114,16 +114,16 @@ class Plausibility:
         expected: tuple[float, float],
         routed: float = 0.0,
     ) -> Finding | None:
-        """Return the contradiction, or None while everything agrees.
+        """Return the contradiction, or None while all signals agree.
 
         Args:
-            now: s.
+            now: time, s.
             command: motor torque as sent, N*m.
             feedback: motor torque (N*m), angle (rad) and speed (rad/s) that the drive reports.
             q_j: joint angle, rad.
-            tau_j: joint torque sensor, N*m; nan without one.
-            expected: lower and upper joint torque by the model for the reported motor torque, N*m.
-            routed: rad of the motor by which tendon paths of different lengths move it away from the joint.
+            tau_j: torque of the joint torque sensor, N*m; nan without a sensor or a fresh value.
+            expected: bounds of the joint torque from the model for the reported motor torque, N*m.
+            routed: offset between motor and joint by tendon paths of different lengths, rad at the motor.
         """
         tau_m, q_m, omega_m = feedback
         if feedback != self._last:
@@ -155,7 +155,7 @@ class Plausibility:
             )
         joint = self._geared * q_j
         if self._has_encoder:
-            way = joint + routed  # the tendons slide on both
+            way = joint + routed  # both make the tendons slide
             apart = q_m - way
             if self._offset != self._offset:
                 self._offset = apart
@@ -185,7 +185,7 @@ class Plausibility:
         return self._joint(now, tau_j, *expected) if tau_j == tau_j or not self._joint_wrong.idle else None
 
     def _apart(self, apart: float) -> Finding:
-        """Return the finding of an elongation beyond its limits; `apart`: rad at the motor."""
+        """Return the finding for an elongation beyond its limits; `apart` is in rad at the motor."""
         if self._slip is None and self._elongation.reversed:
             return Finding(
                 Cause.POLARITY,
@@ -200,7 +200,7 @@ class Plausibility:
         )
 
     def _joint(self, now: float, tau_j: float, one: float, other: float) -> Finding | None:
-        if tau_j != tau_j:  # no sensor, or no value of it that is fresh
+        if tau_j != tau_j:  # no sensor, or no fresh value
             self._joint_wrong.update(now, False)
             return None
         low, high = (one, other) if one < other else (other, one)

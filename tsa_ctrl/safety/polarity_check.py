@@ -2,36 +2,38 @@
 
 A torque stretches the tendons, so motor and joint move apart: q_m - (r_J/r_M) q_j follows tau_M with the sign of the
 stiffness. This holds for a locked and for a moving joint and for every load. A joint torque sensor also follows tau_M.
-On a locked joint its gain is at most the gain of sliding tendons: r_J/r_M, or r_J/r_M cosh x if all bends are at the
-joint, because the friction decreases with the tensions there. On a moving joint friction reverses with the motion, not
-with the torque, and the gain may be larger after a reversal. The sensor is therefore used on a locked joint only.
+On a locked joint its gain is at most the gain of sliding tendons. This gain is r_J/r_M, or r_J/r_M cosh x if all bends
+are at the joint, because the friction decreases with the tensions there. On a moving joint friction reverses with the
+motion, not with the torque, and the gain may be larger after a reversal. The sensor is therefore used on a locked joint
+only.
 
 All signals are filtered to a band without the motor's oscillation on its tendons and without the drift of the friction.
-They are correlated over the last fifth of a second. Samples before the last friction reversal are excluded:
+They are correlated over the last 0.2 s. Samples before the last friction reversal are excluded for two reasons:
 
-* While a joint moves slowly, friction stretches the tendon against the new torque until the whole tendon slides. That
-  takes some joint travel, and at slow motion more than a second.
+* While a joint moves slowly, friction stretches the tendon against the new torque until the whole tendon slides. This
+  takes some joint travel, and during slow motion more than a second.
 * In a sheath that bends at the motor, friction may lock the motor until the torque has changed by twice the friction
-  torque. The elongation is then the motion of a joint that something else moves, and contains no information on the
-  motor. A reversed motor, however, moves in the wrong direction.
+  torque. If something else moves the joint, the elongation is then only the joint's motion, and contains no information
+  on the motor. A reversed motor, however, moves in the wrong direction.
 
 While friction locks the motor, the torque limit does not grow. A short joint motion releases the motor, and the limit
-is small again. If the motor is not released within `FREES`, the limit grows (`HELD`). Otherwise a limit below the
-friction torque would never end.
+is reset to its small value. If the motor is not released within `FREES`, the limit grows (`HELD`). Otherwise a limit
+below the friction torque would stay forever.
 
-On a locked joint the elongation is at most tau_M/K, because friction only reduces it. If it exceeds this by a half, the
-motor gives more torque than it reports, a tendon is slack, or the file's stiffness is too high. On a moving joint
-friction adds to the elongation: on healthy rigs with bends at the motor up to 1.7 times tau_M/K.
+On a locked joint the elongation is at most tau_M/K, because friction only reduces it. An elongation 1.5 times as large
+has one of three causes. The motor delivers more torque than it reports, a tendon is slack, or the file's stiffness is
+too high. On a moving joint friction adds to the elongation, on healthy rigs with bends at the motor up to 1.7 times
+tau_M/K.
 
-Measured on the simulated rig with each kind of joint: the correlation with the elongation is mostly above 0.8. With a
-reversed motor it is below -0.6 from 0.05 s after the enable on. The gain of the joint torque sensor is at most 0.98
-r_J/r_M, and 1.3 to 2 times r_J/r_M if the motor gives twice the reported torque.
+On the simulated rig with each kind of joint, the measured correlation with the elongation is mostly above 0.8. With a
+reversed motor it falls below -0.6 within 0.05 s after the enable. The gain of the joint torque sensor is at most
+0.98 r_J/r_M, but 1.3 to 2 times r_J/r_M if the motor delivers twice the reported torque.
 
-After every enable the torque stays small until the sign is shown, or until it should have been visible. A rig that is
-too stiff for its encoders shows nothing and is not delayed. A constant set-point shows nothing either: its torque is
-released slowly, and the sign becomes visible on the way. If one count of an encoder is larger than the elongation, the
-encoder is not used: a random change of a count would look like a response. The motor's torque may differ from the
-reported one by ripple and gear friction (`UNKNOWN`), which are not known before `tsa tune`.
+After every enable the torque stays small until the sign is confirmed, or until it should have been visible. The
+elongation of a rig that is too stiff for its encoders shows no sign, and the rig is not delayed. A constant set-point
+shows no sign either, so its torque is released slowly, and this ramp makes the sign visible. The encoders are not used
+if one count exceeds the elongation, because a random change of a count would resemble a response. The motor's torque
+may differ from the reported one by ripple and gear friction (`UNKNOWN`), which are unknown before `tsa tune`.
 """
 
 from __future__ import annotations
@@ -41,44 +43,45 @@ import math
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.debounce import Debounce
 
-SMALL = 0.11  # of the limiter's absolute limit; plus 4 % until a reversed motor is detected: 15 % are safe for a person
+SMALL = 0.11  # of the limiter's absolute limit; plus 4 % until a reversed motor is detected: 15 % is safe for a person
 GEARING = 0.02  # 1, possible error of the file's ratio of the radii, as in `safety.residuals`
-COUNTED = 1.5  # counts of both encoders, from which the elongation is used: one count of each may change by chance
-RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque is used: a drive's reading fluctuates by less
+COUNTED = 1.5  # counts of both encoders above which the elongation is used: one count of each may change by chance
+RIPPLE = 0.005  # of that limit, RMS in the band above which a torque is used: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
-MEMORY = 0.2  # s of the correlation
+MEMORY = 0.2  # s, time constant of the correlation
 UNKNOWN = 0.012  # of that limit, RMS in the band: ripple and gear friction that the drive's reading does not contain
-STRONG = 3.0  # times that ripple, from which the elongation is reported: a heavy motor's oscillation adds to less
-ALIKE = 0.9  # correlation of elongation and torque, from which it is reported
-SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness that is a fifth less than its file's, and for a heavy motor's swing
-SLOW = 50.0  # rad/s of the elongation, RMS, up to which it is reported: nearer to its resonance a motor oscillates
-GIVING = 0.04  # s: a heavy motor that a wearer shakes looks the same for 0.025 s, on tendons that are a fifth softer
-SHOWN = 0.5  # correlation from which the sign counts as right or wrong
-CLEAR = 0.8  # correlation from which the share of the joint is reported
-EXCESS = 1.3  # of the largest gain that the joint may get
-FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb has the same effect
+STRONG = 3.0  # times RIPPLE, least torque for a finding of soft tendons: a heavy motor's oscillation adds to less
+ALIKE = 0.9  # least correlation of elongation and torque for that finding
+SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness 20 % below the file's value, and the rest for a heavy motor's swing
+SLOW = 50.0  # rad/s, largest RMS frequency of the elongation for that finding: a motor swings closer to its resonance
+GIVING = 0.04  # s: a heavy motor that a wearer shakes looks the same for 0.025 s, on tendons that are 20 % softer
+SHOWN = 0.5  # correlation above which the sign counts as right or wrong
+CLEAR = 0.8  # correlation above which the gain at the joint is reported
+EXCESS = 1.3  # of the largest gain that is possible at the joint
+FAR = 3.0  # of that gain: no torque constant is that wrong, but a hand that starts to move a limb has the same effect
 STILL = 0.05  # rad/s of a locked joint: three times the noise of a 16 bit encoder's velocity
-AT_REST = 4.0 * DRIFT  # s at rest before the joint's sensor is compared: its stop is then no longer in the band
-TURN = 0.1  # s after a reversal of the tendon: by then its friction, which also changes the elongation, has reversed
-WOUND = 1.5  # of the travel that winds up the model's friction: friction and stiffness may be wrong by a fifth each
+AT_REST = 4.0 * DRIFT  # s at rest before the joint's sensor is compared: by then the stop has left the band
+TURN = 0.1  # s after a friction reversal: by then the tendon friction, which also changes the elongation, has reversed
+WOUND = 1.5  # of the travel that winds up the model's friction: friction and stiffness may each be wrong by 20 %
 RESTING = 0.1  # of that travel: with less, the joint is locked, and only the torque elongates its tendons
 OWN = 0.5  # share of the elongation by the motor's own motion: normally 1 or more, but 0 if friction locks the motor
-LAST = 0.02  # s that either must be wrong, on a joint that did not move before the motor pulled
+LAST = 0.02  # s for which sign or gain must be wrong, on a joint that did not move before the motor pulled
 SURE = 0.25  # s, on a joint that something else moves: friction looks the same for 0.18 s
-SHAKEN = 0.4  # s, after the right sign was shown: a heavy motor that is shaken on its tendons looks reversed for 0.3 s
+SHAKEN = 0.4  # s, after the sign was confirmed: a heavy motor that is shaken on its tendons looks reversed for 0.3 s
 GROWTH = 0.2  # s in which the torque may then grow to the limit, without a step that a person feels
 RESTS = 0.1  # s after which a constant torque may grow slowly, so that this growth shows its sign
-SLOWLY = 2.0  # s in which it would reach the limit: a reversed torque is detected within 20 ms of this ramp
-FREES = 0.5  # s in which the motion of a joint releases the motor: until then the limit of a locked motor does not grow
+SLOWLY = 2.0  # s in which this growth would reach the limit: a reversed torque is detected within 20 ms of the ramp
+FREES = 0.5  # s in which joint motion may release a motor locked by friction: its limit does not grow during this time
 HELD = 0.5  # s to the limit while friction locks the motor: until the motor slides, no torque reaches the joint
-PATIENCE = 0.15  # s with such ripple after which the torque grows although no sign was shown
+PATIENCE = 0.15  # s with a torque above RIPPLE after which the torque grows although the sign was not confirmed
 
 
 class PolarityCheck:
-    """One axis' test; `update` once per fresh cycle while torque is permitted, `reset` when it is not.
+    """Check the polarity of one axis. Call `update` in each fresh cycle with torque permitted, and `reset` otherwise.
 
-    Attribute: `ceiling` (N*m, most torque for now).
+    Attributes:
+        ceiling: present limit of the torque, N*m.
     """
 
     def __init__(
@@ -91,11 +94,16 @@ class PolarityCheck:
         stiffness: float = 0.0,
         slope: float = 1.0,
     ) -> None:
-        """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s.
+        """Prepare the check.
 
-        `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other;
-        `counts`: rad at the motor, of one count of each encoder; `stiffness`: N*m/rad that the motor meets, 0 where
-        that is not known well enough to judge by it; `slope`: largest d tau_J/d tau_M, over r_J/r_M.
+        Args:
+            limit: torque limit of the limiter, N*m.
+            geared: r_J/r_M, 1.
+            period: control period, s.
+            wound: change of the elongation by friction between the two directions of sliding, rad at the motor.
+            counts: one count of each encoder, rad at the motor.
+            stiffness: stiffness at the motor, N*m/rad; 0 if it is too uncertain for this check.
+            slope: largest d tau_J/d tau_M over r_J/r_M, 1.
         """
         self._stiffness = stiffness
         self._strong = (STRONG * RIPPLE * limit) ** 2
@@ -116,13 +124,13 @@ class PolarityCheck:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the check, because torque is no longer permitted; the next enable repeats it."""
+        """Reset the check while torque is not permitted. The next enable repeats it."""
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
-        self._resting = False  # no comparison at present
-        self._held_for = 0.0  # s, since friction locked the motor; inf once the joint's motion has released it
+        self._resting = False  # True while nothing is compared
+        self._held_for = 0.0  # s since friction locked the motor; inf once the joint's motion has released it
         self._shown = False
-        self._judged = 0.0  # s, in which signals were compared
+        self._judged = 0.0  # s for which signals were compared
         self._begun = math.inf
         self._moved = -math.inf
         self._pulled = self._driven = self._suspect = self._fast = False
@@ -134,15 +142,15 @@ class PolarityCheck:
         self._begin(0.0, -math.inf)
 
     def _begin(self, direction: float, until: float) -> None:
-        """Look at nothing `until` then, s, and then afresh."""
+        """Pause the comparison until the time `until` (s), and then start it with empty filters."""
         self._direction = direction
         self._until = until
-        self._travel = 0.0  # rad at the motor, since the tendon reversed
+        self._travel = 0.0  # rad at the motor since the last friction reversal
         self._winding = False
         self._forget()
 
     def _forget(self) -> None:
-        """Discard all earlier observations."""
+        """Discard all observations."""
         self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
         self._least_apart, self._most_apart = math.inf, -math.inf
         self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = self._ay = self._yy = 0.0
@@ -150,16 +158,21 @@ class PolarityCheck:
         self._forget_sensor()
 
     def _forget_sensor(self) -> None:
-        """Discard the sensor data of a moving joint, which are not valid for a locked one."""
+        """Discard the sensor data of a locked joint, because the joint moves."""
         self._held_tt = self._held_tj = self._held_jj = 0.0
 
     def update(
         self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float
     ) -> Finding | None:
-        """Return the error in words; None while all is well.
+        """Return the finding, or None without one. Each measurement is nan if unknown.
 
-        `torque`: N*m, as the drive reports it; `apart`: rad, of motor and geared joint; `tau_j`: N*m, of the joint
-        torque sensor, nan each where it is not known; `sigma`: the law's, 1, of the tendon's motion; `omega_j`: rad/s.
+        Args:
+            now: time, s.
+            torque: motor torque that the drive reports, N*m.
+            apart: motor angle minus geared joint angle, rad.
+            tau_j: torque of the joint torque sensor, N*m.
+            sigma: direction of the tendon's motion in the law, 1.
+            omega_j: joint velocity, rad/s.
         """
         if not abs(omega_j) < STILL:
             self._moved = now
@@ -173,7 +186,7 @@ class PolarityCheck:
             self._begun = min(self._begun, now)
             if 0.0 < self._held_for < FREES:
                 self._held_for += self._period
-                if abs(self._travel) > self._way:  # released, and the change of the torque shows its sign
+                if abs(self._travel) > self._way:  # the motor is released, so the torque now shows its sign
                     self._held_for = math.inf
                     self.ceiling = min(self.ceiling, SMALL * self._limit)
             elif self._held_for == 0.0 and self._fast:
@@ -187,7 +200,7 @@ class PolarityCheck:
         if omega_j == omega_j:
             self._travel += self._travel_step * omega_j
         held = now - self._moved > AT_REST
-        if self.ceiling == math.inf and not held:  # a moving joint is compared by `residuals`
+        if self.ceiling == math.inf and not held:  # `residuals` checks a moving joint
             self._resting = True
             return None
         if now < self._until:
@@ -196,7 +209,7 @@ class PolarityCheck:
             self._resting = False
             self._forget()
         winds_up = self._winds_up()
-        if winds_up is not self._winding:  # observations in one state are not valid in the other
+        if winds_up is not self._winding:  # observations of one state are not valid in the other
             self._winding = winds_up
             self._forget()
         if apart == apart:
@@ -222,7 +235,7 @@ class PolarityCheck:
         else:
             self._forget_sensor()
         if self._tt < self._least:
-            self._suspect = self._fast = False  # a constant torque shows no sign, and earlier suspicions are dropped
+            self._suspect = self._fast = False  # a constant torque shows no sign, so an earlier suspicion is dropped
             return None
         self._pulled = True
         by_stretch = self._by_stretch()
@@ -239,7 +252,7 @@ class PolarityCheck:
             self._shown = True
         if winds_up:
             return None
-        self._judged = now = self._judged + self._period  # the clocks stop while nothing is compared
+        self._judged = now = self._judged + self._period  # these clocks stop while nothing is compared
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
         if wrong.update(now, self._suspect):
@@ -274,11 +287,11 @@ class PolarityCheck:
         return _correlation(product, self._tt * (self._aa - 2.0 * share * self._ay + share * share * self._yy))
 
     def _held_fast(self) -> bool:
-        """Return True if only the joint causes the elongation, and the tendons may not have slid since the reversal."""
+        """Return True if only the joint's motion causes the elongation, before the whole tendons slide again."""
         return abs(self._travel) < self._way and self._ta + self._ty > OWN * self._ta
 
     def _winds_up(self) -> bool:
-        """Return True if an externally moved joint has not yet moved so far that its whole tendons slide again."""
+        """Return True while an externally moved joint has not yet moved far enough for its whole tendons to slide."""
         driven = self._shown or self._driven
         return driven and RESTING * self._way < abs(self._travel) < self._way
 
@@ -288,7 +301,7 @@ def _correlation(product: float, squares: float) -> float:
 
 
 class _Band:
-    """Band-pass filter of a signal; it begins with the first known sample."""
+    """A band-pass filter, initialised with the first sample that is not nan."""
 
     def __init__(self, quick: float, slow: float) -> None:
         self._quick = quick

@@ -1,20 +1,20 @@
-"""The budget of releases: how soon and how often a latch may be released on request.
+"""Limit how soon and how often a client may release a latch.
 
-Protection acts after the fault has added energy to the joint. Each release of a latch may add the same energy again.
-The rate and the number of releases bound the energy that a client can add by repeated requests.
+Protection acts only after a fault has added energy to the joint. Each release of a latch may add the same energy
+again. The rate and the number of releases limit the energy that a client can add by repeated requests.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
-REST = 2.0  # s between two releases: the longest time in which a fault that is still present shows
-MOST = 10  # releases within WINDOW; someone has to look at the machine after that
+REST = 2.0  # s between two releases: a fault that is still present is detected again within this time
+MOST = 10  # releases within WINDOW, after which a person must inspect the machine
 WINDOW = 600.0  # s
 
 
 class ReleaseBudget:
-    """Counts the releases of all latches of a daemon; times in s, monotonic."""
+    """Count the releases of all latches of a daemon. Times are in s on a monotonic clock."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -22,14 +22,14 @@ class ReleaseBudget:
 
     @property
     def next(self) -> float:
-        """The time from which on the next release is permitted, s."""
+        """Return the earliest time of the next release, s."""
         if not self._times:
             return 0.0
         full = len(self._times) == MOST
         return max(self._times[-1] + REST, self._times[0] + WINDOW if full else 0.0)
 
     def take(self, now: float) -> bool:
-        """Count a release at `now` and return True, or return False if it comes too soon."""
+        """Count a release at `now` and return True. Return False without counting it if it is too early."""
         if now < self.next:
             return False
         self.count += 1

@@ -1,21 +1,21 @@
-"""Compare each measured signal of an axis with its prediction from the other signals; no law, no model.
+"""Compare each measured signal of an axis with its prediction from the other signals, without a law or a model.
 
-`Elongation` compares the elongation a = q_m - (r_J/r_M) q_j with the motor torque. With the stiffness K that the motor
-meets and the friction torque h of the tendons, the zero of the encoders is
+`Elongation` compares the elongation a = q_m - (r_J/r_M) q_j with the motor torque. With the stiffness K at the motor
+and the friction torque h of the tendons, the zero of the encoders is
 
     a_0 = a - tau/K + f,        f = (1 - s_c) z h/K,   -1 <= z <= 1
 
 Two rules follow. Neither needs the load, a speed or a joint torque sensor:
 
-    response   f changes only with the torque or with the motion of the joint, and in their direction. If
-               the motor moves without either, its torque is not the reported one.
-    friction   f is bounded, so all observed zeros must fit into the bound. The distance of f from its bounds is
-               tracked by the same two causes.
+    response   f changes only with the torque or with the motion of the joint, and in their direction. If the motor
+               moves without a change of either, its torque differs from the reported one.
+    friction   f is bounded, so all observed zeros must fit into one interval. The changes of torque and joint angle
+               also determine how close f is to its bounds.
 
-`Velocity` compares the reported velocity with the change of the position. `Standstill` finds a position that rests
-although it cannot.
+`Velocity` compares the reported velocity with the change of the position. `Standstill` detects a position that stops
+more suddenly than a joint can. `SensorNoise` detects a sensor whose noise has ended.
 
-All limits are widths in rad at the motor. The zero may drift, so the limits forget old samples.
+All limits are widths in rad at the motor. The zero may drift, so old samples lose their weight.
 """
 
 from __future__ import annotations
@@ -25,30 +25,36 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 SMOOTH = 0.005  # s, low-pass of torque and angles: a motor rings on its tendons at 40 Hz and more
-SAMPLES = 5.0  # least number of periods of that low-pass and of a residual: a slow loop samples the ringing too seldom
-DOUBT = 0.25  # 1, least uncertainty of the stiffness: a fifth below the file's value
-FRICTION = 0.6  # 1, least uncertainty of friction: the bound to which an estimator may follow it
-LATE = 1e-3  # s, delay of one encoder against the other
-GEARING = 0.02  # 1, of the joint's path: radii at which the tendons lie, eccentric encoders
+SAMPLES = 5.0  # least number of periods of that low-pass and of a residual: a slow loop samples the ringing too rarely
+DOUBT = 0.25  # 1, least uncertainty of the stiffness: covers a stiffness 20 % below the file's value
+FRICTION = 0.6  # 1, least uncertainty of friction: the bound up to which an estimator may change it
+LATE = 1e-3  # s, delay between the two encoders
+GEARING = 0.02  # 1, of the joint's path: effective radii of the tendons, eccentric encoders
 CREEP = 0.01  # rad/s, fastest drift of the zero
-BACKLASH = 3e-3  # rad, at motor or joint each
-# rad, limit of the first rule. 2.6e-3 is the most of healthy rigs: a wearer at a friction angle of 0.8, file 20 % off
+BACKLASH = 3e-3  # rad, at motor and joint each
+# rad, limit of the first rule. Healthy rigs reach 2.6e-3: a wearer at a friction angle of 0.8, with a file 20 % off.
 RESPONSE = 2.85e-3
-BOUND = 9e-3  # rad, limit of the second rule; 5.3e-3 is the most of the same rigs
-HEAVY = 6e-4  # kg*m^2, motor inertia that is assumed where it is not known
+BOUND = 9e-3  # rad, limit of the second rule; the same rigs reach 5.3e-3
+HEAVY = 6e-4  # kg*m^2, motor inertia assumed if it is unknown
 LIGHT = 0.2  # 1, uncertainty of a known motor inertia
 NOISE = 6e-3  # N*m, fluctuation of a reported torque that moves no motor
-LASTING = 1e-3  # s that a residual must last, smoothed as it is: a motor that turned rings through it
+LASTING = 1e-3  # s that a filtered residual must last: the ringing after a motor reversal exceeds the limit briefly
 
 
 @dataclass(frozen=True)
 class Give:
     """The compliance of tendons, pulleys and encoders of an axis, at the motor.
 
-    `stiffness`: N*m/rad; `wound`: rad by which friction stretches the tendons from one direction to the other;
-    `domain`: N*m, beyond which one tendon pulls alone and gives twice as much; `play`: rad, of counts and known
-    backlash; `doubt`: 1, of the stiffness; `free`, `least_free`: most and least of 1 - s_c, the share of the friction
-    that shows in the elongation; `friction`: 1, uncertainty of the friction; `inertia`: kg*m^2, 0 if it is not known.
+    Attributes:
+        stiffness: stiffness at the motor, N*m/rad.
+        wound: change of the elongation by friction between the two directions of motion, rad.
+        domain: torque above which one tendon pulls alone and the compliance doubles, N*m.
+        play: encoder counts and known backlash, rad.
+        doubt: uncertainty of the stiffness, 1.
+        free: largest 1 - s_c, the share of the friction that contributes to the elongation, 1.
+        least_free: smallest 1 - s_c, 1.
+        friction: uncertainty of the friction, 1.
+        inertia: motor inertia, kg*m^2; 0 if unknown.
     """
 
     stiffness: float
@@ -63,17 +69,21 @@ class Give:
 
 
 class Elongation:
-    """Check the elongation of one axis; `update` with every fresh sample with torque, `reset` without torque."""
+    """Check the elongation of one axis. Call `update` for every fresh sample with torque, and `reset` without torque.
+
+    Attributes:
+        reversed: True if the motor moved against its reported torque.
+    """
 
     def __init__(self, give: Give, period: float) -> None:
-        """Prepare the check; `period` in s."""
+        """Prepare the check; `period` is in s."""
         self._compliance = compliance = 1.0 / give.stiffness
         self._late = LATE / period
         self._doubt = give.doubt
         self._domain = give.domain
         self._inertia = give.inertia / period
         self._unsure = compliance * (LIGHT * give.inertia if give.inertia > 0.0 else HEAVY) / period
-        self._play = give.play  # of the joint's angle, rad: a smaller change may be counts alone
+        self._play = give.play  # rad of the joint: a smaller change may be encoder counts only
         self._response = RESPONSE + give.play
         self._bound = BOUND + give.play
         half = 0.5 * give.free * give.wound
@@ -85,25 +95,25 @@ class Elongation:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the next enable starts afresh."""
+        """Reset all state for the next enable."""
         self._torque = math.nan
         self._motor = self._joint = self._speed = self._change = 0.0
-        self._rose = self._fell = 0.0  # rad, part of the joint's path up and down that the low-pass has not passed yet
+        self._rose = self._fell = 0.0  # rad, paths of the joint up and down that the low-pass has not passed yet
         self._torque_seen = self._joint_seen = 0.0  # N*m, rad, without their noise
-        self._least, self._most = -1.0, 1.0  # of z
-        self._low, self._high = -math.inf, math.inf  # rad, between which a - tau/K may lie by the first rule
-        self._top, self._bottom = -math.inf, math.inf  # rad, that the zero was at least and at most
+        self._least, self._most = -1.0, 1.0  # bounds of z
+        self._low, self._high = -math.inf, math.inf  # rad, bounds of a - tau/K by the first rule
+        self._top, self._bottom = -math.inf, math.inf  # rad, lower and upper bound of the zero
         self._low_pull = self._high_pull = self._top_pull = self._bottom_pull = 0.0  # N*m, motor torque at each bound
-        self.reversed = False  # the motor moved against the torque that it reports
+        self.reversed = False
 
     def update(self, torque: float, angle: float, speed: float, joint: float) -> float | None:
-        """Return the rad by which motor and joint are apart beyond the limits, None while they are within them.
+        """Return how far the elongation exceeds its limits (rad at the motor), or None while it is within them.
 
         Args:
-            torque: N*m that the drive reports.
-            angle: rad of the motor.
-            speed: rad/s of the motor.
-            joint: rad of the joint, geared to the motor.
+            torque: motor torque that the drive reports, N*m.
+            angle: motor angle, rad.
+            speed: motor speed, rad/s.
+            joint: joint angle times r_J/r_M, rad.
         """
         if self._torque != self._torque:
             self._torque = self._torque_seen = torque
@@ -122,8 +132,8 @@ class Elongation:
         turned = pull - NOISE - seen if pull > seen + NOISE else pull + NOISE - seen if pull < seen - NOISE else 0.0
         self._torque_seen += turned
         turned *= compliance
-        # The paths up and down are filtered separately. At a turn the filtered angle still moves in the old direction
-        # while the filtered friction already follows the new one.
+        # The paths up and down are filtered separately. At a reversal the filtered angle still moves in the old
+        # direction while the filtered friction already follows the new one.
         seen, play, led = self._joint_seen, self._play, self._joint
         went = joint - play - seen if joint > seen + play else joint + play - seen if joint < seen - play else 0.0
         self._joint_seen += went
@@ -135,7 +145,7 @@ class Elongation:
         self._rose -= rose
         self._fell -= fell
         went = rose - fell
-        # A delay of filtered angles follows the filtered speed: the motor rings on its tendons at 10 rad/s and more.
+        # The filtered speed scales the delay error, because the raw speed of a ringing motor exceeds 10 rad/s.
         unsure = self._late * abs(moved) + self._unsure * abs(self._change)
         if pull > self._domain or pull < -self._domain:
             unsure += compliance * (abs(pull) - self._domain)
@@ -144,7 +154,7 @@ class Elongation:
         up, down, loss = rise + doubt * fall + rose, fall + doubt * rise + fell, doubt * (rise + fall)
         drift = self._creep + GEARING * (rose + fell)
         low, high = rest - unsure, rest + unsure
-        # The first rule: f grows by `up` and falls by `down` at most, and `rest` the other way.
+        # The first rule: f grows by at most `up` and falls by at most `down`. `rest` changes in the opposite direction.
         self._low -= up + drift
         self._high += down + drift
         falls, rises = self._low - high - self._response, low - self._high - self._response
@@ -165,7 +175,7 @@ class Elongation:
             most += way
         self._most = most = 1.0 if most > 1.0 else -1.0 if most < -1.0 else most
         self._least = least = -1.0 if least < -1.0 else most if least > most else least
-        if least < 0.0:  # there may be no friction at all
+        if least < 0.0:  # the bounds must also hold without friction
             low += least * self._most_friction
         if most > 0.0:
             high += most * self._most_friction
@@ -187,32 +197,40 @@ class Elongation:
 
 
 class Velocity:
-    """Compare the reported velocity of the motor with the change of its position, `by_position` (rad/s).
+    """Compare the reported velocity of the motor with the change of its position.
 
     A motor may oscillate on its tendons in step with the samples of a slow loop. The velocity at a sample then differs
-    from the mean between two samples, so the comparison is not possible.
+    from the mean between two samples, so such a loop cannot make this comparison.
+
+    Attributes:
+        by_position: filtered velocity from the position, rad/s.
     """
 
     LONGEST: ClassVar[float] = 0.0025  # s, longest period: a quarter of an oscillation at 100 Hz
 
-    MEMORY = 0.1  # s of the comparison
-    SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive
-    FILTER = 0.01  # s, delay of the velocity filter of a drive
+    MEMORY = 0.1  # s, time constant of the comparison
+    SHARE = 0.1  # 1, of the path: scale and rounding errors of a healthy drive
+    FILTER = 0.01  # s, delay of a drive's velocity filter
 
     def __init__(self, count: float, period: float) -> None:
-        """Prepare the check; `count`: rad of one count of the position at the motor; `period`: s."""
+        """Prepare the check.
+
+        Args:
+            count: one count of the position at the motor, rad.
+            period: control period, s.
+        """
         self._keep = math.exp(-period / self.MEMORY)
         self._slow = 1.0 - math.exp(-period / self.FILTER)
-        self._room = 4.0 * count + 0.02 * self.MEMORY  # 0.02 rad/s: half a digit of a coarse velocity
+        self._room = 4.0 * count + 0.02 * self.MEMORY  # 0.02 rad/s: rounding of a coarse velocity
         self._period = period
         self.reset()
 
     def pass_over(self) -> None:
-        """Leave out the way over a period without a sample. The velocity after it is not the mean over it."""
+        """Exclude the motion during a period without a sample, because its mean velocity is unknown."""
         self._angle = math.nan
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Reset all state."""
         self._angle = math.nan
         self._started = False
         self._difference = self._path = self.by_position = self._bend = 0.0
@@ -239,28 +257,33 @@ class Velocity:
 
 
 class Standstill:
-    """Find the position of a joint that repeats its last count although the joint moves on.
+    """Detect a joint position that repeats its last count although the joint still moves.
 
-    A load stops no joint between two samples. Friction alone stops a motor like that, so a motor is not judged.
+    No load stops a joint between two samples. Friction alone can stop a motor that quickly, so motors are not checked.
     """
 
-    SUDDEN = 8.0  # counts per cycle, from which no load stops between two samples
-    FAST = 0.5  # rad/s, likewise: the friction of a joint stops 0.02 kg*m^2 within 10 ms
-    RESTED = 0.01  # s for which the count must rest then: slow devices take a new position every 4 ms
+    SUDDEN = 8.0  # counts per cycle: no load stops a joint between two samples from this speed
+    FAST = 0.5  # rad/s, likewise: the friction of a joint stops an inertia of 0.02 kg*m^2 within 10 ms
+    RESTED = 0.01  # s for which the count must then rest, because slow devices update the position every 4 ms
 
     def __init__(self, count: float, period: float) -> None:
-        """Prepare the check; `count`: rad of one count, `period`: s."""
+        """Prepare the check.
+
+        Args:
+            count: one count of the position, rad.
+            period: control period, s.
+        """
         self._sudden = max(self.SUDDEN * count / period, self.FAST)
         self._rested = max(self.RESTED, 8.0 * period)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Reset all state."""
         self._angle = math.nan
         self._at = self._rate = 0.0
 
     def update(self, now: float, angle: float) -> bool:
-        """Return True while `angle` (rad) rests and should not."""
+        """Return True while `angle` (rad) rests although the joint was moving; `now` is in s."""
         if angle != self._angle:
             elapsed = now - self._at
             if elapsed > 0.0 and self._angle == self._angle:
@@ -271,30 +294,29 @@ class Standstill:
 
 
 class SensorNoise:
-    """Find a sensor whose noise has ended: its values repeat.
+    """Detect a sensor whose noise has ended, so that its values repeat.
 
-    Friction may hold the torque of a joint constant, but no sensor that has shown noise at rest repeats a value for
-    long. The noise is learned without torque. A sensor that then repeats more than two of three values, because it is
-    slower than the loop, or that shows two values only, because its digit is larger than its noise, is not judged.
+    Friction may hold the torque of a joint constant, but a sensor with noise at rest never repeats a value for long.
+    The noise is learned without torque. Two kinds of sensors are not checked. A sensor that then repeats at least two
+    of three values is slower than the loop. A sensor with at most two different values has less noise than one digit.
     """
 
-    LEARNED = 20  # values without torque: the cycles that a startup has at least
-    REPEATED: ClassVar[int] = 100  # in a row: 1e-7 if 85 % repeat, the upper bound that a third of 20 values permits
-    DISTINCT = 3  # values that a noise beyond one digit shows
+    LEARNED = 20  # values without torque: the least number of cycles of a startup
+    REPEATED: ClassVar[int] = 100  # in a row: probability 1e-7 if 85 % repeat, the upper bound for a third of 20 values
+    DISTINCT = 3  # least number of different values of a noise that exceeds one digit
 
     def __init__(self) -> None:
-        """Start without knowledge of the noise."""
         self._last = math.nan
         self._distinct: set[float] = set()
         self._values = self._changes = self._repeated = 0
 
     def reset(self) -> None:
-        """Forget the last values, not the noise."""
+        """Discard the last values, but keep the learned noise."""
         self._last = math.nan
         self._repeated = 0
 
     def learn(self, value: float) -> None:
-        """Take a value (N*m) without torque; nan is passed over."""
+        """Add a value (N*m) that was measured without torque. Ignore nan."""
         if value == value and self._last == self._last:
             self._values += 1
             self._changes += value != self._last
@@ -303,8 +325,8 @@ class SensorNoise:
         self._last = value
 
     def update(self, value: float) -> bool:
-        """Return True while the sensor's value (N*m) repeats and should not."""
-        if value != self._last:  # nan, too
+        """Return True while the sensor's value (N*m) repeats although the sensor has shown noise."""
+        if value != self._last:  # also true for nan
             self._last = value
             self._repeated = 0
             return False

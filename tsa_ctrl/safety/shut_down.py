@@ -1,6 +1,6 @@
-"""The end of every run: torque 0, drives disabled and confirmed, nodes pre-operational, then silence.
+"""Shut a rig down at the end of every run: torque 0, drives confirmed off, nodes pre-operational, then silence.
 
-The loop ramps the torque to zero. This module does what follows, independently of the reason for the shutdown.
+The loop ramps the torque to zero before. The remaining steps here do not depend on the reason for the shutdown.
 """
 
 from __future__ import annotations
@@ -18,20 +18,25 @@ from tsa_ctrl.bus.wire.bus import Bus, wires_of
 from tsa_ctrl.errors import BusError
 
 _OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT, PowerState.NOT_READY_TO_SWITCH_ON)
-_LAST_COMMANDS = 3  # cycles of "disable voltage" after the confirmation, or in spite of its absence
+_LAST_COMMANDS = 3  # cycles of "disable voltage" after the confirmation or the time-out
 
 
 def shut_down(
     rig: Rig, period: float, timeout: float = 1.0, say: Callable[[str], None] = lambda line: None
 ) -> list[str]:
-    """Disable all drives and leave their nodes pre-operational; returns the unconfirmed steps, one line each.
+    """Disable all drives, leave their nodes pre-operational, and return one line for each unconfirmed drive.
 
-    A drive that does not confirm is stopped by NMT instead. A drive that confirms no longer needs our heartbeat, so its
-    heartbeat consumer is switched off first (`say` receives a line if a drive rejects that). A rig whose nodes were
-    never found to be as configured commands nothing, and sends nothing here.
+    The function runs cycles until every drive reports in a fresh PDO that it is off. A drive that does not confirm is
+    stopped by NMT instead. If a drive confirms, its heartbeat consumer is switched off, because our heartbeat ends. A
+    rig whose configuration was never confirmed sends nothing here.
 
-    Run cycles of `period` s until every drive reports in a fresh PDO that it is off, at most `timeout` s. May be called
-    in any state, twice, and on a bus that has failed: it never raises for that.
+    It may be called in any state, repeatedly, and on a failed bus, and does not raise in these cases.
+
+    Args:
+        rig: axes and buses.
+        period: duration of a cycle, s.
+        timeout: longest time to wait for the drives, s.
+        say: receives a line if a drive rejects the release of its heartbeat consumer.
     """
     if not rig.commands:
         return [_unknown(axis.name) for axis in rig.axes] if rig.has_commanded else []
@@ -39,7 +44,7 @@ def shut_down(
     off: set[str] = set()
     after = 0
     while after < _LAST_COMMANDS:
-        begin = rig.wait(begin + period)  # after a stall no burst of SYNCs
+        begin = rig.wait(begin + period)  # relative to the last cycle, so that a stall causes no burst of SYNCs
         rig.sync(begin)
         rig.collect(begin + 0.8 * period)
         for axis in rig.axes:
@@ -53,7 +58,7 @@ def shut_down(
             after += 1
     on = {axis.nodes.drive.node_id for axis in rig.axes if axis.name not in off}
     for node_id in dict.fromkeys(health.node_id for axis in rig.axes for health in axis.image.nodes):
-        # The state Stopped triggers a drive's reaction to a lost connection (0x6007); pre-operational is not.
+        # The state Stopped triggers a drive's reaction to a lost connection (0x6007). Pre-operational does not.
         rig.nmt(NmtCommand.STOP if node_id in on else NmtCommand.PRE_OPERATIONAL, node_id)
     unconfirmed = [_unconfirmed(axis) for axis in rig.axes if axis.name not in off]
     for bus in [rig.bus] if rig.bus.fault is None else [wire for wire in wires_of(rig.bus) if wire.fault is None]:
@@ -63,7 +68,7 @@ def shut_down(
 
 
 def _disarm(bus: Bus, settings: BusSettings, node_ids: Sequence[int], say: Callable[[str], None]) -> None:
-    """Stop the drives' supervision of our heartbeat; otherwise its end would put them in fault at the next start."""
+    """Stop the drives' supervision of our heartbeat, whose end would otherwise be a fault at the next startup."""
     with Session(bus, settings) as session:
         session.begin_heartbeat()
         for node_id in node_ids:

@@ -1,7 +1,7 @@
-"""Decide whether torque is permitted on one axis, and which controlword is sent. Pure: no bus, no clock, no log.
+"""Decide whether torque is permitted on one axis, and which controlword to send. Use no bus, no clock and no log.
 
-A fault latches with its cause, keeps torque at zero and the drive disabled, and stays until a reset is requested.
-After it, torque needs a new request: an ENABLE that was standing while the fault happened enables nothing.
+A fault is latched with its cause until a reset is requested. Until then the torque stays at zero and the drive
+disabled. Torque then requires a new request: an ENABLE that was active during the fault does not enable the drive.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from tsa_ctrl.safety import blame
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
 from tsa_ctrl.safety.debounce import SECOND, LostPeriods, Sender
 
-_RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
+_RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive detects the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
-_POWER_BITS = cia402.VOLTAGE_ENABLED | cia402.REMOTE  # which a drive that shows them must go on showing
-_REPEATED_SHARE = 0.05  # of the cycles of a second; a sound bus repeats a frame when an error hits its last bit
-_LEAST_REPEATED = 3  # cycles, of a slow loop
+_POWER_BITS = cia402.VOLTAGE_ENABLED | cia402.REMOTE  # must stay set on a drive that has set them once
+_REPEATED_SHARE = 0.05  # of the cycles of a second; a healthy bus repeats a frame when an error hits its last bit
+_LEAST_REPEATED = 3  # cycles in a slow loop
 _OBEY_TIME = 0.05  # s in which a drive must leave operation enabled after the command
 
 
 class Request(Enum):
-    """List the requests of the operator."""
+    """A request of the operator."""
 
     DISABLE = "disable"
     ENABLE = "enable"
@@ -37,7 +37,7 @@ class Request(Enum):
 
 
 class Phase(Enum):
-    """List the phases of the supervisor."""
+    """A phase of the supervisor."""
 
     STANDBY = "standby"
     ENABLING = "enabling"
@@ -48,16 +48,17 @@ class Phase(Enum):
 
 
 _HELD_UP = frozenset({0x8130, 0x8250})  # EMCY codes: heartbeat of the host lost, RPDO timed out (CiA 301)
-_LEARNING = (Phase.STANDBY, Phase.ENABLING, Phase.ENABLED)  # a drive's power bits: it may be off in any of them
+_LEARNING = (Phase.STANDBY, Phase.ENABLING, Phase.ENABLED)  # record the drive's power bits; it may be off in any phase
 
 
 class Supervisor:
-    """Supervises one axis. `reports_following`: the drive has statusword bit 12; `shows_late`: it shows its mode only
-    when it is enabled (see the drive's profile): it is then enabled without, and has no torque before it does; `rate`:
-    Hz of the cycles.
+    """Supervise one axis.
 
-    Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
-    `cut_off` (in this cycle the drive is to be stopped by NMT: it did not confirm).
+    Attributes:
+        phase: present phase.
+        faults: latched faults. The first one is the cause.
+        needs_bring_up: True if the nodes must be configured again, followed by `configured()`.
+        cut_off: True if the drive must be stopped by NMT in this cycle, because it did not leave operation enabled.
     """
 
     def __init__(
@@ -67,12 +68,21 @@ class Supervisor:
         shows_late: bool = False,
         rate: float = 1000.0,
     ) -> None:
+        """Prepare the supervisor.
+
+        Args:
+            settings: [bus.supervision].
+            reports_following: True if the drive has statusword bit 12.
+            shows_late: True if the drive shows its mode only once it is enabled (see its profile). It is then enabled
+                before it shows the mode, and torque is permitted only afterwards.
+            rate: cycles per second, Hz.
+        """
         self._settings = settings
         self._shows_late = shows_late
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
-        self._power_bits = 0  # those of the power bits that this drive showed, ever
+        self._power_bits = 0  # power bits that this drive has ever set
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
         self._planned = round(rate * SECOND)
@@ -94,11 +104,11 @@ class Supervisor:
 
     @property
     def fault(self) -> Fault | None:
-        """The cause of the stop; None without one."""
+        """Return the fault that caused the stop, or None."""
         return self.faults[0] if self.faults else None
 
     def update(self, image: Image, now: float, request: Request) -> tuple[Controlword, bool, Fault | None]:
-        """Run one cycle; return the controlword, True if torque is permitted, and the latched fault."""
+        """Run one cycle. Return the controlword, True if torque is permitted, and the latched fault or None."""
         if (
             self.phase is Phase.ENABLED
             and request is Request.ENABLE
@@ -115,7 +125,7 @@ class Supervisor:
             and image.intruder is None
             and image.altered is None
             and image.pressed is None
-        ):  # the usual cycle, decided without a call
+        ):  # fast path of a normal cycle
             return _RUN
         state = cia402.decode(image.statusword)
         self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
@@ -140,16 +150,16 @@ class Supervisor:
             controlword = self._enable(image, state, now)
             if not self.faults:
                 return controlword, False, None
-        else:  # DISABLING: an ENABLE that returns waits until the drive has confirmed
+        else:  # DISABLING: a new ENABLE waits until the drive has confirmed
             return self._disable(state, now), False, self.fault
         return Controlword.DISABLE_VOLTAGE, False, self.fault
 
     def trip(self, finding: Finding, now: float) -> None:
-        """Latch the finding of a check outside of the supervisor (a limit, an implausible sensor)."""
+        """Latch the finding of a check outside the supervisor, for example of a limit or an implausible sensor."""
         self._latch(finding.cause, finding.detail, now)
 
     def configured(self, image: Image) -> None:
-        """Permit a reset, after the nodes have been configured again and the rig has been rearmed."""
+        """Permit a reset. Call this once the nodes have been configured again and the rig has been rearmed."""
         self.needs_bring_up = False
         self._events = image.events
         self._emcys = {health.node_id: health.emcys for health in image.nodes}
@@ -157,7 +167,7 @@ class Supervisor:
     def _watch(self, image: Image, now: float) -> None:
         """Latch the faults that stop an axis in every phase."""
         lossy, late = self._losses.update(image, now)
-        if late:  # first, because what nodes do without commands follows from it
+        if late:  # first, because missing commands cause the faults of the nodes
             self._latch(Cause.SKIPPED, blame.skipped(image, now - SECOND, self._planned), now)
         if image.bus_fault is not None:
             self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
@@ -275,8 +285,8 @@ class Supervisor:
 
     def _latch(self, cause: Cause, detail: str, now: float) -> None:
         if self.phase is Phase.RESETTING and cause is Cause.STALE_PDO:
-            return  # judged by the time-out of the reset
-        if all(fault.cause is not cause for fault in self.faults):  # the first is the cause; each is kept once
+            return  # the time-out of the reset covers this case
+        if all(fault.cause is not cause for fault in self.faults):  # keep the first fault of each cause
             self.faults.append(Fault(cause, detail, now))
         self.needs_bring_up = self.needs_bring_up or cause.needs_bring_up
         self._armed = False

@@ -1,16 +1,16 @@
-"""The class of use: a rig on a bench, or a joint that a person wears; and the speed limits that follow from the wearer.
+"""Define the class of use (a rig on a bench, or a worn joint) and the speed limits that follow from the wearer.
 
-The chain of speeds, each with its share of the next:
+The speeds form a chain:
 
-    wearer_speed    the wearer's fastest motion; up to here the motor gives its full torque
-    joint_speed     1.25 times as fast; the driving torque has faded to 0 (`safety.limiter` begins at 0.8 of it)
-    over_speed      1.25 times as fast again; the torque latches at 0
-    motor_over_speed    r_J/r_M times over_speed: the same at the motor, and the drive's own clamp 0x6080; for a slow
-                    wearer 1.56 times the motor's speed in a friction reversal at a joint at rest
+    wearer_speed    the wearer's fastest motion; up to here the motor delivers its full torque
+    joint_speed     1.25 times wearer_speed; here the driving torque has faded to 0 (`safety.limiter` starts at 80 %)
+    over_speed      1.25 times joint_speed; the torque latches at 0
+    motor_over_speed    r_J/r_M times over_speed, which is the same speed at the motor and the drive's own clamp 0x6080.
+                    For a slow wearer: 1.56 times the motor speed in a friction reversal while the joint is at rest
 
-Measured on the simulated rigs, RMS error without limits and with: imposed gait 4.9 and 4.9 mN*m, limb 4.3 and 4.3,
-human-in-the-loop load 8.1 and 8.1. With 1.05 and 1.15 instead limb and
-load have 64 and 40 mN*m, and the imposed gait trips.
+RMS errors on the simulated rigs, without and with these limits: prescribed gait 4.9 and 4.9 mN*m, pendulum load 4.3
+and 4.3 mN*m, human-in-the-loop load 8.1 and 8.1 mN*m. With factors of 1.05 and 1.15 instead, the pendulum load has
+64 mN*m, the human-in-the-loop load 40 mN*m, and the prescribed gait trips.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
 from tsa_ctrl.safety.limiter import LimiterSettings
 
 UseClass = Literal["bench", "worn"]
-MARGIN = 1.25  # 1, between two speeds of the chain
+MARGIN = 1.25  # 1, ratio of consecutive speeds of the chain
 
 
 class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[safety]: the class of use, the wearer, and the requirements of `tsa verify-safety` and the fault campaign."""
 
     use_class: UseClass = msgspec.field(name="class", default="bench")
-    # rad/s of the joint, fastest motion of the wearer; a sprinter's knee reaches about 20, gait 7
+    # rad/s of the joint, fastest motion of the wearer. A sprinter's knee reaches about 20 rad/s, and gait 7 rad/s.
     wearer_speed: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
     travel: tuple[float, float] | None = None  # rad of every joint; [axis.limits] travel narrows it for one axis
     emergency_stop: Annotated[int, Meta(ge=0, le=31)] | None = None  # bit of 0x60FD (digital inputs)
-    emergency_stop_level: Literal[0, 1] = 1  # of that bit while the stop is pressed
+    emergency_stop_level: Literal[0, 1] = 1  # value of that bit while the stop is pressed
     zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
         None  # s; default: the longest reaction to a fault + 0.05
     )
@@ -55,12 +55,12 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 def on_bench(safety: SafetySettings) -> SafetySettings:
-    """Return the settings of a commissioning run, in which no person wears the joint; all limits stay."""
+    """Return the settings for a commissioning run, in which no person wears the joint. All limits stay."""
     return msgspec.structs.replace(safety, use_class="bench")
 
 
 def longest_timeout(axes: Sequence[AxisNodes]) -> tuple[float, str]:
-    """Return the longest time, s, for which something may be silent before torque is taken away, and its key."""
+    """Return the longest time-out (s) after which silence of a node or of the host ends the torque, and its key."""
     found = []
     for axis in axes:
         found.append((axis.drive.host_timeout, f"axis '{axis.name}' drive.host_timeout"))
@@ -70,11 +70,11 @@ def longest_timeout(axes: Sequence[AxisNodes]) -> tuple[float, str]:
 
 
 def longest_fault(axes: Sequence[AxisNodes], stop_time: float) -> tuple[float, str]:
-    """Return how long torque may go on after a fault, s, and why.
+    """Return how long torque may persist after a fault, s, and the reason.
 
     Args:
-        axes: of the file.
-        stop_time: in which the torque goes to 0 at a stop, s.
+        axes: axes of the file.
+        stop_time: time in which the torque ramps to 0 at a stop, s.
     """
     longest, name = longest_timeout(axes)
     if len(axes) == 1:
@@ -86,7 +86,7 @@ def longest_fault(axes: Sequence[AxisNodes], stop_time: float) -> tuple[float, s
 
 
 def stop_bit(safety: SafetySettings) -> StopBit | None:
-    """Return where the emergency stop is wired; None without one."""
+    """Return the digital input of the emergency stop, or None without one."""
     return None if safety.emergency_stop is None else StopBit(safety.emergency_stop, safety.emergency_stop_level)
 
 
@@ -96,7 +96,7 @@ def wearer_speeds(wearer_speed: float, geared: float, reversal_speed: float) -> 
     Args:
         wearer_speed: fastest motion of the joint, rad/s.
         geared: r_J/r_M, 1.
-        reversal_speed: of the motor while friction reverses at a joint at rest, rad/s.
+        reversal_speed: motor speed in a friction reversal while the joint is at rest, rad/s.
     """
     joint_speed = MARGIN * wearer_speed
     over_speed = MARGIN * joint_speed
@@ -111,17 +111,17 @@ def wearer_limits(
     geared: float,
     reversal_speed: float,
 ) -> LimiterSettings:
-    """Return the limits of one axis with everything that follows from the wearer and that the file leaves out.
+    """Return the limits of one axis, with missing ones derived from the wearer.
 
     Args:
-        limits: as the file has them.
-        written: keys of [axis.limits] that the file has.
-        safety: of the file.
-        geared: r_J/r_M of the axis.
-        reversal_speed: of the motor while friction reverses, rad/s.
+        limits: limits from the file.
+        written: keys of [axis.limits] in the file.
+        safety: [safety] of the file.
+        geared: r_J/r_M of the axis, 1.
+        reversal_speed: motor speed in a friction reversal, rad/s.
 
     Raises:
-        ValueError: a written limit contradicts a derived one.
+        ValueError: A limit of the file contradicts a derived one.
     """
     derived: dict[str, object] = {}
     if safety.wearer_speed is not None:
@@ -141,15 +141,15 @@ def wearer_limits(
 
 
 def drive_clamps(drive: DriveSettings, written: Collection[str], limits: LimiterSettings) -> DriveSettings:
-    """Return the drive's settings with its own clamps (0x6072, 0x6080) no wider than the controller's limits.
+    """Return the drive's settings with its own clamps (0x6072, 0x6080) equal to the controller's limits.
 
     Args:
-        drive: as the file has it.
-        written: keys of [axis.drive] that the file has.
-        limits: of the axis, complete.
+        drive: drive settings from the file.
+        written: keys of [axis.drive] in the file.
+        limits: complete limits of the axis.
 
     Raises:
-        ValueError: a limit is above a clamp of the file.
+        ValueError: A limit is above a clamp of the file.
     """
     rated = drive.rated_torque * drive.gear_ratio
     most = rated if drive.max_torque is None else drive.max_torque
@@ -167,10 +167,10 @@ def drive_clamps(drive: DriveSettings, written: Collection[str], limits: Limiter
 
 
 def resolve_torque(axis: dict[str, Any]) -> None:
-    """Put [axis.limits] torque in place where a parsed [[axis]] gives it as a share of the rated torque."""
+    """Replace `torque_share` in the [axis.limits] of a parsed [[axis]] by `torque`, in place."""
     limits, drive = axis.get("limits"), axis.get("drive")
     if not (isinstance(limits, dict) and isinstance(drive, dict)) or "torque_share" not in limits or "torque" in limits:
-        return  # both of them are rejected by `LimiterSettings`
+        return  # `LimiterSettings` rejects a file that has both keys
     numbers = limits["torque_share"], drive.get("rated_torque", 1.0), drive.get("gear_ratio", 1.0)
     if all(isinstance(number, int | float) for number in numbers):
         limits["torque"] = math.prod(numbers)

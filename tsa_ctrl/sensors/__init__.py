@@ -1,1 +1,1 @@
-"""Sensors on a serial line (joint torque, tendon load cells), each read in a separate process."""
+"""Read sensors on serial lines (joint torque, tendon load cells), each in a separate process."""

@@ -26,25 +26,25 @@ NUMBER = r"^\s*(?P<value>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*$"
 
 
 class SerialSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One sensor: a line of text that matches `pattern` gives value * scale + offset in SI units."""
+    """One sensor. A text line that matches `pattern` is converted to value * scale + offset in SI units."""
 
     port: str  # device, or a URL of pyserial
-    # N*m at the joint; N of tendon a, b at the motor; rad and degC of the sheath
+    # tau_j: N*m at the joint; t1, t3: N of tendon a, b at the motor; theta, temperature: rad, degC of the sheath
     quantity: Literal["tau_j", "t1", "t3", "theta", "temperature"]
     baud_rate: Annotated[int, Meta(ge=50, le=12_000_000)] = 115_200
     pattern: str = NUMBER  # regular expression with a group "value" (and optionally "unit")
-    unit: str = ""  # if given, the pattern's group "unit" must match it
-    scale: float = 1.0  # SI per unit of the line; negative turns the sign
-    offset: float = 0.0  # SI, added
-    low: float = -1e4  # SI: a value outside is a fault of the line, dropped and counted
+    unit: str = ""  # if given, the pattern's group "unit" must equal it
+    scale: float = 1.0  # SI per unit of the line; a negative scale inverts the sign
+    offset: float = 0.0  # SI, added after scaling
+    low: float = -1e4  # SI: a value outside low to high is a line error, which is discarded and counted
     high: float = 1e4
-    request: str = ""  # sent for each value, for sensors that are asked
+    request: str = ""  # sent for each value, for sensors that respond only to requests
     rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 100.0  # rate of requests and of expected answers, Hz
-    timeout: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # s; an older value counts as not there
+    timeout: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # s; an older value counts as missing
 
 
 def check(settings: SerialSensorSettings, where: str) -> None:
-    """Raise UsageError when a setting contradicts another or the pattern cannot give a value."""
+    """Raise UsageError if settings contradict each other or the pattern cannot extract a value."""
     try:
         groups = re.compile(settings.pattern).groupindex
     except re.error as error:
@@ -69,10 +69,15 @@ def check(settings: SerialSensorSettings, where: str) -> None:
 
 
 def check_all(sensors: Sequence[SerialSensorSettings], where: str, measured: set[str]) -> None:
-    """Check each sensor, and that no quantity has two sources; `measured`: those that another sensor measures.
+    """Check each sensor, and check that no quantity or port is used twice.
+
+    Args:
+        sensors: settings of the serial sensors.
+        where: place in the settings, for messages.
+        measured: quantities that other sensors measure already.
 
     Raises:
-        UsageError: a sensor is wrong, or two of them share a quantity or a port.
+        UsageError: A sensor is wrong, or two sensors share a quantity or a port.
     """
     seen, ports = set(measured), set[str]()
     for sensor in sensors:
@@ -86,12 +91,12 @@ def check_all(sensors: Sequence[SerialSensorSettings], where: str, measured: set
         ports.add(sensor.port)
 
 
-# One slot in shared memory per sensor, with one writer each; the loop reads it without a lock.
+# Each sensor has one slot in shared memory with one writer. The loop reads it without a lock.
 _READING = struct.Struct("=ddQQq")  # value, monotonic time in s, values, rejected lines, LineState
 
 
 class LineState(IntEnum):
-    """List the states of a serial line, reported by its reading process."""
+    """The state of a serial line, reported by its reader process."""
 
     STARTING = 0
     READING = 1
@@ -101,7 +106,15 @@ class LineState(IntEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """Hold the newest `value` in SI units, its arrival `time` (s, monotonic) and the counts since the start."""
+    """The newest reading of a sensor.
+
+    Attributes:
+        value: value in SI units.
+        time: arrival time, s on the monotonic clock.
+        count: number of valid values since startup.
+        rejected: number of rejected lines since startup.
+        state: state of the serial line.
+    """
 
     value: float
     time: float
@@ -114,7 +127,7 @@ NOTHING = Reading(math.nan, -math.inf, 0, 0, LineState.STARTING)
 
 
 class Slots:
-    """One newest reading for each of `count` sensors; made by the daemon, mapped again by each reader process."""
+    """The newest reading of each of `count` sensors. The daemon creates them, and the reader processes map them."""
 
     def __init__(self, count: int, fd: int | None = None) -> None:
         each = space(2, _READING.size)
@@ -124,13 +137,13 @@ class Slots:
         self._newest = [Newest(self._memory, index * each, _READING.size) for index in range(count)]
 
     def write(self, index: int, reading: Reading) -> None:
-        """Store a reading; only the one process that owns the slot may."""
+        """Store a reading. Only the reader process of the slot may call this."""
         self._newest[index].write(
             _READING.pack(reading.value, reading.time, reading.count, reading.rejected, reading.state)
         )
 
     def read(self, index: int) -> Reading:
-        """Return the newest reading; NOTHING before the first, or if each attempt to read it was overwritten."""
+        """Return the newest reading, or NOTHING before the first one or if each attempt to read was overwritten."""
         number, content = self._newest[index].read()
         if not number:
             return NOTHING
@@ -138,7 +151,7 @@ class Slots:
         return Reading(value, time, count, rejected, LineState(state))
 
     def fresh(self, index: int, now: float, timeout: float) -> float:
-        """Return the newest value for the loop; nan if it is older than `timeout` s at the monotonic time `now`."""
+        """Return the newest value, or nan if it is older than `timeout` (s) at the monotonic time `now` (s)."""
         number, content = self._newest[index].read()
         if not number:
             return math.nan
@@ -149,11 +162,11 @@ class Slots:
         self._memory.close()
 
 
-PATIENCE = 2.0  # s for a reader to end
+PATIENCE = 2.0  # s for a reader process to end
 
 
 class SerialSensors:
-    """The sensors of a configuration, each with its process; start them before real-time scheduling is taken."""
+    """The sensors of a configuration, each with its process. Create it before real-time scheduling is requested."""
 
     def __init__(self, settings: Sequence[SerialSensorSettings]) -> None:
         self.settings = tuple(settings)
@@ -166,7 +179,7 @@ class SerialSensors:
         return Child("tsa_ctrl.sensors.reader", fd, count, index, text, reports=False, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
-        """Return a function of the monotonic time that gives the SI value of a sensor; nan if it is too old."""
+        """Return a function that maps the monotonic time (s) to a sensor's SI value, or to nan if it is too old."""
         return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:
@@ -174,11 +187,11 @@ class SerialSensors:
         return self._slots.read(index)
 
     def alive(self, index: int) -> bool:
-        """Return True if the process of a sensor runs."""
+        """Return True if the process of a sensor is running."""
         return self._children[index].alive
 
     def close(self) -> None:
-        """End the processes; may be called twice."""
+        """End the processes. Repeated calls have no effect."""
         for child in self._children:
             if child.stdin is not None:
                 child.stdin.close()

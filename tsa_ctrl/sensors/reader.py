@@ -1,7 +1,7 @@
 """Read one serial sensor in a separate process: `python -m tsa_ctrl.sensors.reader FD COUNT INDEX SETTINGS-JSON`.
 
-The process opens the port and reopens it after it was unplugged. It writes the newest value to its slot, with the
-monotonic time of its arrival. It ends when its standard input is closed, which happens when the daemon ends.
+The process opens the port, and reopens it after the sensor was unplugged. It writes the newest value and its arrival
+time (monotonic) to its slot. It ends when its standard input is closed, which happens when the daemon ends.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ import serial
 from tsa_ctrl.sensors.process import LineState, Reading, SerialSensorSettings, Slots
 from tsa_ctrl.system.process_supervisor import ignore
 
-MOST_LINE = 256  # bytes; a longer line is noise and is discarded up to the next line end
+MOST_LINE = 256  # bytes; a longer line is noise, and all bytes up to the next line end are discarded
 _END = re.compile(rb"[\r\n]+")
 
 
 class LineParser:
     """Convert the bytes of an ASCII line protocol to values in SI units.
 
-    The parser does no input or output, holds a bounded number of bytes, and tolerates noise and incomplete lines. The
-    first line after each connection is discarded, because its start may be missing.
+    The parser has no I/O, buffers a bounded number of bytes, and tolerates noise and incomplete lines. It discards the
+    first line after each connection, because the start of that line may be missing.
     """
 
     def __init__(self, settings: SerialSensorSettings) -> None:
@@ -44,14 +44,14 @@ class LineParser:
         self.rejected = 0
 
     def reset(self) -> None:
-        """Discard the incomplete line after the connection was lost."""
+        """Discard the incomplete line after a lost connection."""
         self._rest = b""
         self._synchronised = False
 
     def feed(self, data: bytes) -> list[float]:
         """Return the values of all lines that `data` completes, oldest first.
 
-        The start of an incomplete last line is kept for the next call.
+        An incomplete last line is kept for the next call.
         """
         pieces = _END.split(self._rest + data)
         self._rest = pieces.pop()
@@ -87,7 +87,7 @@ class LineParser:
 
 
 RETRY = 0.5  # s between attempts to open a port
-TICK = 0.05  # s between checks of whether the parent has ended and the sensor is silent
+TICK = 0.05  # s between two checks for a closed standard input and a silent sensor
 CHUNK = 4096  # bytes
 
 
@@ -123,7 +123,12 @@ class SerialReader:
                 return
 
     def listen(self, port: serial.SerialBase) -> bool:
-        """Read until the port fails (SerialException, OSError); return True when the parent has ended."""
+        """Read until the parent has ended, and then return True.
+
+        Raises:
+            SerialException: The port failed.
+            OSError: The port failed.
+        """
         opened = time.monotonic()
         while True:
             self.ask(port)
@@ -143,7 +148,7 @@ class SerialReader:
             self.say(LineState.SILENT if quiet else LineState.READING)
 
     def ask(self, port: serial.SerialBase) -> None:
-        """Send the request at the configured rate, for sensors that respond only to requests."""
+        """Send the request at the configured rate if the sensor responds only to requests."""
         now = time.monotonic()
         if self.settings.request and now >= self._next_request:
             port.write(self.settings.request.encode("ascii", errors="replace"))

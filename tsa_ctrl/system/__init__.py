@@ -1,1 +1,1 @@
-"""The operating system's plumbing: real time, sleep, processes, signals of life, files."""
+"""Use operating system services: real-time scheduling, timers, processes, shared memory and torque-off outputs."""

@@ -1,7 +1,7 @@
-"""Keep compiled functions between runs, in a folder that this user can write, wherever the package is installed.
+"""Keep compiled functions between runs in a folder that this user can write, wherever the package is installed.
 
-numba asks for `NUMBA_CACHE_DIR` when it is imported, and ends in a traceback where it finds no place to write; so the
-package sets it before anything of it is imported. A value of the user stays.
+numba reads `NUMBA_CACHE_DIR` when it is imported, and raises an error if it finds no writable folder. The package
+therefore sets the variable before it imports numba. A value that the user has set is kept.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def choose() -> None:
-    """Set `NUMBA_CACHE_DIR` unless it is set: ~/.cache/tsa-ctrl, else a temporary folder, which is reported once."""
+    """Set `NUMBA_CACHE_DIR`, unless it is set, to ~/.cache/tsa-ctrl/numba or else to a temporary folder.
+
+    A new temporary folder is reported.
+    """
     if os.environ.get(VARIABLE):
         return
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 (a Path without a home raises)
@@ -34,8 +37,8 @@ def _usable(folder: Path) -> bool:
 
 
 def _temporary() -> Path:
-    """Return this user's own temporary folder, never one that another user may have created."""
-    import tempfile  # takes 8 ms, in which Ctrl-C still prints a traceback; needed only here
+    """Return this user's own temporary folder, never a folder that another user may have created."""
+    import tempfile  # imported here only, because it takes 8 ms in which Ctrl-C would still print a traceback
 
     folder = Path(tempfile.gettempdir(), f"tsa-ctrl-numba-{os.getuid()}")
     try:

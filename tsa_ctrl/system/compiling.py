@@ -1,4 +1,4 @@
-"""Announce compilation by numba with its progress, so that the first use on a machine does not look like a hang."""
+"""Report compilation by numba and its progress, so that the first use on a machine does not look like a hang."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ EVERY = 5.0  # s between two lines of progress
 
 
 class _Announcer(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Print the notice at the first compilation, then the progress. Loading from the cache does not count."""
+    """Print a notice at the first compilation, and then the progress. Loading from the cache prints nothing."""
 
     def __init__(self) -> None:
         self.tell: Callable[[str], None] | None = None
         self._began: float | None = None
-        self._depth = 0  # compilations within each other
+        self._depth = 0  # nesting of compilations
         self._functions = 0
-        self._printed = 0.0  # s since the begin
+        self._printed = 0.0  # s between the start of compilation and the last printed line
 
     def on_start(self, event: event.Event) -> None:
         if self._began is None:
@@ -51,10 +51,10 @@ _ANNOUNCER = _Announcer()
 
 @cache
 def announce() -> None:
-    """Print the progress of compilations of this process; call it before a module defines compiled functions."""
+    """Print the progress of this process's compilations. Call this before a module defines compiled functions."""
     event.register("numba:compile", _ANNOUNCER)
 
 
 def on_compile(tell: Callable[[str], None] | None) -> None:
-    """Have the progress of compilations passed to `tell` as well; None ends that."""
+    """Set the function that also receives the progress of compilations. None removes it."""
     _ANNOUNCER.tell = tell

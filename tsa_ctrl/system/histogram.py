@@ -1,4 +1,4 @@
-"""Histograms of lateness and work: counts in bins of 5 us, cheap enough for every cycle."""
+"""Count wake-up latency and execution time in bins of 5 us, cheaply enough for every cycle."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import MutableSequence, Sequence
 from dataclasses import dataclass
 
 WIDTH = 5_000  # ns per bin
-BINS = 401  # 0 to 2 ms, and one for all above
+BINS = 401  # 0 to 2 ms, and one bin for longer durations
 
 
 def count(bins: MutableSequence[int] | memoryview, nanoseconds: int) -> None:
@@ -17,7 +17,7 @@ def count(bins: MutableSequence[int] | memoryview, nanoseconds: int) -> None:
 
 @dataclass(frozen=True)
 class Distribution:
-    """Summary of one histogram; in s, upper edges of bins, nan without samples."""
+    """The percentiles of one histogram: upper bin edges in s, nan without samples."""
 
     samples: int
     p50: float
@@ -46,7 +46,7 @@ def percentile(counts: Sequence[int], share: float) -> float:
 
 
 def coarse(bins: Sequence[int] | memoryview) -> list[tuple[float, int]]:
-    """(upper edge in s, samples) in steps 10, 20, 50, 100, ... us for people; the last edge is inf."""
+    """Return (upper edge in s, samples) for readable steps of 10, 20, 50, 100, ... us. The last edge is inf."""
     counts = list(bins)
     edges = [10, 20, 50, 100, 200, 500, 1000, 2000]
     result, start = [], 0

@@ -1,7 +1,7 @@
-"""Import this before scipy in an interactive program: it prevents the loading of unused parts of numpy.
+"""Avoid loading unused parts of numpy. Import this module before scipy in an interactive program.
 
 scipy copies all names of numpy, and so loads numpy's generator of Fortran interfaces and its test tools. This takes a
-quarter of the loading time of a diagnosis. Here they are loaded on first use (importlib.util.LazyLoader).
+quarter of the loading time of a diagnosis. This module defers both to their first use (importlib.util.LazyLoader).
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""Start child processes, supervise them and end them in every case; report this process to the service manager.
+"""Start, supervise and always end child processes, and report the state of this process to the service manager.
 
 Ways to run a child process:
 
 * `Child`: `python -m MODULE`, bound to this process by a pipe to its stdin.
-* `supervise`: a worker forked from a process with one thread, replaced when it ends or hangs. The worker periodically
-  leaves a sign of life. A worker that hangs is killed and waited for before another one starts, so there are never
-  two. This runs in a separate process, because a fork in the loop's process would cost the loop cycles.
-* `worker_context`: workers of multiprocessing with a module that is imported already.
+* `supervise`: a worker forked from a process with one thread, replaced when it fails or hangs. The worker periodically
+  records a sign of life. A worker that hangs is killed, and the next one starts only after its end, so there are never
+  two. `supervise` runs in a separate process, because a fork in the loop's process would cost the loop cycles.
+* `worker_context`: workers of multiprocessing with a module that is already imported.
 * `plant`, `daemon`: the processes that a user would start.
 
-`Notifier` implements sd_notify(3): ready, alive, stopping, as datagrams to the socket in NOTIFY_SOCKET. The loop itself
-sends the sign of life, so that a hanging loop is detected. It never waits for a datagram. When the manager kills a
-hanging process, the drive's own watchdog has already removed the torque.
+`Notifier` implements sd_notify(3): it sends the states ready, alive and stopping as datagrams to the socket in
+NOTIFY_SOCKET. The loop itself sends the sign of life, so that the manager detects a hanging loop. The loop never waits
+for a datagram. By the time the manager kills a hanging process, the drive's own watchdog has removed the torque.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
     from multiprocessing.context import BaseContext
 
 
-# A child process ends with its parent (Linux: prctl(2), PR_SET_PDEATHSIG), not by a signal of the terminal.
+# A child process ends with its parent (Linux: prctl(2), PR_SET_PDEATHSIG), not on a signal from the terminal.
 _PARENT = "TSA_PARENT"  # environment variable with the parent's process id
 _PR_SET_PDEATHSIG = 1
 
 
 def environment() -> dict[str, str]:
-    """Return the environment for a child that shall receive SIGTERM however this process ends."""
+    """Return the environment for a child that must receive SIGTERM when this process ends for any reason."""
     return {**os.environ, _PARENT: str(os.getpid())}
 
 
@@ -53,7 +53,7 @@ def environment() -> dict[str, str]:
 def terminal_blocked() -> Iterator[None]:
     """Block SIGINT and SIGHUP, so that a process started in the block inherits the mask and ignores the terminal.
 
-    The parent ends such a process. In this process, both signals are delivered at the end of the block.
+    Its parent must end that process. In this process, both signals are delivered at the end of the block.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
@@ -68,12 +68,19 @@ READY = b"ready\n"  # the line by which a child reports that it has started
 class Child(Popen[bytes]):
     """Run `python -m MODULE ARGUMENTS` with pipes to its stdin and from its stdout.
 
-    The child must end when its stdin is closed, however this process ends. Create it before real-time scheduling is
-    requested, so that the child does not inherit it.
+    The child must end when its stdin is closed, which also happens when this process ends. Create it before real-time
+    scheduling is requested, so that the child does not inherit it.
     """
 
     def __init__(self, module: str, *arguments: object, reports: bool = True, fd: int | None = None) -> None:
-        """Start the process; `reports`: False discards its stdout, `fd`: a file descriptor that is passed on to it."""
+        """Start the process.
+
+        Args:
+            module: module to run.
+            arguments: its command line arguments.
+            reports: False to discard its stdout.
+            fd: file descriptor that the process inherits.
+        """
         with terminal_blocked():
             super().__init__(
                 [sys.executable, "-m", module, *map(str, arguments)],
@@ -88,26 +95,26 @@ class Child(Popen[bytes]):
         return self.poll() is None
 
     def send(self, line: bytes) -> None:
-        """Write a line to its stdin; a child that has ended does not get it."""
+        """Write a line to its stdin. The line is lost if the child has ended."""
         assert self.stdin is not None
         with contextlib.suppress(BrokenPipeError):
             self.stdin.write(line + b"\n")
             self.stdin.flush()
 
     def receive(self) -> bytes:
-        """Return the next line of its stdout, empty once it has ended."""
+        """Return the next line of its stdout, or empty bytes once it has ended."""
         assert self.stdout is not None
         return self.stdout.readline()
 
     def failure(self) -> str:
-        """Wait for its start; return the line that it wrote instead of `READY`, or empty text."""
+        """Wait until the child reports its start. Return an empty string for `READY`, and otherwise its message."""
         answer = self.receive()
         return (
             "" if answer == READY else answer.decode(errors="replace").strip() or "it ended at once; see its traceback"
         )
 
     def end(self, patience: float) -> None:
-        """Close its stdin, and kill it if it has not ended after `patience` s; may be called twice."""
+        """Close its stdin, and kill it if it has not ended after `patience` s. Repeated calls are permitted."""
         if self.stdin is not None:
             with contextlib.suppress(OSError):
                 self.stdin.close()
@@ -119,10 +126,7 @@ class Child(Popen[bytes]):
 
 
 def follow() -> None:
-    """Bind the started process to its parent; exit at once if the parent has already ended.
-
-    The started process calls this function itself.
-    """
+    """Bind this process to the parent that started it, and exit immediately if that parent has already ended."""
     parent = os.environ.pop(_PARENT, "")
     if not parent or not sys.platform.startswith("linux"):
         return
@@ -132,15 +136,15 @@ def follow() -> None:
 
 
 def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
-    """Request the signal `number` for this process as soon as its parent ends, for any reason."""
+    """Request the signal `number` for this process when its parent ends for any reason."""
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
 
 
 LOOK = 0.1  # s between two checks of the worker
-REST = 1.0  # s between two starts, so that a worker that fails at once takes no processor time from the loop
-LONGEST_REST = 10.0  # s; REST doubles up to it while workers fail, so that their starts take little processor time
-MOST = 10  # replacements in a row once the supervisor's parent has ended: the worker still has to store the rest
+REST = 1.0  # s between two starts, so that a worker that fails immediately takes no processor time from the loop
+LONGEST_REST = 10.0  # s; REST doubles up to this while workers fail, so that their starts take little processor time
+MOST = 10  # replacements after the end of the supervisor's parent, because the worker must still store its data
 
 
 def supervise(
@@ -152,20 +156,20 @@ def supervise(
 ) -> int:
     """Run `work` in a child process and start another one whenever it fails.
 
-    Call this in a process with one thread. If this process ends, the worker ends as well. As long as the parent of
-    this process lives, a failed worker is always replaced.
+    Call this in a process with one thread. If this process ends, the worker ends as well. A failed worker is always
+    replaced while the parent of this process lives.
 
     Args:
-        work: the worker's function; receives the number of earlier workers and returns an exit code.
-        alive: records a sign of life; called before each start.
-        heard: returns the time of the last sign of life, s of the monotonic clock.
-        hangs: s without a sign of life after which the worker is killed.
-        replaced: called before each replacement with the number of earlier workers.
+        work: worker function, which receives the number of earlier workers and returns an exit code.
+        alive: function that records a sign of life, called before each start.
+        heard: function that returns the time of the last sign of life, s on the monotonic clock.
+        hangs: time without a sign of life after which the worker is killed, s.
+        replaced: function called before each replacement with the number of earlier workers.
 
     Returns:
-        0 when a worker ends with 0, or 1 after `MOST` replacements since the end of this process's parent.
+        0 if a worker ended with 0, or 1 after `MOST` replacements since the end of this process's parent.
     """
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # waited for, below
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # `_watched` waits for it
     parent, number, orphaned, rest = os.getppid(), 0, 0, REST
     while orphaned <= MOST:
         if number:
@@ -211,11 +215,11 @@ def _watched(worker: int, heard: Callable[[], float], hangs: float) -> int:
         if not killed and time.monotonic() - heard() > hangs:
             os.kill(worker, signal.SIGKILL)  # a worker blocked by a disk ends only when the disk responds
             killed = True
-        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # returns at once when the worker ends, as the run's end waits
+        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # returns as soon as the worker ends, so the run's end is not late
 
 
 def ignore(*numbers: signal.Signals) -> None:
-    """Ignore signals that a terminal sends to its whole process group, because another process ends this one."""
+    """Ignore signals that a terminal sends to its process group, because another process ends this one."""
     for number in numbers:
         signal.signal(number, signal.SIG_IGN)
 
@@ -224,12 +228,12 @@ def ignore(*numbers: signal.Signals) -> None:
 def unheard_by_children() -> Iterator[None]:
     """Shield processes that this thread starts in the block from Ctrl-C.
 
-    This process receives a pending Ctrl-C after the block and must end its children. The signal mask is used because a
-    new program inherits it from its first instruction. A handler in the child would be installed about a second later,
-    and a Ctrl-C before that would end the child with a traceback. The resource tracker of multiprocessing is started
-    first because its start would reset the mask.
+    This process receives a pending Ctrl-C after the block and must end its children. The block uses the signal mask,
+    because a new program inherits it from its first instruction. A handler in the child would be installed about a
+    second later, and an earlier Ctrl-C would end the child with a traceback. The resource tracker of multiprocessing is
+    started first, because its start would reset the mask.
     """
-    from multiprocessing import resource_tracker  # most processes have no children
+    from multiprocessing import resource_tracker  # imported here, because most processes have no children
 
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
@@ -243,8 +247,8 @@ def unheard_by_children() -> Iterator[None]:
 def postponed() -> Iterator[None]:
     """Postpone SIGINT and SIGTERM to the end of the block.
 
-    Handlers are used because a signal mask applies to one thread only, and another thread could receive the signal.
-    Outside the main thread the block does nothing, because Python runs signal handlers in the main thread only.
+    The block uses handlers, because a signal mask applies to one thread only and another thread could receive the
+    signal. Outside the main thread it does nothing, because Python runs signal handlers in the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -265,13 +269,13 @@ LEAN = "tsa_ctrl.system.lazy_imports"
 
 
 def worker_context(module: str) -> BaseContext:
-    """Return the context that starts workers with `module` imported already.
+    """Return a context that starts workers with `module` already imported.
 
-    A server process imports `module` in the background and forks the workers; only the first call chooses the module.
-    A fork of this process would copy locks that its threads hold. Linear algebra is limited to one thread per process,
-    because the workers would compete for the processors otherwise.
+    A server process imports `module` in the background and forks the workers. Only the first call chooses the module.
+    A fork of this process itself would copy locks that its threads hold. Linear algebra is limited to one thread per
+    process, because the workers would otherwise compete for the processors.
     """
-    from multiprocessing import forkserver, get_context  # most processes have no workers
+    from multiprocessing import forkserver, get_context  # imported here, because most processes have no workers
 
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -282,7 +286,7 @@ def worker_context(module: str) -> BaseContext:
     return context
 
 
-READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
+READY_TIME = 120.0  # s: the plant compiles its physics at the first use on a machine
 END_TIME = 15.0  # s
 OVERTIME = 30.0  # s beyond the requested duration after which the daemon counts as hung
 
@@ -294,7 +298,7 @@ def tsa(*arguments: str) -> list[str]:
 
 @contextlib.contextmanager
 def plant(folder: Path, record: str | None = None) -> Iterator[subprocess.Popen[str]]:
-    """Run `tsa plant plant.toml` in `folder`, wait until it is ready, and end it when the block is left."""
+    """Run `tsa plant plant.toml` in `folder`, wait until it is ready, and end it when the block ends."""
     more = [] if record is None else ["--record", record]
     process = subprocess.Popen(
         tsa("plant", "plant.toml", *more),
@@ -343,8 +347,16 @@ def _wait_ready(process: subprocess.Popen[str]) -> None:
 def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
     """Run `tsa run controller-NAME.toml` in `folder` for `seconds` of torque, and return its summary.
 
-    If this function is left early, the daemon receives SIGTERM, which ramps the torque to 0, and is waited for. `tick`
-    is called with the elapsed share of the time. Raises BusError with the daemon's last line if it fails.
+    An exception sends SIGTERM to the daemon, which ramps the torque to 0, and waits for its end.
+
+    Args:
+        folder: folder of the files.
+        name: NAME of the controller file.
+        seconds: time with torque, s.
+        tick: function called repeatedly with the elapsed share of the time, 0 to 1.
+
+    Raises:
+        BusError: The daemon failed (with its cause or last line), or did not end in time.
     """
     command = tsa("run", f"controller-{name}.toml", "--seconds", f"{seconds:g}", "--json")
     process = None
@@ -385,12 +397,12 @@ def _last_line(text: str) -> str:
     return lines[-1] if lines else "no word from it"
 
 
-PER_INTERVAL = 4  # signs of life in the time after which the manager would act
+PER_INTERVAL = 4  # signs of life within the manager's time-out
 LONGEST = 60.0  # s that a new bring-up, or the end of a run, may take without a sign of life
 
 
 class Notifier:
-    """Says what changed; does nothing without a service manager."""
+    """Notify the service manager of state changes. Without a service manager, do nothing."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         address = environment.get("NOTIFY_SOCKET", "")
@@ -403,9 +415,13 @@ class Notifier:
         self._ready = self._stopping = False
 
     def update(self, now: float, status: str, up: bool, ending: bool) -> None:
-        """Notify the supervisor; the loop calls this several times per second.
+        """Notify the service manager. The loop calls this several times per second.
 
-        `now`: monotonic time in s; `status`: short text for the operator.
+        Args:
+            now: monotonic time, s.
+            status: short text for the operator.
+            up: True once startup is over.
+            ending: True once the run is ending.
         """
         if self._socket is None:
             return
@@ -422,10 +438,7 @@ class Notifier:
 
     @contextlib.contextmanager
     def no_loop(self) -> Iterator[None]:
-        """Allow a longer silence inside the block, in which a bring-up runs instead of the loop.
-
-        A bring-up takes longer than the permitted time between two notifications.
-        """
+        """Allow a longer silence in the block, because a bring-up takes longer than the manager's time-out."""
         self._allow(LONGEST)
         try:
             yield
@@ -438,18 +451,18 @@ class Notifier:
             self._socket = None
 
     def _allow(self, seconds: float) -> None:
-        """Let the manager wait this long for a sign of life, but never less than configured."""
+        """Request that the manager wait this long (s) for a sign of life, but never less than configured."""
         if self._interval is not None:
             self._say(f"WATCHDOG_USEC={round(1e6 * max(seconds, self._interval))}\nWATCHDOG=1")
 
     def _say(self, text: str) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # no receiver, or too busy: the loop has other things to do
+            with contextlib.suppress(OSError):  # no receiver, or a full queue: the loop must not wait
                 self._socket.sendto(text.encode(), self._address)
 
 
 def _interval(environment: Mapping[str, str]) -> float | None:
-    """WATCHDOG_USEC in s, when it is meant for this process."""
+    """Return WATCHDOG_USEC in s, or None if it is not meant for this process."""
     usec, pid = environment.get("WATCHDOG_USEC", ""), environment.get("WATCHDOG_PID", "")
     if not usec.isdecimal() or int(usec) == 0 or pid not in ("", str(os.getpid())):
         return None

@@ -1,7 +1,8 @@
-"""Real time on Linux: absolute deadlines, whole periods skipped and counted, and rights that are read back.
+"""Run in real time on Linux, with absolute deadlines, counted overruns, and rights that are read back.
 
-A right that is asked for and not in force is an error unless the settings allow running without. Garbage collection is
-frozen: existing objects are never scanned again, and the loop makes no reference cycles.
+A requested right that is not in force is an error, unless the settings permit running without it. Garbage collection is
+frozen: existing objects are never scanned again, and the loop creates no reference cycles. An overrun skips whole
+periods.
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from msgspec import Meta
 from tsa_ctrl.errors import BusError
 
 MCL_CURRENT, MCL_FUTURE = 1, 2  # asm-generic/mman.h
-RATES = (2000, 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10)  # Hz, with periods that every drive takes (0x60C2)
-SKIPPED_SHARE = 0.01  # 1, of the periods of a second; from this share on skipped periods are reported
+RATES = (2000, 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10)  # Hz, with periods that every drive accepts (0x60C2)
+SKIPPED_SHARE = 0.01  # 1, share of the periods of a second above which skipped periods are reported
 _SECOND = 1.0  # s
-_HOLD_UPS = 2  # overruns within a second that show nothing of how long a cycle takes
-_KEPT = 2.5  # s for which an overrun is kept: a second before the last report, and the second since
+_HOLD_UPS = 2  # overruns within a second that are not attributed to the execution time of a cycle
+_KEPT = 2.5  # s for which an overrun is kept: one second before the last report, and the second after it
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -34,8 +35,8 @@ class RealtimeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
     priority: Annotated[int, Meta(ge=1, le=99)] = 80  # SCHED_FIFO
     lock_memory: bool = True
     cpu: Annotated[int, Meta(ge=0, le=1023)] | None = None  # run on this processor only; default: any
-    wake_early: Annotated[float, Meta(ge=0.0, le=1e-3)] = 2e-4  # s at most before a deadline; how much is learned
-    allow_without: bool = False  # run even if the scheduler or the memory lock is refused
+    wake_early: Annotated[float, Meta(ge=0.0, le=1e-3)] = 2e-4  # s, longest lead before a deadline; the lead is learned
+    allow_without: bool = False  # run even without real-time scheduling, memory lock or the processor
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,13 @@ class Rights:
 
 
 def acquire(settings: RealtimeSettings) -> Rights:
-    """Take real-time scheduling and lock the memory; raise BusError when refused and not allowed to run without.
+    """Request real-time scheduling and lock the memory.
 
-    Threads and processes started afterwards run without (SCHED_RESET_ON_FORK): none of them may hold up the loop.
+    Threads and processes that are started later run without real-time scheduling (SCHED_RESET_ON_FORK), so that they
+    cannot delay the loop.
+
+    Raises:
+        BusError: A right was refused, and `allow_without` is not set.
     """
     missing: list[str] = []
     if settings.cpu is not None:
@@ -80,7 +85,7 @@ def acquire(settings: RealtimeSettings) -> Rights:
 
 
 def freeze_garbage() -> None:
-    """Existing objects are never scanned again, and no collection starts; called right before the loop."""
+    """Exclude existing objects from garbage collection, and disable it. Call this right before the loop."""
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -97,7 +102,7 @@ def in_force(missing: tuple[str, ...] = ()) -> Rights:
 
 
 def release() -> None:
-    """Give back what `acquire` and `freeze_garbage` took, so that the slow end of a run does not hold the machine."""
+    """Undo `acquire` and `freeze_garbage`, so that the slow end of a run does not block the machine."""
     gc.enable()
     gc.unfreeze()
     _libc.munlockall()
@@ -106,18 +111,18 @@ def release() -> None:
 
 
 class Overruns:
-    """Keep the cycles of the last seconds that took longer than their period."""
+    """The cycles of the last seconds that took longer than their period."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, int, float]] = deque()
 
     def add(self, now: float, periods: int, took: float) -> None:
-        """Keep one overrun.
+        """Add one overrun.
 
         Args:
-            now: when the cycle ended, s.
-            periods: how many periods it skipped.
-            took: time from its deadline to its end, s.
+            now: end of the cycle, s.
+            periods: number of skipped periods.
+            took: time from the deadline to the end of the cycle, s.
         """
         recent = self._recent
         recent.append((now, periods, took))
@@ -125,11 +130,14 @@ class Overruns:
             recent.popleft()
 
     def skipped(self, begin: float) -> int:
-        """Return how many periods were skipped since `begin`, s."""
+        """Return the number of periods that were skipped since `begin` (s)."""
         return sum(periods for now, periods, _ in self._recent if now >= begin)
 
     def worst_second(self, since: float) -> tuple[int, float]:
-        """Return the most periods that were skipped within a second that ended after `since` (s), and its begin, s."""
+        """Return the largest number of periods skipped within one second, and the start of that second, s.
+
+        Only seconds that ended after `since` (s) count.
+        """
         worst, begin, within = 0, since, 0
         first, recent = 0, tuple(self._recent)
         for now, periods, _ in recent:
@@ -142,14 +150,14 @@ class Overruns:
         return worst, begin
 
     def clear(self) -> None:
-        """Forget all overruns, after a new bring-up."""
+        """Discard all overruns after a new bring-up."""
         self._recent.clear()
 
     def remedy(self, begin: float, planned: int) -> str:
-        """Return what ends the overruns: a rate that this machine reaches, or what to look for.
+        """Return the remedy for the overruns: a rate that this machine reaches, or the likely cause.
 
         Args:
-            begin: start of the time that is judged, s.
+            begin: start of the evaluated time, s.
             planned: periods in that time. A rate is reached if less than `SKIPPED_SHARE` of the cycles take longer.
         """
         took = sorted((took for now, _, took in self._recent if now >= begin), reverse=True)
@@ -169,10 +177,18 @@ class Overruns:
 
 
 class Ticker:
-    """Gives the absolute deadlines of a fixed rate; `skipped` counts whole periods that were lost."""
+    """The absolute deadlines of a fixed rate.
+
+    Attributes:
+        period: period, ns.
+        deadline: present deadline, ns of CLOCK_MONOTONIC.
+        skipped: number of skipped periods.
+        overruns: number of cycles that took longer than their period.
+        history: overruns of the last seconds.
+    """
 
     def __init__(self, period: int, start: int) -> None:
-        """`period` and `start` (the first deadline) in ns of CLOCK_MONOTONIC."""
+        """Prepare the deadlines; `period` and `start` (the first deadline) are in ns of CLOCK_MONOTONIC."""
         self.period = period
         self.deadline = start
         self.skipped = 0
@@ -180,12 +196,12 @@ class Ticker:
         self.history = Overruns()
 
     def advance(self, now: int) -> int:
-        """Move to the next deadline after one cycle that ended at `now`; returns how many periods were skipped."""
+        """Move to the next deadline after a cycle that ended at `now` (ns). Return the number of skipped periods."""
         self.deadline += self.period
         late = now - self.deadline
         if late <= 0:
             return 0
-        skip = -(-late // self.period)  # a deadline that is due exactly now is not skipped, here and above
+        skip = -(-late // self.period)  # as above, a deadline that is due exactly now is not skipped
         self.history.add(1e-9 * now, skip, 1e-9 * (late + self.period))
         self.deadline += skip * self.period
         self.skipped += skip

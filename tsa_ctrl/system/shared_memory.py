@@ -1,21 +1,21 @@
 """Share memory between processes without a lock, with one rule by which a reader accepts a content.
 
-A word is 8 bytes, aligned, with one writer. It goes through a memoryview cast to "Q", which copies it by a memcpy of
-constant size: one load or store of a 64-bit processor, never half of one. (`struct.pack_into` with "<" or "=" may copy
-byte by byte.)
+A word is 8 aligned bytes with one writer. It is accessed through a memoryview cast to "Q", which copies it by a memcpy
+of constant size. On a 64-bit processor this is one load or store, never half of one. (`struct.pack_into` with "<" or
+"=" may copy byte by byte.)
 
-Readers do not rely on the order of two writes. Another processor may see them in the opposite order (ARM does that, x86
-does not), and Python has no memory barrier. Content longer than a word is therefore stored in a place, which holds a
-number, a checksum over number and content, and the content. A reader copies the place and accepts the copy only if its
-number is the requested one and the checksum is correct. A copy made during a write is discarded. This holds on every
-machine, because it assumes nothing about it; an incorrect copy is accepted once in 2^32 such cases. The checksum adds
-0.6 us to the storing of a record of 25 numbers.
+Readers do not rely on the order of two writes. Another processor may observe them in the opposite order (on ARM, but
+not on x86), and Python has no memory barrier. Content longer than a word is therefore stored in a place, which holds a
+number, a checksum over number and content, and the content. A reader copies the place, and accepts the copy only if it
+has the requested number and a correct checksum. A copy made during a write is discarded. This rule assumes nothing
+about the machine. It accepts an incorrect copy once in 2^32 such cases. The checksum adds 0.6 us to storing a record of
+25 numbers.
 
 A writer that writes repeatedly alternates between two or more places. If it is stopped during a write, readers still
-have the content before it.
+have the previous content.
 
-The memory has no name (memfd) and is handed to child processes as a descriptor: it ends with its last user, however
-that one ends.
+The memory has no name (memfd), and child processes receive it as a descriptor. It is freed when its last user ends for
+any reason.
 """
 
 from __future__ import annotations
@@ -25,21 +25,28 @@ import os
 import struct
 from zlib import crc32
 
-_HEAD = struct.Struct("=QQ")  # check sum, and the length of the content above its 32 bits; number
+_HEAD = struct.Struct("=QQ")  # 1st word: checksum (low 32 bits) and length of the content (high 32 bits); 2nd: number
 _WORD = struct.Struct("=Q")
-_LINE = 64  # bytes of a cache line: places begin on one
+_LINE = 64  # bytes of a cache line; each place starts on one
 _U32 = 0xFFFFFFFF
-_TRIES = 100  # of a reader; one is lost only when whole writes began and ended in the middle of it
+_TRIES = 100  # attempts of a reader; an attempt fails only if whole writes start and end during it
 
 
 class SharedMemory:
-    """Hold `size` bytes, created and touched once so that no page fault comes later, or mapped from a `descriptor`.
-
-    They are created in the memory of a `descriptor` that is empty.
-    """
+    """Memory that is shared by a descriptor."""
 
     def __init__(self, size: int, descriptor: int | None = None) -> None:
-        """Create or map the memory; raises ValueError if the descriptor has fewer bytes."""
+        """Create the memory, or map an existing one.
+
+        New memory is written once, so that no page fault occurs later.
+
+        Args:
+            size: bytes.
+            descriptor: memory to map, or to create if it is empty; None for a new descriptor.
+
+        Raises:
+            ValueError: The descriptor has fewer bytes.
+        """
         if descriptor is None:
             descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
         made = os.fstat(descriptor).st_size == 0
@@ -53,11 +60,11 @@ class SharedMemory:
         self.words = self._view[: size // 8 * 8].cast("Q")
 
     def array(self, at: int, count: int) -> memoryview:
-        """Return `count` words from byte `at` on."""
+        """Return `count` words, starting at byte `at`."""
         return self.words[at // 8 : at // 8 + count]
 
     def close(self) -> None:
-        """Unmap the memory and close the descriptor; raises BufferError while an `array` is in use."""
+        """Unmap the memory and close the descriptor. Raise BufferError while an `array` is in use."""
         self.words.release()
         self._view.release()
         self.bytes.close()
@@ -65,15 +72,22 @@ class SharedMemory:
 
 
 def space(count: int, size: int) -> int:
-    """Return the bytes of `count` places for contents of up to `size` bytes."""
+    """Return the size in bytes of `count` places for contents of up to `size` bytes."""
     return count * (-(-(_HEAD.size + size) // _LINE) * _LINE)
 
 
 class Places:
-    """Hold contents that are numbered from 1; number n lies in place n modulo `count`."""
+    """Contents that are numbered from 1. Number n is stored in place n modulo `count`."""
 
     def __init__(self, memory: SharedMemory, at: int, count: int, size: int) -> None:
-        """Use the memory from byte `at` (a multiple of 64) on; `size`: length of the longest content in bytes."""
+        """Lay out the places.
+
+        Args:
+            memory: shared memory.
+            at: first byte of the places, a multiple of 64.
+            count: number of places.
+            size: length of the longest content, bytes.
+        """
         self._bytes = memory.bytes
         self._words = memory.words
         self._step = space(1, size)
@@ -82,7 +96,7 @@ class Places:
         self.size = size
 
     def write(self, number: int, content: bytes) -> None:
-        """Write a content, in the one process that writes; raises ValueError if it is too long."""
+        """Write a content. Only one process may write. Raise ValueError if the content is too long."""
         length = len(content)
         if length > self.size:
             raise ValueError(f"{length} bytes, there is room for {self.size}")
@@ -91,9 +105,9 @@ class Places:
         self._bytes[at : at + _HEAD.size + length] = _WORD.pack(crc32(summed) | length << 32) + summed
 
     def read(self, number: int) -> bytes | None:
-        """Return the content of this number, or None unless it is complete."""
+        """Return the content with this number, or None if it is missing or incomplete."""
         at = self._at[number % self.count]
-        if self._words[at // 8 + 1] != number:  # spares the copy, in which it is looked at again
+        if self._words[at // 8 + 1] != number:  # saves the copy, whose number is checked again
             return None
         copy = self._bytes[at : at + self._step]
         check, found = _HEAD.unpack_from(copy)
@@ -105,7 +119,7 @@ class Places:
         return self._words[self._at[number % self.count] // 8 + 1]
 
     def newest(self) -> tuple[int, bytes]:
-        """Return number and bytes of the newest complete content; 0 and no bytes before the first."""
+        """Return number and bytes of the newest complete content, or 0 and no bytes before the first one."""
         words = self._words
         for _ in range(_TRIES):
             claimed = sorted((words[at // 8 + 1] for at in self._at), reverse=True)
@@ -118,7 +132,7 @@ class Places:
 
 
 class Newest:
-    """Hold one content that is written repeatedly, in two places in turn; a reader gets the newest complete one."""
+    """A content that is written repeatedly, alternating between two places. Readers obtain the newest complete one."""
 
     def __init__(self, memory: SharedMemory, at: int, size: int) -> None:
         self._places = Places(memory, at, 2, size)
@@ -126,19 +140,19 @@ class Newest:
         self._taken = 0
 
     def write(self, content: bytes) -> None:
-        """Write the content, in the one process that writes; raises ValueError if it is too long."""
+        """Write the content. Only one process may write. Raise ValueError if the content is too long."""
         self._number += 1
         self._places.write(self._number, content)
 
     def read(self) -> tuple[int, bytes]:
-        """Return number and content; 0 and no bytes before the first, or if each attempt was overwritten."""
+        """Return number and content, or 0 and no bytes before the first one or if each attempt was overwritten."""
         one, other = self._places.claimed(0), self._places.claimed(1)
         number = one if one > other else other
         content = self._places.read(number) if number else None
         return self._places.newest() if content is None else (number, content)
 
     def take(self) -> bytes | None:
-        """Return the newest content once; None without a new one."""
+        """Return the newest content once, or None without new content."""
         if self._places.claimed(0) <= self._taken and self._places.claimed(1) <= self._taken:
             return None
         number, content = self.read()

@@ -1,7 +1,7 @@
-"""Sleep until an absolute time of the monotonic clock, or wait for a timer that was set before.
+"""Sleep until an absolute time of the monotonic clock, or wait for a timer that was set earlier.
 
-Linux: clock_nanosleep(2) with TIMER_ABSTIME, and timerfd_create(2). Standard library only: the first process of the
-guest of tools/vcan imports this module.
+The module uses clock_nanosleep(2) with TIMER_ABSTIME and timerfd_create(2) of Linux. It imports the standard library
+only, because the first process of the guest of tools/vcan imports it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _set.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.POINTER(_Timerspec), ctypes.
 
 
 def sleep_until(deadline: int) -> None:
-    """Sleep until `deadline` (ns of CLOCK_MONOTONIC); a signal's Python handler runs, then the sleep goes on."""
+    """Sleep until `deadline` (ns of CLOCK_MONOTONIC). A signal handler interrupts the sleep, which then continues."""
     request = _Timespec(*divmod(deadline, 1_000_000_000))
     while _sleep(CLOCK_MONOTONIC, TIMER_ABSTIME, request, None) != 0:
         if time.monotonic_ns() >= deadline:
@@ -37,9 +37,10 @@ def sleep_until(deadline: int) -> None:
 
 
 class Alarm:
-    """A descriptor `fd` that becomes readable at a time given beforehand, so that waiting for it sets no timer.
+    """A descriptor `fd` that becomes readable at a preset time, so that waiting for it sets no timer.
 
-    Raises OSError where the kernel gives none.
+    Raises:
+        OSError: The kernel provides no such timer.
     """
 
     def __init__(self) -> None:
@@ -50,27 +51,32 @@ class Alarm:
         self._request = _Timerspec()
 
     def set(self, deadline: int) -> None:
-        """Make the descriptor readable from `deadline` (ns of CLOCK_MONOTONIC, above 0) on, and not before."""
+        """Make the descriptor readable at `deadline` (ns of CLOCK_MONOTONIC, above 0), and not earlier."""
         value = self._request.value
         value.seconds, value.nanoseconds = divmod(deadline, 1_000_000_000)
         _set(self.fd, TFD_TIMER_ABSTIME, self._request, None)
 
     def close(self) -> None:
-        """Give the descriptor back; once."""
+        """Close the descriptor. Call this only once."""
         os.close(self.fd)
 
 
 class Lead:
-    """How much before a deadline to ask to be woken: what waking has cost lately, `most` (s) at most."""
+    """The time before a deadline at which to request the wake-up, learned from recent wake-up latencies.
 
-    GAIN = 0.1  # of the difference by which one observation moves it
-    STEP = 4e-6  # s at most: a stall counts no more than that
+    Attributes:
+        value: present lead, s.
+    """
+
+    GAIN = 0.1  # share of the difference by which one observation changes the lead
+    STEP = 4e-6  # s, largest change, which limits the effect of a stall
 
     def __init__(self, most: float) -> None:
+        """Start with a lead of 0; `most` is the largest lead, s."""
         self.value = 0.0
         self._most = most
 
     def learn(self, late: float) -> None:
-        """`late`: s from the time asked for to being awake."""
+        """Adapt the lead to one observation; `late` is the time from the requested to the actual wake-up, s."""
         step = max(-self.STEP, min(self.GAIN * (late - self.value), self.STEP))
         self.value = max(0.0, min(self.value + step, self._most))

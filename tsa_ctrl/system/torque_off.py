@@ -1,4 +1,4 @@
-"""An output of this computer for safe torque off: a command, a GPIO line, or a modem line of a serial port."""
+"""Switch an output of this computer for safe torque off: a command, a GPIO line, or a modem line of a serial port."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _BAUD_RATE = 9600  # bit/s
 
 
 class OutputSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One of `command`, `gpio` and `serial`."""
+    """[monitor] output: exactly one of `command`, `gpio` and `serial`."""
 
-    command: tuple[str, ...] = ()  # program and arguments, run until it ends with 0
+    command: tuple[str, ...] = ()  # program and arguments, started again until it ends with 0
     gpio: Annotated[str, Meta(pattern=r"^\w+:\d+$")] | None = None  # chip:line, active while torque is permitted
-    serial: Annotated[str, Meta(min_length=1)] | None = None  # port, its modem line on while torque is permitted
+    serial: Annotated[str, Meta(min_length=1)] | None = None  # port, with its modem line on while torque is permitted
     line: Literal["dtr", "rts"] = "dtr"  # modem line of that port
 
     def __post_init__(self) -> None:
@@ -40,14 +40,14 @@ class OutputSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class MonitorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[monitor]: whether the second channel runs, and its output."""
+    """[monitor]: switch and output of the second channel."""
 
     enabled: bool | None = None  # default: true in class "worn", else false
     output: OutputSettings | None = None  # in addition to NMT stop
 
 
 def check_output(output: OutputSettings, where: str) -> None:
-    """Raise UsageError if this computer lacks a package or a program of the output; switch nothing."""
+    """Raise UsageError if this computer lacks a package or a program for the output. Switch nothing."""
     if output.gpio is not None and importlib.util.find_spec("gpiod") is None:
         raise UsageError(f"{where}: gpio \"{output.gpio}\" needs the package gpiod; install it: pip install '.[gpio]'")
     if output.command and shutil.which(output.command[0]) is None:
@@ -55,10 +55,15 @@ def check_output(output: OutputSettings, where: str) -> None:
 
 
 class TorqueOff:
-    """Permit torque from the start, and remove it with `off`. If the process ends, a line becomes inactive."""
+    """An output that permits torque once it is opened, and removes it with `off`. Lines go inactive at process end.
+
+    Attributes:
+        permit: switches a serial output to permit torque.
+        off: removes torque, and returns True once this is done. Call it repeatedly until then.
+    """
 
     def __init__(self, output: OutputSettings | None, where: str = "[monitor] output") -> None:
-        """Raises UsageError when the line cannot be opened."""
+        """Open the output. Raise UsageError if its line cannot be opened."""
         self.permit: Callable[[], None] = lambda: None
         self.off: Callable[[], bool] = lambda: True
         self._running: subprocess.Popen[bytes] | None = None
@@ -108,7 +113,7 @@ class TorqueOff:
         self.permit, self.off = lambda: switch(True), off
 
     def _run(self, command: tuple[str, ...]) -> bool:
-        """Start the command, and again when it failed; return True once it ended with 0."""
+        """Start the command, and start it again after a failure. Return True once it has ended with 0."""
         if self._running is not None and self._running.poll() is not None:
             self._done = self._done or self._running.returncode == 0
             self._running = None

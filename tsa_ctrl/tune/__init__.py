@@ -1,1 +1,1 @@
-"""`tsa tune`: excite a rig, estimate, verify on another motion, and write the model file after a yes."""
+"""Implement `tsa tune`: excite a rig, estimate, verify on another motion, and write the files once the user agrees."""

@@ -1,8 +1,9 @@
-"""Tune by the tendon elongation, which two encoders and the motor torque determine, with and without a torque sensor.
+"""Estimate parameters from the tendon elongation, which two encoders and the motor torque determine.
 
 Without a joint torque sensor, stiffness and friction are estimated from the elongation. The curvature profile then
 comes from the file, because it cannot be separated from the friction. The verification runs also use the elongation.
-With a sensor, the elongation shows where the tendons slide along their whole length; the joint's motion alone does not.
+With a sensor, the elongation shows when the tendons slide along their whole length, which the joint's motion alone does
+not show.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ ROUNDS = 4  # iterations: the error of the friction torque is 1e-6 after three
 
 
 def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
-    """Return the reason why the elongation cannot determine the joint torque, with the remedy; empty if it can."""
+    """Return why the elongation cannot determine the joint torque, with the remedy, or an empty string if it can."""
     if not has_encoder:
         return "no [axis.encoder], so that the tendons' stretch is not known either; give one"
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
@@ -39,7 +40,7 @@ def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
 
 
 def moved_by_hand(torque: float) -> str:
-    """Return the advice for a joint that moves too little by its own torque; `torque`: N*m, its upper limit."""
+    """Return the advice for a joint that its own torque, up to `torque` (N*m), moves too little."""
     return (
         "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
         f"fro all the while, against up to {torque:.2g} N*m"
@@ -47,14 +48,14 @@ def moved_by_hand(torque: float) -> str:
 
 
 def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
-    """Return the estimate of stiffness, friction angle and pretension; the form of the transmission stays.
+    """Return the estimate of stiffness, friction angle and pretension. The form of the transmission stays the same.
 
-    The joint torque by the elongation cannot show how friction changes with the wrap angle, because it contains the
-    model's friction. If other joints bend the sheaths, the elongation itself shows by how much. The estimate is then
-    made at the mean wrap angle and converted to bending_angle.
+    The joint torque from the elongation contains the model's friction, so it cannot show how friction changes with the
+    wrap angle. If other joints bend the sheaths, the elongation itself shows by how much. The estimate is then made at
+    the mean wrap angle and converted to bending_angle.
 
     Raises:
-        UsageError: the logs do not determine a parameter.
+        UsageError: The logs do not determine a parameter.
     """
     routed = fit_routing(of_elongation(logs, model), model, certified_gain=False, by_elongation=True)
     if routed is not None:
@@ -108,7 +109,7 @@ def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate
         low <= value <= high
         for value, (low, high) in zip((model.friction_angle, model.pretension), bounds(stiff), strict=True)
     )
-    if inside:  # if a limb creeps between strokes, parts of the tendons stick, and the fit gives 0.56 for 0.61 N*m
+    if inside:  # if a limb creeps between strokes, parts of the tendons stick: a regression returns 0.56 for 0.61 N*m
         x, tension = (
             dataclasses.replace(was, value=value, low=min(was.low, value), high=max(was.high, value))
             for was, value in (
@@ -132,18 +133,18 @@ def _at_one_wrap_angle(logs: Sequence[Dataset], model: TendonSheath) -> Estimate
 
 
 def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
-    """Return the estimate by a joint torque sensor, with the friction torque by the elongation if the two disagree.
+    """Return the estimate from a joint torque sensor, with the friction torque from the elongation if they disagree.
 
-    If a limb creeps between its strokes, the joint moves while the tendons slide only in part, and a regression of such
-    samples gives too little friction. A simulation of the tendons along the log does not have this error. `found` is
-    returned unchanged in these cases:
+    If a limb creeps between its strokes, the joint moves while only part of the tendons slides, and a regression of
+    these samples underestimates the friction. A simulation of the tendons along the log does not have this error.
+    `found` is returned unchanged in these cases:
 
     * The elongation does not determine the friction.
     * Several configurations separated x and T_p0.
     * The model has other effects than the curvature profile, because the elongation does not show their torque.
 
-    The two models may describe the bends differently, and x then has another value for the same torques. Therefore the
-    friction torques at the joint are compared, each by its own form of the transmission.
+    If the two models describe the bends differently, x has different values for the same torques. Therefore the
+    friction torques at the joint are compared, each computed with its own form of the transmission.
     """
     if (found.calibration.split and not found.calibration.by_slope) or set(model.effects) - {COUPLING}:
         return found
@@ -184,15 +185,15 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
 
 
 def _of_bends_at_the_joint(model: TendonSheath) -> float:
-    """Return the friction torque by (3.55), 2 T_p r_J sinh x, over that by the model's own form (1)."""
+    """Return the ratio of the friction torques by (3.55), 2 T_p r_J sinh x, and by the model's own form (1)."""
     plain = model.with_effects({name: value for name, value in model.effects.items() if name != COUPLING})
     return sliding(plain).half_loop / sliding(model).half_loop
 
 
 def _with_half_loop(model: TendonSheath, value: float) -> TendonSheath:
-    """Return the model with x and T_p0 scaled by one factor, so that its friction torque at the joint is `value`, N*m.
+    """Return the model with x and T_p0 scaled by one factor, so that its friction torque at the joint is `value` (N*m).
 
-    The result is approximate after a fixed number of iterations.
+    The factor is approximated in `ROUNDS` iterations.
     """
     for _ in range(ROUNDS):
         change = math.sqrt(value / sliding(model).half_loop)

@@ -1,8 +1,8 @@
-"""Find which of two parameter sets follows the desired joint torque better, by pairs of blocks, with an interval.
+"""Compare the joint torque errors of two parameter sets by pairs of blocks, with an interval of the difference.
 
 The order of the blocks is A B B A A B B A ..., so that a slow drift (warming, relaxation) affects both sets equally.
-Each neighbouring pair gives one difference of the blocks' RMS errors. The interval of their mean is by Student's t with
-pairs - 1 degrees of freedom.
+Each pair of neighbouring blocks yields one difference of RMS errors. The interval of the mean difference follows from
+Student's t distribution with pairs - 1 degrees of freedom.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.parameters import check_bounds
 from tsa_ctrl.outputs import json_types
 
-# Blocks of a running daemon for a comparison: parameters through its socket, errors from its status.
+# The comparison sets parameters through the socket of a running daemon, and reads the errors from its status.
 
 POLL = 0.02  # s between two status requests; the loop publishes the status at 50 Hz
-SETTLE = 1.0  # s after a change that do not count: parameters change smoothly, and friction must reverse once
+SETTLE = 1.0  # s after a change that are not evaluated: parameters change smoothly, and friction must reverse once
 FEWEST = 20  # least number of different samples in a block
-SLOWEST = 12.0  # s, timeout for a parameter to reach its value; the slowest takes 8 s from bound to bound
+SLOWEST = 12.0  # s, time-out for a parameter to reach its value; the slowest takes 8 s from bound to bound
 
 
 class LiveBlocks:
-    """A comparison on one axis of a running daemon: set parameters, measure the error, and restore the old values."""
+    """The blocks of a comparison on one axis of a running daemon."""
 
     def __init__(self, client: Client, sets: Mapping[str, Mapping[str, float]], seconds: float) -> None:
         """Prepare the comparison.
 
         Args:
             client: connection to the daemon.
-            sets: by "a" and "b", the values by parameter, with the names of `tsa set`.
-            seconds: s, duration of a block.
+            sets: values by parameter for "a" and "b", with the parameter names of `tsa set`.
+            seconds: duration of a block, s.
         """
         self._client = client
         self._sets = sets
@@ -48,7 +48,7 @@ class LiveBlocks:
         self.axis = ""
 
     def check(self) -> None:
-        """Raise UsageError for values outside their bounds or for equal sets, before anything is changed."""
+        """Raise UsageError if a value is out of bounds or the sets are equal, before anything is changed."""
         if self._sets["a"] == self._sets["b"]:
             raise UsageError("A and B are the same; give two different values to compare")
         axes = self._client.ask(protocol.Status())["axes"]
@@ -57,7 +57,7 @@ class LiveBlocks:
             for axis in axes:
                 known = axis["parameters"].get(name)
                 if where not in ("", axis["name"]) or known is None or known["low"] is None:
-                    continue  # the daemon reports the reason of a rejection
+                    continue  # if necessary, the daemon rejects the value and reports the reason
                 for values in self._sets.values():
                     check_bounds(parameter, values[parameter], known["low"], known["high"], known["unit"])
 
@@ -65,8 +65,8 @@ class LiveBlocks:
         """Apply one of the two sets, and wait until the values are reached and the motion has settled.
 
         Raises:
-            UsageError: the daemon has not run a cycle, or the parameters belong to several axes.
-            BusError: the values are not reached within `SLOWEST`.
+            UsageError: The daemon has not run a cycle, or the parameters belong to several axes.
+            BusError: The values were not reached within `SLOWEST`.
         """
         for parameter, value in self._sets[name].items():
             answer = self._client.ask(protocol.Set(parameter, value))
@@ -87,8 +87,8 @@ class LiveBlocks:
         """Return the RMS of delivered minus desired joint torque over a block, N*m.
 
         Raises:
-            BusError: the axis is not enabled, or the block has too few different samples.
-            UsageError: the axis has no joint torque sensor.
+            BusError: The axis is not enabled, or the block has too few different samples.
+            UsageError: The axis has no joint torque sensor.
         """
         squares: dict[float, float] = {}
         end = time.monotonic() + self._seconds
@@ -138,7 +138,7 @@ class Comparison:
 
     @property
     def verdict(self) -> str:
-        """Return the result as one sentence; "A" and "B" are the two sets."""
+        """Return the result as one sentence, in which "A" and "B" are the two sets."""
         low, high = self.difference.low, self.difference.high
         if low <= 0.0 <= high:
             most = max(abs(low), abs(high))
@@ -170,16 +170,16 @@ class Comparison:
 
 
 def order(blocks: int) -> tuple[str, ...]:
-    """Return "a" or "b" for each block; the order within the pairs alternates.
+    """Return "a" or "b" for each block. The order within the pairs alternates.
 
-    `blocks`: number of blocks, rounded up to whole pairs.
+    An odd number of `blocks` is rounded up to a whole pair.
     """
     pairs = (blocks + 1) // 2
     return tuple(name for pair in range(pairs) for name in (("a", "b") if pair % 2 == 0 else ("b", "a")))
 
 
 def compare(errors: Sequence[tuple[str, float]]) -> Comparison:
-    """Return the comparison of blocks; `errors`: set and RMS error (N*m) of each block, in the order of `order`."""
+    """Return the comparison of blocks. `errors` has set and RMS error (N*m) of each block, in the order of `order`."""
     firsts, seconds = errors[0::2], errors[1::2]
     a = [e if name == "a" else f for (name, e), (_, f) in zip(firsts, seconds, strict=True)]
     b = [f if name == "a" else e for (name, e), (_, f) in zip(firsts, seconds, strict=True)]
@@ -199,7 +199,7 @@ def compare(errors: Sequence[tuple[str, float]]) -> Comparison:
 def alternate(
     blocks: int, apply: Callable[[str], None], measure: Callable[[], float], tell: Callable[[int, str, float], None]
 ) -> Comparison:
-    """Alternate "a" and "b", measure and report the RMS error of each block; the caller restores the old values."""
+    """Alternate "a" and "b", and measure and report the RMS error of each block. The caller restores the old values."""
     errors = []
     for number, name in enumerate(order(max(blocks, 2 * FEWEST_PAIRS))):
         apply(name)

@@ -1,4 +1,4 @@
-"""Estimate a new model from logs: friction angle, pretension, and the form of the transmission that predicts best."""
+"""Estimate a new model from logs: friction angle, pretension, and the form of the transmission with the least error."""
 
 from __future__ import annotations
 
@@ -32,36 +32,41 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
 
 
-# Estimate where a sheath bends from the angles, by the elongation of the tendons before the joint follows the motor.
+# Estimate where a sheath bends from the tendon elongation, which the angles of motor and joint show.
 #
-# While both tendons slide, (3.37)-(3.41) give the motor's angle beyond the joint's as a line,
+# While both tendons slide, the difference e of the angles is linear in the motor torque by (3.37)-(3.41).
 #
 # e = tau_M / K_s - sigma g / K_s,     g = T_p r_M (A(x) - A(-x)) / (A(x) A(-x)),     A(rho) = mean of exp(rho b)
 #
-# with the stiffness K_s while sliding. g is (1 - s_c) h to first order in x, with the friction torque h at the motor
-# and the centre s_c of the bending: g is h with all bends at the motor, and 0 with all bends at the joint. Both terms
-# have the same scale, so neither the stiffness of the tendons nor the gain of the joint torque enters. The result is
-# one profile with that centre: an even bend from the motor up to a point, or from a point to the joint. Two bends with
+# K_s is the stiffness while sliding. To first order in x, g is (1 - s_c) h, with the friction torque h at the motor and
+# the centre s_c of the bending. Hence g is h with all bends at the motor, and 0 with all bends at the joint. Both terms
+# have the same scale, so the result does not depend on the tendon stiffness or the gain of the joint torque. The result
+# is one profile with that centre: an even bend from the motor to a point, or from a point to the joint. Two bends with
 # the same centre (an S) have the same transmission to second order in x. Their reversals differ by less than 1 % of
 # the friction.
 
 FloatArray = NDArray[np.float64]
 
-DIGITS = 3  # of the position of a point, as a share of the length; more than the interval justifies
-FLOOR = 0.01  # of s_c: an interval is never narrower, because pulleys and encoders are not known better
-NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres that have a name
+DIGITS = 3  # decimals of a point's position as a share of the length; more than the interval justifies
+FLOOR = 0.01  # of s_c, least half width of an interval, because pulleys and encoders are not known more accurately
+NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres of the profiles that have a name
 
 
 @dataclass(frozen=True)
 class Bends:
-    """The bends of a sheath: `centre` s_c, 0 at the motor and 1 at the joint, and `profile` as in a model file."""
+    """The bends of a sheath.
+
+    Attributes:
+        centre: centre s_c of the bending, 0 at the motor and 1 at the joint.
+        profile: curvature profile as in a model file.
+    """
 
     centre: Quantity
     profile: str | Points
 
 
 def course(centre: float) -> Points:
-    """Return the profile of an even bend that begins at one end of the sheath and has this centre (1)."""
+    """Return the profile of an even bend that starts at one end of the sheath and has the centre `centre` (1)."""
     if centre <= 0.5:
         end = round(2.0 * centre, DIGITS)
         return NAMED["motor_end"] if end == 0.0 else ((0.0, 0.0), (end, 1.0), (1.0, 1.0))
@@ -85,10 +90,16 @@ def lost(profile: Profile, x: float) -> float:
 
 
 def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
-    """Return the bends from logs with q_m and q_j in addition to the torques, or None if a log has no such angles.
+    """Return the bends from logs with q_m and q_j in addition to the torques, or None if a log lacks these angles.
 
     The result is also None for a model with a series spring, because its elongation does not depend on the bends.
-    `model` provides x and the radii. Raises UsageError if the joint slides too little.
+
+    Args:
+        logs: logs of a sliding joint.
+        model: model that provides x and the radii.
+
+    Raises:
+        UsageError: The joint slides too little.
     """
     if model.series_stiffness is not None or not all({"q_m", "q_j"} <= set(log.columns) for log in logs):
         return None
@@ -111,7 +122,7 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
 def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[FloatArray, FloatArray]:
     """Return the regressors 1, tau_M, sigma, q_J (n, 4) and the targets e, tau_J (n, 2) of the sliding samples.
 
-    sigma is scaled by the model's friction torque at the present wrap angle over that at the nominal one. The joint
+    sigma is scaled by the ratio of the model's friction torques at the present and at the nominal wrap angle. The joint
     angle absorbs the errors of the ratio of the radii and of the motor inertia.
     """
     mask = prepared.mask
@@ -123,9 +134,9 @@ def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[Flo
 
 
 def beyond_joint(log: Dataset, model: TendonSheath) -> FloatArray:
-    """Return by how much the motor angle exceeds the joint angle and the difference of the paths (3.52), rad, (n,).
+    """Return the motor angle minus the geared joint angle and the path difference (3.52), rad, (n,).
 
-    `log`: completed for the model.
+    `log` must be completed for the model.
     """
     beyond = log["q_m"] - model.joint_pulley_radius / model.motor_pulley_radius * log["q_j"]
     if "theta_difference" in log:
@@ -134,9 +145,9 @@ def beyond_joint(log: Dataset, model: TendonSheath) -> FloatArray:
 
 
 def friction_share(log: Dataset, model: TendonSheath) -> FloatArray:
-    """Return the model's friction torque at the wrap angle of each sample over that at Theta_0, 1, (n,).
+    """Return the ratio of the model's friction torques at the wrap angle of each sample and at Theta_0, 1, (n,).
 
-    `log`: completed for the model. To first order in x the friction torque is x T_p.
+    `log` must be completed for the model. To first order in x the friction torque is proportional to x T_p.
     """
     if "theta" not in log:
         return np.ones(len(log))
@@ -167,15 +178,15 @@ def _centre(ratio: float, x: float) -> float:
     return 1.0 if beyond(1.0) >= 0.0 else float(brentq(beyond, 0.0, 1.0, xtol=1e-3))
 
 
-CLEARLY_BETTER = 0.9  # of the given form's error: the error of another form must be smaller
+CLEARLY_BETTER = 0.9  # of the given form's error: the error of a chosen form must be smaller
 KEPT = 0.95  # share of the samples that count when forms are compared, so that outliers do not decide
 LEAST_GAIN = 0.5  # 1, share of the possible improvement on held-out data that an extension must achieve
-PERIOD = 1e-3  # s, period of the controller that must be able to use an extension; its value has no influence
+PERIOD = 1e-3  # s, period of a controller that tries to use an extension; the result does not depend on it
 COUPLING = "elongation_coupling"
 
 
 class Form(Enum):
-    """How the transmission is described; the values are printed."""
+    """The form of the transmission. The values are printed."""
 
     GIVEN = "as the file gives it"
     UNIFORM = "full model (3.53), evenly bent sheath"
@@ -192,11 +203,14 @@ class Estimate:
     """A new model and its derivation.
 
     Attributes:
-        calibration: of the chosen form of the transmission.
-        errors: RMS error while sliding by form, N*m; all forms have the same two free parameters.
-        effects: names of the effects that were added.
-        parameters: estimated values, those of effects by "effect.parameter".
-        plain: the estimate from the same logs without the effects that the diagnosis added; None if it added none.
+        model: new model.
+        calibration: calibration of the chosen form of the transmission.
+        form: chosen form of the transmission.
+        errors: RMS error while sliding by form, N*m. All forms have the same two free parameters.
+        effects: names of the added effects.
+        notes: notes for the report.
+        parameters: other estimated values by name. The name of an effect's parameter is "effect.parameter".
+        plain: estimate from the same logs without the effects that the diagnosis added; None if it added none.
     """
 
     model: TendonSheath
@@ -218,16 +232,18 @@ def estimate(
 ) -> Estimate:
     """Return the estimate of `model` from logs.
 
-    If the logs have the angles of motor and joint, these show where the sheath bends. Otherwise an evenly bent sheath
-    and one that is bent at the motor are tried.
+    If the logs have the angles of motor and joint, these show where the sheath bends. Otherwise the function tries an
+    evenly bent sheath and a sheath that is bent at the motor.
 
     Args:
+        logs: logs of a sliding joint.
+        model: model of the given file.
         certified_gain: True if the gain of the torque channels is certified.
-        forms: True to estimate where the sheath bends and how late the velocity is as well.
-        routed: the model with the routing that the logs show; None if no other joint bends the sheaths.
+        forms: True to also estimate where the sheath bends and the lag of the velocity.
+        routed: model with the routing from the logs; None if no other joint bends the sheaths.
 
     Raises:
-        UsageError: the logs do not determine the parameters.
+        UsageError: The logs do not determine the parameters.
     """
     excluded = set(CATALOGUE[COUPLING].excludes) & set(model.effects)
     found_bends = bends(logs, routed or model) if forms and not excluded else None
@@ -261,11 +277,11 @@ def estimate(
 
 
 def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_gain: bool) -> Estimate:
-    """Return the estimate with the bends that the angles show, or with the given profile if it agrees with them.
+    """Return the estimate with the bends from the angles, or with the given profile if it agrees with them.
 
-    With all bends at the joint, the transmission is (3.55). A model without a curvature profile does not determine how
-    a reversal travels through the sheath, and the law then assumes an even bend. The profile is therefore written in
-    this case, too.
+    With all bends at the joint, the transmission is (3.55), but the profile is still written. A model without a
+    curvature profile does not determine how a reversal travels through the sheath, and the law would assume an even
+    bend.
     """
     form, bent = Form.GIVEN, model
     if COUPLING not in model.effects or not found.centre.low <= bending_centre(model) <= found.centre.high:
@@ -294,7 +310,7 @@ def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_
 
 
 def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
-    """Return the estimate with the velocity lag that the logs show; unchanged if they show none."""
+    """Return the estimate with the velocity lag from the logs, or the unchanged estimate if they show none."""
     lag = velocity_lag(logs, chosen.model)
     if lag is None:
         return chosen
@@ -312,7 +328,7 @@ def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
 def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
     """Return the RMS prediction error (N*m) of the sliding samples, without its median and without the worst samples.
 
-    Reversals and standstill do not count, because all forms have similar errors there.
+    Reversals and standstill are excluded, because all forms have similar errors there.
     """
     prepared = prepare(logs, model, {})
     errors = np.concatenate([(predict(model, log.signals) - log.tau_j)[log.mask] for log in prepared])
@@ -323,8 +339,8 @@ def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
 def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) -> Estimate:
     """Return the estimate with the effects that a diagnosis identifies, or `without` if these effects are not certain.
 
-    They are certain if each cause is identified without alternatives, the improvement on held-out data is at least
-    `LEAST_GAIN`, and a controller can use the model.
+    The effects are certain if three conditions hold. Each cause is identified without alternatives, the improvement on
+    held-out data is at least `LEAST_GAIN`, and a controller can use the model.
     """
     from tsa_ctrl.identify.diagnosis import diagnose
 
@@ -365,7 +381,7 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
 def _as_extended(without: Calibration, found: Diagnosis, model: TendonSheath) -> Calibration:
     """Return the calibration with the parameters of the diagnosis.
 
-    The intervals of x and T_p become no narrower, unless the diagnosis determines these parameters itself.
+    The intervals of x and T_p do not shrink, unless the diagnosis itself determines these parameters.
     """
     errors = {name: error.found for name, error in found.parameter_errors.items()}
 

@@ -2,8 +2,8 @@
 
 Friction angle and pretension are identifiable from tau_J = slope tau_M - half_loop sigma if the joint slides in both
 directions and the load varies within each direction. A joint that is moved from outside (by a wearer or a test bench)
-needs a torque at other frequencies than this motion. A joint that the drive moves must move in both directions within
-its limits of speed and travel. A probe with little torque shows which of the two cases applies.
+needs a torque at frequencies that differ from this motion. A joint that the drive moves must move in both directions
+within its limits of speed and travel. A probe with little torque determines which case applies.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ FloatArray = NDArray[np.float64]
 
 RATE = 200.0  # Hz of the set-point file; the controller interpolates
 LONGEST = 600.0  # s, longest permitted set-point file
-RAMP = 1.0  # s, duration of the ramp at either end of the torque
+RAMP = 1.0  # s, duration of the ramp at each end of the torque
 PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
 PROBE_SHARES = (0.2, 0.5, 0.9)  # of the torque limit, tried in this order until the joint moves
-FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sensor delays, several periods in 15 s
+FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow compared with sensor delays, many periods in 15 s
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
 VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside the range of the excitation
-OFF = 0.2  # 1, of friction angle and pretension, by which the file may be off while both tendons must pull
-PULLING = 0.8  # of the joint torque at which a tendon then goes slack
+OFF = 0.2  # 1, permitted error of the file's friction angle and pretension, for which both tendons must still pull
+PULLING = 0.8  # of the joint torque at which a tendon goes slack with these errors
 SHAKE_SECONDS = 8.0
-MOVING = 0.05  # rad/s RMS; a slower joint counts as standing
+MOVING = 0.05  # rad/s RMS; a slower joint counts as being at rest
 MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
 HEADROOM = 0.7  # of the permitted speed and of the remaining travel that the scaled response may use
 APART = 0.12  # least relative distance of a frequency from the motion's frequency and its harmonics
@@ -43,7 +43,7 @@ APART = 0.12  # least relative distance of a frequency from the motion's frequen
 
 @dataclass(frozen=True)
 class Bounds:
-    """The limits of the excitation: joint torque (N*m), joint speed (rad/s), joint travel (rad, or None)."""
+    """The limits of the excitation: joint torque (N*m), joint speed (rad/s) and joint travel (rad, or None)."""
 
     torque: float
     speed: float
@@ -63,19 +63,19 @@ class Waveform:
 
     @property
     def peak(self) -> float:
-        """Return the largest size of the torque, N*m."""
+        """Return the largest magnitude of the torque, N*m."""
         return float(np.abs(self.tau_j_des).max())
 
 
 @dataclass(frozen=True)
 class Response:
-    """Hold the result of a probe: speed (rad/s, peak and RMS), angle range (rad), the motion's main frequency (Hz)."""
+    """The joint's motion during a probe."""
 
-    peak_speed: float
-    rms_speed: float
-    angle: tuple[float, float] | None
-    frequency: float
-    by_torque: float  # share of the velocity's variance that the torque explains
+    peak_speed: float  # rad/s
+    rms_speed: float  # rad/s
+    angle: tuple[float, float] | None  # rad, least and largest joint angle
+    frequency: float  # Hz, main frequency of the motion
+    by_torque: float  # 1, share of the velocity's variance that the torque explains
 
 
 @dataclass(frozen=True)
@@ -89,12 +89,17 @@ class Design:
 
 
 def most_torque(model: TendonSheath, limit: float) -> float:
-    """Return the joint torque, N*m, up to which both tendons pull, also with parameters that are `OFF` as a whole.
+    """Return the joint torque (N*m) up to which both tendons pull, even if the parameters are wrong by `OFF`.
 
-    `limit`: of the motor torque, N*m. Raises UsageError if it does not overcome the friction.
+    Args:
+        model: model of the given file.
+        limit: limit of the motor torque, N*m.
+
+    Raises:
+        UsageError: The limit does not overcome the friction.
     """
     x = (1.0 + OFF) * model.friction_angle
-    # With all bends at the joint a tendon goes slack first, and where the sheath bends may not be known yet.
+    # The case with all bends at the joint, in which a tendon goes slack first, because the profile may be unknown yet.
     slack = 2.0 * (1.0 - OFF) * model.pretension * model.joint_pulley_radius * math.exp(-x)
     line = sliding(model, 1.0, x)
     friction = line.motor_half_loop
@@ -108,14 +113,14 @@ def most_torque(model: TendonSheath, limit: float) -> float:
 
 
 def probe(bounds: Bounds, share: float, seconds: float) -> Waveform:
-    """Return a slow torque of `share` of the limit."""
+    """Return a slow torque with the peak `share` times the limit."""
     return multi_sine(PROBE_FREQUENCIES, share * bounds.torque, seconds)
 
 
 def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> Waveform:
     """Return a sum of sines of equal amplitude at `frequencies` (Hz), scaled to `peak` (N*m), with ramps at both ends.
 
-    Schroeder's phases give it a low crest factor.
+    Schroeder's phases keep the crest factor low.
     """
     t = np.arange(0.0, seconds + 0.5 / RATE, 1.0 / RATE)
     count = len(frequencies)
@@ -126,7 +131,7 @@ def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> W
 
 
 def fading(t: FloatArray) -> FloatArray:
-    """Return a factor (n) at the times `t` (s) that rises from 0 to 1 in RAMP, and falls to 0 at the end."""
+    """Return a factor (n,) at the times `t` (s) that rises from 0 to 1 within RAMP, and falls to 0 at the end."""
     edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
     return np.asarray(0.5 * (1.0 - np.cos(np.pi * edge)))
 
@@ -135,7 +140,7 @@ def from_file(path: Path) -> Waveform:
     """Return the joint torque of a set-point file (columns t in s, tau_j_des in N*m), with ramps at both ends.
 
     Raises:
-        UsageError: the file cannot be played, is shorter than four ramps or longer than `LONGEST`, or has no torque.
+        UsageError: The file cannot be played, is shorter than four ramps or longer than `LONGEST`, or has no torque.
     """
     columns = read_waypoints(path, ("tau_j_des",)).columns
     given = from_zero(columns["t"])
@@ -184,12 +189,13 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
 
     Args:
         found: response of the joint to the probe.
-        probed: N*m, peak of the probe.
-        seconds: s, duration of the excitation.
-        verification_seconds: s, duration of the verification.
+        probed: peak of the probe, N*m.
+        bounds: permitted torque, speed and travel of the joint.
+        seconds: duration of the excitation, s.
+        verification_seconds: duration of the verification, s.
 
     Raises:
-        UsageError: the joint hardly moves, is moved faster than permitted, or is at the end of its travel.
+        UsageError: The joint hardly moves, is moved faster than permitted, or is at the end of its travel.
     """
     if found.rms_speed < MOVING:
         raise UsageError(

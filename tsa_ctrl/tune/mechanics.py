@@ -5,8 +5,8 @@
     compensation                     lower end of the friction torque's interval, so friction is not overcompensated
     feedback                         `FEEDBACK`, on an axis with a joint torque sensor
 
-The damping gain keeps a gain margin of 2 at that delay, for stiffnesses from 0.8 to 1.25 of the measured one. If no
-useful gain satisfies this, damping is set to 0, and file and report have the reason.
+The damping gain keeps a gain margin of 2 at that delay for stiffnesses of 0.8 to 1.25 times the measured one. If no
+useful gain satisfies this, damping is set to 0, and the file and the report state the reason.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from tsa_ctrl.tune.delay import Delay, command_delay
 from tsa_ctrl.tune.estimate import Estimate
 from tsa_ctrl.tune.swing import Swing, swing
 
-# The keys of [axis.law] that a tuning may change in the controller's file; all of them follow from measurements.
+# The keys of [axis.law] that a tuning may change in the controller file. All but `feedback` follow from measurements.
 MOTOR = ("motor_inertia", "delay", "ringing", "turn", "lead", "damping")  # describe and damp the motor
 FEEDBACK_KEY = "feedback"
 TUNED = (*MOTOR, "compensation", FEEDBACK_KEY)
-MARK = "tsa tune: "  # start of the comment that is written after each key
+MARK = "tsa tune: "  # start of the comment after each written key
 
 
 @dataclass(frozen=True)
 class Key:
-    """Hold a value of [axis.law] and the comment written on the same line."""
+    """A value of [axis.law] and the comment on the same line."""
 
     value: float
     comment: str
@@ -52,7 +52,10 @@ class Key:
 def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
     """Return the file's text with these keys in the axis' [axis.law], each with its comment.
 
-    Everything else in the file keeps its values and layout. Raises UsageError if the layout prevents the change.
+    All other values and the layout of the file stay the same.
+
+    Raises:
+        UsageError: The layout of the file prevents the change.
     """
     document: Any = tomlkit.parse(text)
     table = next(table for table in document["axis"] if table["name"] == axis)
@@ -80,7 +83,8 @@ def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
 def moved(text: str, axis: str, model: str, folder: Path) -> str:
     """Return the file's text for use in another folder.
 
-    The axis' model becomes `model`. Other relative paths become absolute, resolved from `folder`.
+    The axis' model becomes `model`. The relative paths of other models, drive profiles and set-point files are resolved
+    from `folder`.
     """
     document: Any = tomlkit.parse(text)
     for table in document["axis"]:
@@ -111,15 +115,15 @@ LEAST_MARGIN = 2.0
 DIGITS = 3  # significant digits of derived values
 MOST_COMPENSATION = 0.98  # upper limit for any interval: friction may drop by 2 % before a guard detects it
 LEAST_COMPENSATION = 0.8  # below this, the friction interval is too wide to use
-# Hz of the torque sensor's correction: above a gait's 1 Hz, and a tenth of the ringing of heavy motors. On random rigs
-# 3 and 6 Hz give nearly the same error.
+# Hz, bandwidth of the torque sensor's correction: above the 1 Hz of a gait, and a tenth of the ringing of heavy motors.
+# On random rigs 3 and 6 Hz have nearly the same error.
 FEEDBACK = 3.0
-STIFFEST = 10.0  # largest plausible ratio of measured to model stiffness, or its inverse
+STIFFEST = 10.0  # largest plausible ratio of measured and model stiffness, and of its inverse
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Hold the results of the shake phase; a result is None if it was not measured, and `notes` give the reason."""
+    """The results of the shake phase. A result that was not measured is None, and `notes` have the reason."""
 
     delay: Delay | None
     swing: Swing | None
@@ -128,10 +132,13 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class LawTuning:
-    """Hold the derived keys of [axis.law] and the measurements behind them.
+    """The derived keys of [axis.law] and the measurements behind them.
 
-    `quantities` are the measurements with their intervals. `margin` is the gain margin of the damping, None without
-    damping.
+    Attributes:
+        keys: values and comments by key.
+        quantities: measurements with their intervals.
+        margin: gain margin of the damping; None without damping.
+        notes: notes for the report.
     """
 
     keys: Mapping[str, Key]
@@ -167,9 +174,9 @@ def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
 
 
 def pulling(log: Dataset, inertia: float) -> Dataset:
-    """Return the log with the torque that reaches the tendons, tau_m less the motor's acceleration torque.
+    """Return the log with the torque that reaches the tendons: tau_m minus the motor's acceleration torque.
 
-    `inertia`: of the motor, kg*m^2.
+    `inertia` is the motor inertia, kg*m^2.
     """
     carrying = inertia * zero_phase_derivative(log["omega_m"], log.period)
     return dataclasses.replace(log, columns={**log.columns, "tau_m": log["tau_m"] - carrying})
@@ -178,7 +185,7 @@ def pulling(log: Dataset, inertia: float) -> Dataset:
 def stiffened(model: TendonSheath, found: Swing) -> tuple[TendonSheath, Quantity] | None:
     """Return the model with the measured tendon stiffness, and E A (N) with its interval.
 
-    A series spring's stiffness is scaled by the same factor. Returns None if the factor is beyond `STIFFEST`.
+    The stiffness of a series spring is scaled by the same factor. The result is None if the factor exceeds `STIFFEST`.
     """
     factor = found.stiffness.value / sliding_stiffness(model)
     if not 1.0 / STIFFEST < factor < STIFFEST:
@@ -245,8 +252,8 @@ def law_tuning(
 def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tuple[float, str | None]:
     """Return the permitted share of the given file's friction term, and the reason if it is below `compensation`.
 
-    The condition is c h_given <= h, with h the friction torque at the lower end of its measured interval. A file that
-    contains more friction than the rig has would drive the joint without a set-point and fail its verification run.
+    The condition is c h_given <= h, where h is the friction torque at the lower end of its measured interval. A file
+    with more friction than the rig has would drive the joint without a set-point and fail its verification run.
     """
     loop, new = learned.calibration.half_loop_torque, sliding(learned.model)
     least = abs(new.motor_half_loop) * min(1.0, max(0.0, loop.low / loop.value))
@@ -262,9 +269,9 @@ def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tup
 
 
 def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
-    """Return the compensation that the lower end of the friction torque's interval supports.
+    """Return the compensation that the lower end of the friction torque's interval permits.
 
-    The result is empty if the interval is too wide or if compensation is 0 in the file.
+    The result is empty if the interval is too wide or the file's compensation is 0.
     """
     loop, given = learned.calibration.half_loop_torque, axis.law.compensation
     share = _floored(min(MOST_COMPENSATION, loop.low / loop.value))
@@ -274,7 +281,7 @@ def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
 
 
 def _floored(value: float) -> float:
-    """Round down to three significant digits; return 0 for a value that is not positive."""
+    """Round down to `DIGITS` significant digits. Return 0 for a value that is not positive."""
     if value <= 0.0:
         return 0.0
     step = 10.0 ** (math.floor(math.log10(value)) - DIGITS + 1)

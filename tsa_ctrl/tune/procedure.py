@@ -1,4 +1,4 @@
-"""Guide a tuning run through probe, excitation, estimate and verification, for the user to accept or reject."""
+"""Run the phases of a tuning on a rig: probe, shake, excitation, estimate and verification."""
 
 from __future__ import annotations
 
@@ -44,33 +44,30 @@ from tsa_ctrl.tune.run import RigRunner, Run, TrippedError, longest
 
 # Ratio of the pulley radii r_J/r_M, from the angles of motor and joint over the travel.
 #
-# While the tendons slide one way, (3.37)-(3.41) give the motor's angle as a line,
+# While the tendons slide in one direction, the motor angle is linear by (3.37)-(3.41).
 #
 # q_M = (r_J/r_M) q_J + tau_M / K - sigma g + omega_J late + zero
 #
-# with the elongation by torque and friction, and the delay `late` between the two encoders. A regression over both
-# directions separates these terms from the ratio. Each log has its own zero. If the torque follows the angle, as with a
-# spring, a wrong ratio cannot be distinguished from a wrong stiffness. The elongation is then computed from the file's
-# stiffness, with its uncertainty. A file states the radii of the metal. The effective radii at the tendons are larger,
-# by half a diameter and by the windings.
+# It contains the elongation by torque and friction, and the delay `late` between the two encoders. A regression over
+# both directions separates these terms from the ratio. Each log has its own zero. If the torque follows the angle, as
+# with a spring, a wrong ratio cannot be distinguished from a wrong stiffness. The elongation is then computed from the
+# file's stiffness and its uncertainty. A file contains the radii of the metal. The effective radii at the tendons are
+# larger, by half a tendon diameter and by the windings.
 
 FloatArray = NDArray[np.float64]
 
 NEEDED = frozenset({"q_m", "q_j", "omega_j", "tau_m"})
 LEAST_ROWS = 200  # least number of sliding samples, so that the interval is meaningful
-UNWOUND = 2.0  # times the travel that the file's friction may take up in a reversal; then the tendons surely slide
-NOISE_MEDIAN = 1.652  # 1, median size of a second difference of noise over its standard deviation
+UNWOUND = 2.0  # times the joint travel that the file's friction takes up in a reversal; then the tendons surely slide
+NOISE_MEDIAN = 1.652  # 1, median magnitude of a second difference of noise over its standard deviation
 OWN = 5.0  # times its noise, least independent variation of the torque: noise then reduces the slope by 4 %
-WANTED = 0.002  # 1, half the interval over the ratio, up to which the ratio is corrected
+WANTED = 0.002  # 1, largest half width of the interval over the ratio for which the ratio is corrected
 REPORTED = 0.01  # 1, smallest correction that is reported; smaller ones are within the tolerance of a pulley
-WRONG = 0.05  # 1, largest correction: beyond it the pulley, the order of the radii or an encoder's counts are wrong
+WRONG = 0.05  # 1, largest correction: beyond it a pulley, the order of the radii or an encoder's counts are wrong
 
 
 def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | None:
-    """Return r_J/r_M with its 95 % interval.
-
-    The result is None if the logs do not have all required columns or too few samples slide.
-    """
+    """Return r_J/r_M with its 95 % interval, or None if a log lacks a required column or too few samples slide."""
     if not all(set(log.columns) >= NEEDED for log in logs):
         return None
     gear = model.joint_pulley_radius / model.motor_pulley_radius
@@ -82,7 +79,7 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
         return None
     follows = _follows(columns)
     doubt = 0.0
-    if follows is not None:  # N*m/rad: the torque depends on the angle
+    if follows is not None:  # N*m/rad: the torque depends on the angle only
         compliance = 1.0 / sliding_stiffness(model)
         beyond = beyond - compliance * columns[:, 1]
         columns = np.delete(columns, 1, axis=1)
@@ -99,10 +96,10 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
 
 
 def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheath, tuple[str, ...]]:
-    """Return the model with the measured ratio, by its joint pulley, and notes for the report.
+    """Return the model with its joint pulley radius corrected to the measured ratio, and notes for the report.
 
     Raises:
-        UsageError: the angles contradict the file by more than a pulley's tolerance.
+        UsageError: The angles contradict the file by more than `WRONG`.
     """
     if found is None:
         return model, ()
@@ -135,7 +132,7 @@ def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheat
 def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, FloatArray]:
     """Return regressors q_J, tau_M, sigma, omega_J (n, 4) and q_M - gear q_J (n), where the tendons slide.
 
-    The column sigma is in proportion to the model's friction torque at the present wrap angle.
+    The column sigma is scaled by the model's friction torque at the present wrap angle.
     """
     angle, speed = log["q_j"], log["omega_j"]
     direction = np.sign(speed)
@@ -150,7 +147,7 @@ def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, F
 
 
 def _follows(columns: FloatArray) -> float | None:
-    """Return dtau_M/dq_J (N*m/rad) if the other columns determine the torque except for noise, otherwise None."""
+    """Return dtau_M/dq_J (N*m/rad) if the other columns determine the torque except for noise, or None otherwise."""
     torque, others = columns[:, 1], np.delete(columns, 1, axis=1)
     line, *_ = np.linalg.lstsq(others, torque, rcond=None)
     noise = float(np.median(np.abs(np.diff(torque, 2)))) / NOISE_MEDIAN
@@ -159,7 +156,7 @@ def _follows(columns: FloatArray) -> float | None:
 
 
 def _with_zero(rows: FloatArray, index: int, count: int) -> FloatArray:
-    """Return the regressors of log number `index` with `count` more columns, one for the zero of each log."""
+    """Return the regressors of log number `index` with `count` additional columns, one for the zero of each log."""
     zeros = np.zeros((rows.shape[0], count))
     zeros[:, index] = 1.0
     return np.hstack((rows, zeros))
@@ -170,7 +167,7 @@ def _first(squares: FloatArray, products: FloatArray) -> float:
     return float(np.linalg.lstsq(squares, products, rcond=None)[0][0])
 
 
-SHARE = 0.04  # amplitude of the sweeps, as a share of the torque allowed at the joint
+SHARE = 0.04  # amplitude of the sweeps, as a share of the permitted joint torque
 LOWEST = 10.0  # Hz
 HIGHEST = 0.27  # as a share of the loop rate: the zero-order hold attenuates higher frequencies
 SWEEP = 1.1  # s, duration of one sweep; not a fraction of a step of the slow torque
@@ -179,8 +176,8 @@ SWEEP = 1.1  # s, duration of one sweep; not a fraction of a step of the slow to
 def shaken(slow: Waveform, peak: float, period: float) -> Waveform:
     """Return the slow waveform with fast sweeps of `peak` N*m added, sampled at the loop's `period` (s).
 
-    The sweeps show delay, inertia and stiffness, and pass each frequency too quickly to excite a resonance. They
-    repeat at other positions of the joint, and the slow torque keeps a free joint moving.
+    The sweeps make delay, inertia and stiffness identifiable, and pass each frequency too quickly to excite a
+    resonance. They repeat at different joint positions, and the slow torque keeps a free joint moving.
     """
     t = np.arange(0.0, slow.seconds, period)
     since = np.mod(t, SWEEP)
@@ -196,36 +193,36 @@ def fastest(peak: float, period: float) -> float:
 
 PROBE_SECONDS = 6.0
 STIFFNESS = "axial_stiffness"
-BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without the keys that describe and damp the motor
+BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # removes the keys that describe and damp the motor from [axis.law]
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
 Progress = Callable[[str, float], None]  # phase, completed share of the whole run
 Ask = Callable[[str], None]  # shows an instruction and returns when the user is ready
 PHASES = ("probe", "shake", "excitation", "routing", "estimate", "without", "before", "after")
-OTHER_JOINTS = (0.37, 0.61, 0.97)  # Hz of the torques of other joints: none of the excitation's frequencies
-LEAST_SWING = 0.1  # rad of another joint, standard deviation below which it hardly shows how it bends the sheath
+OTHER_JOINTS = (0.37, 0.61, 0.97)  # Hz of the torques of other joints: different from the excitation's frequencies
+LEAST_SWING = 0.1  # rad, least standard deviation of another joint's angle that shows how it bends the sheath
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Hold the user's settings of a tuning, in s and N*m."""
+    """The user's settings of a tuning."""
 
-    seconds: float  # of the excitation
-    verification_seconds: float
-    compensation: float  # share of the friction term in the verification, as the loop would use it
-    period: float  # s, of the loop
-    certified_gain: bool
-    forms: bool
-    extended: bool
+    seconds: float  # s, duration of the excitation
+    verification_seconds: float  # s, duration of one verification run
+    compensation: float  # 1, share of the friction term in the verification, as the loop would use it
+    period: float  # s, period of the loop
+    certified_gain: bool  # the gain of the torque channels is certified
+    forms: bool  # also estimate where the sheath bends and the lag of the velocity
+    extended: bool  # also add the effects that a diagnosis identifies
     by_stretch: bool = False  # estimate the joint torque from the tendon elongation, for a rig without a sensor
-    excitation: Waveform | None = None  # played in place of a designed one; `seconds` is then its duration
-    others: Mapping[str, Bounds] = dataclasses.field(default_factory=dict)  # joints that may bend the sheaths
+    excitation: Waveform | None = None  # played instead of a designed one; `seconds` is then its duration
+    others: Mapping[str, Bounds] = dataclasses.field(default_factory=dict)  # other joints that may bend the sheaths
 
 
 @dataclass(frozen=True)
 class Verification:
     """The runs of one motion: without compensation, with the given file, and with the new file.
 
-    `before` is None if a fault ended that run; `fault` is then its cause.
+    If a fault ended the run with the given file, `before` is None and `fault` is its cause.
     """
 
     without: Run
@@ -234,25 +231,25 @@ class Verification:
     fault: str = ""
 
     def reduction(self, run: Run) -> float:
-        """Return by how many per cent compensation reduces the RMS joint torque error."""
+        """Return the reduction of the RMS joint torque error by the compensation, %."""
         return 100.0 * (1.0 - run.rms / self.without.rms)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Hold the results of a tuning; `text` is the new model file, `law` the new keys of the controller's file."""
+    """The results of a tuning. `text` is the new model file, and `law` has the new keys of the controller file."""
 
     nominal: TendonSheath
     estimate: Estimate
     logs: tuple[Dataset, ...]
-    design: Design | None  # None when the logs were given
+    design: Design | None  # None for an estimate from existing logs
     verification: Verification | None
     text: str
     law: LawTuning | None = None
 
     @functools.cached_property
     def errors(self) -> ThreeErrors:
-        """Return the errors of the new model on the excitation; its motor torque excludes the acceleration torque."""
+        """Return the errors of the new model on the excitation, whose motor torque excludes the acceleration torque."""
         return errors_of(self.logs, self.estimate.model)
 
     @property
@@ -266,18 +263,18 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Hold a new model file that is tried on the rig."""
+    """A new model file that is tried on the rig."""
 
     kind: str  # suffix of the names of its file and its run
     found: Estimate
     law: LawTuning | None
     text: str
-    played: tuple[Path, float]  # the file and the share of its friction term that is applied
+    played: tuple[Path, float]  # the file and the applied share of its friction term, 1
     bearable: float  # permitted share of the given file's friction term, 1
 
     @property
     def has_feedback(self) -> bool:
-        """Return True if the joint torque sensor corrects the friction term."""
+        """Return True if the law corrects the friction term by the joint torque sensor."""
         return self.law is not None and FEEDBACK_KEY in self.law.keys
 
     def without_feedback(self) -> _Trial:
@@ -288,7 +285,7 @@ class _Trial:
 
     @property
     def values(self) -> Mapping[str, float | None] | None:
-        """Return the values for [axis.law], which include the compensation; None if nothing was derived."""
+        """Return the values for [axis.law], which may include the compensation, or None if nothing was derived."""
         return None if self.law is None else self.law.values
 
 
@@ -307,18 +304,18 @@ class Procedure:
         say: Progress,
         ask: Ask | None = None,
     ) -> None:
-        """Prepare the phases; nothing moves yet.
+        """Prepare the phases. Nothing moves yet.
 
         Args:
-            runner: plays waveforms on the axis.
+            runner: runner that plays waveforms on the axis.
             path: model file of the axis.
             model: parameters in that file.
             bounds: permitted torque, speed and travel of the joint.
             settings: the user's settings.
-            law_of: returns the keys of [axis.law] for an estimate and the measurements of the motor.
-            folder: where the new model file is written for its trial.
-            say: receives the progress.
-            ask: asks the user to move the joint; None if no user is present.
+            law_of: function that returns the keys of [axis.law] for an estimate and the measurements of the motor.
+            folder: folder in which the new model file is written for its trial.
+            say: function that receives the progress.
+            ask: function that asks the user to move the joint; None if no user is present.
         """
         self._runner = runner
         self._path = path
@@ -332,12 +329,14 @@ class Procedure:
         self._total = PROBE_SECONDS + SHAKE_SECONDS + settings.seconds + 3.0 * settings.verification_seconds
         self._total += sum(seconds for _, seconds in routing_runs(settings))
         self._done = 0.0
-        self._others: dict[str, Waveform] = {}  # of the other joints, by name
+        self._others: dict[str, Waveform] = {}  # torques of the other joints by name
 
     def run(self) -> Outcome:
         """Probe, shake, excite, estimate and verify.
 
-        Raises UsageError if the rig's motion does not suffice for an estimate, BusError if a run fails.
+        Raises:
+            UsageError: The rig's motion is not sufficient for an estimate.
+            BusError: A run failed.
         """
         designed = self._design()
         mechanics = self._shake(designed.shake)
@@ -390,14 +389,14 @@ class Procedure:
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
 
     def _with_stiffness(self, logs: Sequence[Dataset], learned: Estimate, mechanics: Mechanics) -> Estimate:
-        """Return the estimate with the measured stiffness where it separates friction angle and pretension."""
+        """Return the estimate, repeated with the measured stiffness if this separates friction angle and pretension."""
         if not learned.calibration.split or mechanics.swing is None:
             return learned
         stiffness = stiff(learned, mechanics).model.axial_stiffness
         return learn(logs, dataclasses.replace(self._model, axial_stiffness=stiffness), self._settings)
 
     def _trial(self, learned: Estimate, mechanics: Mechanics, logs: Sequence[Dataset], kind: str = "") -> _Trial:
-        """Write the model file of an estimate for its trial and return the inputs of the verification run."""
+        """Write the model file of an estimate for its trial, and return the inputs of the verification run."""
         found = stiff(learned, mechanics)
         law = self._law_of(found, mechanics)
         factor = self._settings.compensation
@@ -410,9 +409,9 @@ class Procedure:
         return _Trial(kind, found, law, text, (new, factor), tried)
 
     def _excite(self, wave: Waveform, mechanics: Mechanics) -> tuple[tuple[Dataset, ...], Estimate]:
-        """Play the excitation and return its logs and the estimate.
+        """Play the excitation, and return its logs and the estimate.
 
-        If a free joint moves too little, the excitation is repeated while the user moves the joint.
+        If the joint of a rig without a torque sensor moves too little, the user moves it during a second excitation.
         """
         first = self._excitation("excitation", wave, mechanics)
         for name, joints in self._together():
@@ -431,18 +430,21 @@ class Procedure:
         second = self._excitation("excitation-moved", wave, mechanics)
         try:
             return (*first, *second), learn((*first, *second), self._model, self._settings)
-        except TooStillError:  # the first logs may not determine any parameter
+        except TooStillError:  # the first logs may be unusable
             return second, learn(second, self._model, self._settings)
 
     def _together(self) -> list[tuple[str, dict[str, Waveform]]]:
-        """Return name and torques of each run with other joints: each joint alone, then all of them."""
+        """Return name and torques of each run with other joints: first each joint alone, then all of them."""
         alone = [(f"routing-{name}", {name: wave}) for name, wave in self._others.items()]
         return [*alone, ("routing-all", self._others)] if len(alone) > 1 else alone
 
     def _moving(self, name: str, bounds: Bounds) -> Waveform:
         """Return the torque that moves another joint within its limits.
 
-        A joint that does not move by its own torque is moved by the user. Raises UsageError without a user.
+        The user must move a joint that its own torque does not move.
+
+        Raises:
+            UsageError: The joint does not move, and no user is present.
         """
         own = probe(self._bounds, PROBE_SHARES[0], PROBE_SECONDS)
         for number, share in enumerate(PROBE_SHARES):
@@ -490,13 +492,13 @@ class Procedure:
         return logs if swing is None else tuple(pulling(log, swing.inertia.value) for log in logs)
 
     def _shake(self, slow: Waveform) -> Mechanics:
-        """Shake the motor and return what could be measured; the tuning continues without the rest."""
+        """Shake the motor, and return the measured quantities. The tuning continues if some are missing."""
         peak, period = SHARE * self._bounds.torque, self._settings.period
         played = self._play("shake", self._path, 0.0, shaken(slow, peak, period), BARE, fastest(peak, period))
         return measured(played.learnable(), self._model)
 
     def _design(self) -> Design:
-        """Probe with increasing torque until the joint moves, then design the excitation."""
+        """Probe with increasing torque until the joint moves, and then design the excitation."""
         for number, share in enumerate(PROBE_SHARES):
             wave = probe(self._bounds, share, PROBE_SECONDS)
             played = self._play(f"probe-{number + 1}", self._path, 0.0, wave, BARE)
@@ -528,13 +530,14 @@ class Procedure:
         return played
 
 
-# 1, of the friction torque. On six rigs below it, the estimator "stretch" has 0.07 to 1.2 times the error of "sensor"
-# after a change of the friction by 25 or 30 %. On a rig with 0.07 it has four times the error without a change.
+# 1, largest disagreement of elongation and sensor over the friction torque. On six rigs below it, the estimator
+# "stretch" has 0.07 to 1.2 times the error of "sensor" after the friction has changed by 25 or 30 %. On a rig with a
+# disagreement of 0.07 it has four times the error without a change.
 AGREES = 0.03
 
 
 def _agreeing(run: Run, found: Estimate) -> str:
-    """Return a note if the tendon elongation shows the joint torque as well as the sensor does, else ""."""
+    """Return a note if the joint torques from the tendon elongation and the sensor agree, or else ""."""
     difference, half_loop = run.disagreement(), abs(sliding(found.model).half_loop)
     if not difference < AGREES * half_loop:
         return ""
@@ -547,7 +550,7 @@ def _agreeing(run: Run, found: Estimate) -> str:
 
 
 def _milli(error: float) -> str:
-    """Return an RMS error (N*m) as people read it; infinite for a run that a fault ended."""
+    """Return the readable text of an RMS error (N*m), which is infinite for a run that a fault ended."""
     return f"{1e3 * error:.0f} mN·m" if np.isfinite(error) else "unknown (a fault ended the run)"
 
 
@@ -581,7 +584,8 @@ def from_logs(path: Path, model: TendonSheath, logs: Sequence[Dataset], settings
 def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> Estimate:
     """Estimate the new model from logs.
 
-    Raises UsageError if the logs contain too little motion or contradict the pulley radii.
+    Raises:
+        UsageError: The logs contain too little motion, or contradict the pulley radii.
     """
     routed = None if settings.by_stretch else routing_of_logs(logs, model, settings.certified_gain)
     ratio = radius_ratio(logs, model if routed is None else routed)
@@ -598,7 +602,7 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
 
 
 def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:
-    """Return the estimate with the tendon stiffness measured from the motor's oscillation, if there is one."""
+    """Return the estimate with the tendon stiffness from the motor's oscillation, if that was measured."""
     changed = None if mechanics.swing is None else stiffened(found.model, mechanics.swing)
     if changed is None:
         return found
@@ -619,9 +623,15 @@ def new_file(
     law: LawTuning | None = None,
     origin: Origin | None = None,
 ) -> str:
-    """Return the new model file: the old comments and layout, the new values and their provenance.
+    """Return the text of the new model file, with the old comments and layout, the new values and their provenance.
 
-    `origin`: the joint that was tuned; None for logs.
+    Args:
+        path: old model file.
+        found: estimate.
+        logs: logs of the estimate.
+        command: command that made the file, for its provenance.
+        law: derived keys of [axis.law].
+        origin: the joint that was tuned; None for existing logs.
     """
     result = found.calibration
     how = {"split": result.split, "form": found.form.value, "effects": list(found.effects)}

@@ -25,7 +25,16 @@ TEMPLATE = "page.html.j2"
 def write_page(
     outcome: Outcome, axis: str, path: Path, difference: str, pictures: Sequence[tuple[str, Path]], page: Path
 ) -> None:
-    """Write `page`; `path` is the model file, `pictures` are (title, PNG file)."""
+    """Write the page of a tuning.
+
+    Args:
+        outcome: results.
+        axis: name of the axis.
+        path: model file.
+        difference: diff of the written files.
+        pictures: caption and PNG file of each picture.
+        page: file to write.
+    """
     environment = Environment(autoescape=True, undefined=StrictUndefined)
     template = environment.from_string(files("tsa_ctrl.tune").joinpath(TEMPLATE).read_text(encoding="utf-8"))
     encoded = [(title, base64.b64encode(file.read_bytes()).decode("ascii")) for title, file in pictures]
@@ -132,9 +141,13 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:
-    """Return the tuning in JSON types; null for unknown values.
+    """Return the tuning in JSON types, with null for unknown values.
 
-    `written`: the backup of the former model file, or the new file of a simulated plant; None if no file was written.
+    Args:
+        outcome: results.
+        axis: name of the axis.
+        page: page of the tuning.
+        written: backup of the old model file, or the new file of a simulated plant; None if no file was written.
     """
     found, verified = outcome.estimate, outcome.verification
     rms = reduction = None

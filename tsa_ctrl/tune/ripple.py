@@ -1,10 +1,10 @@
-"""Find the torque ripple of the motor as one line over the motor angle, and add it to an estimate.
+"""Detect the torque ripple of the motor as one sinusoid over the motor angle, and add it to an estimate.
 
     tau_J - predicted = a A sin(N q_M + phi) + offset of the direction        a: slope of the model, by direction
 
-Every integer N of a range is tried by least squares on the samples that surely slide. The best one counts if the wave
-that each half of the blocks of time selects reduces the error of the other half. A run on the rig decides if the wave
-is used. Source: `torque_ripple` in the catalogue.
+Every integer N of a range is fitted by least squares to the samples that surely slide. The best N is accepted if the
+wave that each half of the time blocks selects reduces the error of the other half. A run on the rig decides whether the
+wave is used. Source: `torque_ripple` in the catalogue.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from tsa_ctrl.tune.estimate import Estimate
 FloatArray = NDArray[np.float64]
 
 EFFECT = "torque_ripple"
-FEWEST = 2.0  # cycles within the motion: a slower wave cannot be distinguished from another error of the model
+FEWEST = 2.0  # cycles within the motion: a slower wave cannot be distinguished from other errors of the model
 MOST = 120  # cycles per revolution: slots times poles of usual motors
-SURE = 2.5  # standard deviations over the blocks, by which the error of the other half must fall
+SURE = 2.5  # standard errors over the blocks by which the error of the other half must decrease
 
 
 def with_torque_ripple(found: Estimate, logs: Sequence[Dataset]) -> Estimate | None:
@@ -71,13 +71,13 @@ def with_torque_ripple(found: Estimate, logs: Sequence[Dataset]) -> Estimate | N
 
 @dataclasses.dataclass(frozen=True)
 class _Samples:
-    """Samples that surely slide (n).
+    """The samples that surely slide, (n,) each.
 
     Attributes:
-        error: of the prediction, N*m at the motor.
-        angle: of the motor, rad.
+        error: prediction error, N*m at the motor.
+        angle: motor angle, rad.
         direction: -1 or 1.
-        block: number of the block of time.
+        block: number of the time block.
     """
 
     error: FloatArray
@@ -86,7 +86,7 @@ class _Samples:
     block: NDArray[np.int64]
 
     def design(self, cycles: int) -> FloatArray:
-        """Return the regressors (n, 4): an offset, one that changes with the direction, and the wave."""
+        """Return the regressors (n, 4): an offset, an offset that changes with the direction, and the wave."""
         phase = cycles * self.angle
         return np.column_stack([np.ones_like(phase), self.direction, np.cos(phase), np.sin(phase)])
 

@@ -1,4 +1,4 @@
-"""Run the daemon on the rig with a set-point file, from a copy of the user's configuration."""
+"""Run the daemon on the rig with a set-point file, using a copy of the user's configuration."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from tsa_ctrl.system.process_supervisor import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 FloatArray = NDArray[np.float64]
-Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
+Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # (folder, name, seconds, tick) -> summary
 
 SHORTEST_PIECE = 1.5  # s, least duration of a piece without missing cycles that a fit can use
 
 
 class TrippedError(BusError):
-    """Raised if a fault of the loop ended a run; `cause` is that fault."""
+    """Report that a fault of the loop ended a run. `cause` is that fault."""
 
     def __init__(self, name: str, cause: str) -> None:
         super().__init__(f"the run '{name}' failed: {cause}")
@@ -42,9 +42,16 @@ class TrippedError(BusError):
 
 @dataclass(frozen=True)
 class Run:
-    """The log of one run between fade-in and stop: torques (n) in N*m, `t` (n) in s since the enable.
+    """The log of one run between fade-in and stop.
 
-    `pieces` are its parts without missing cycles, for the fits; on a busy machine there may be none.
+    Attributes:
+        name: name of the run.
+        log: log file.
+        t: time since the enable, s, (n,).
+        wanted: desired joint torque, N*m, (n,).
+        delivered: delivered joint torque, N*m, (n,).
+        pieces: parts of the log without missing cycles, for the fits. On a busy machine there may be none.
+        by_elongation: joint torque from the tendon elongation, N*m, (n,); None if it is not estimated.
     """
 
     name: str
@@ -53,7 +60,7 @@ class Run:
     wanted: FloatArray
     delivered: FloatArray
     pieces: tuple[Dataset, ...]
-    by_elongation: FloatArray | None = None  # joint torque by the tendon elongation, N*m; None if it is not estimated
+    by_elongation: FloatArray | None = None
 
     @property
     def rms(self) -> float:
@@ -61,9 +68,9 @@ class Run:
         return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
 
     def disagreement(self) -> float:
-        """Return the RMS difference of sensor and elongation in the second half, N*m at the joint.
+        """Return the RMS difference of sensor and elongation in the second half of the run, N*m at the joint.
 
-        The result is infinite without an estimate by the elongation, or if a value is not finite.
+        The result is infinite without an estimate from the elongation, or if a value is not finite.
         """
         if self.by_elongation is None:
             return float("inf")
@@ -72,7 +79,7 @@ class Run:
         return found if np.isfinite(found) else float("inf")
 
     def learnable(self) -> tuple[Dataset, ...]:
-        """Return the pieces of the log without missing cycles; raises BusError if all are too short."""
+        """Return the pieces of the log without missing cycles. Raise BusError if all pieces are too short."""
         if not self.pieces:
             raise BusError(
                 f"the run '{self.name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; "
@@ -82,7 +89,11 @@ class Run:
 
 
 class RigRunner:
-    """Play waveforms on one axis of a rig; all files are written to `folder`."""
+    """Play waveforms on one axis of a rig, and write all files to one folder.
+
+    Attributes:
+        origin: nodes that the last run found, and whether they were simulated. It is empty before the first run.
+    """
 
     def __init__(
         self,
@@ -96,10 +107,14 @@ class RigRunner:
     ) -> None:
         """Prepare the runs of one axis.
 
-        `run` plays `controller-NAME.toml` of a folder, on the rig or in a simulation. Set `by_stretch` on a rig without
-        a joint torque sensor to estimate the joint torque from the tendon elongation. Set `all_axes` to record the
-        angles of all joints of the rig, not only those that the model's routing names. The attribute `origin` holds the
-        nodes that the last run found and whether they were simulated. It is empty before the first run.
+        Args:
+            configuration: the user's configuration.
+            axis: axis to play on.
+            bounds: permitted torque, speed and travel of the joint.
+            folder: folder for all files.
+            run: function that plays `controller-NAME.toml` of a folder, on the rig or in a simulation.
+            by_stretch: True to estimate the joint torque from the tendon elongation, on a rig without a torque sensor.
+            all_axes: True to record the angles of all joints of the rig, not only of those in the model's routing.
         """
         self.origin = Origin()
         self._run = run
@@ -126,13 +141,22 @@ class RigRunner:
     ) -> Run:
         """Play the waveform once and read the log.
 
-        Raises TrippedError if a fault ended the run, and BusError if it left no log.
+        The model is played as a file of this rig, even if it was tuned on another joint. This is safe because a
+        friction term is tried only after the excitation has measured the rig's friction.
 
-        The model is played as a file of this rig, whatever joint it was tuned on. This is safe because a friction term
-        is tried only after the excitation has measured the rig's friction.
-        `law`: keys of [axis.law] that replace the file's, None for a key that is left out.
-        `rate`: set-point rate in N*m/s, in place of the default.
-        `others`: waveforms of other axes by name, without compensation; an axis that is not named stays at 0.
+        Args:
+            name: name of the run.
+            model: model file.
+            compensation: share of the friction term, 1.
+            waveform: joint torque to play.
+            tick: function called repeatedly with the elapsed share of the run, 0 to 1.
+            law: keys that replace keys of the file's [axis.law], None to remove a key.
+            rate: set-point rate that replaces the default, N*m/s.
+            others: waveforms of other axes by name. These axes have no compensation, and unnamed axes stay at 0.
+
+        Raises:
+            TrippedError: A fault ended the run.
+            BusError: The run left no log.
         """
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"
@@ -157,7 +181,7 @@ class RigRunner:
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
 
     def motion_of(self, name: str, axis: str) -> Dataset:
-        """Return torque and motion of another axis during a run that was played."""
+        """Return torque and motion of another axis during a completed run."""
         columns = read_table(f"{self._folder / name}.mcap:{axis}", ("t", "tau_m", "omega_j", "q_j")).columns
         known = np.all([np.isfinite(values) for values in columns.values()], axis=0)
         return Dataset.from_arrays({key: values[known] for key, values in columns.items()}, f"{name} of {axis}")
@@ -172,25 +196,25 @@ class RigRunner:
         rate: float | None,
         played: Mapping[str, str],
     ) -> str:
-        """Return the text of the user's file, changed for this run.
+        """Return the text of the user's file with the changes for this run.
 
-        It has only the required axes, this model and set-point, and limits no wider than the given ones.
+        It has only the required axes, this model and set-point, and limits no wider than the given bounds.
         """
         data = tomllib.loads(self._configuration.text)
         keep = self._needed()
         data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
         data["log"] = {"folder": "."}
         data["controller"] = {**data.get("controller", {}), "name": f"tune-{name}"[:32], "after_fault": "exit"}
-        if "safety" in data:  # no person wears a joint during tuning; its limits stay
+        if "safety" in data:  # no person wears a joint during tuning; the limits of [safety] stay
             data["safety"].pop("class", None)
         for axis in data["axis"]:
             self._confine(axis)
             if axis["name"] == self._axis.name:
-                axis["model"] = model.name  # both are in the folder of this file, also after the folder is renamed
+                axis["model"] = model.name  # a relative path stays valid after the folder is renamed
                 axis["setpoint"] = {"kind": "file", "file": setpoint.name}
                 if rate is not None:
                     axis["setpoint"]["rate"] = rate
-                if "routing" in tomllib.loads(model.read_text(encoding="utf-8")):  # which the kind "map" follows
+                if "routing" in tomllib.loads(model.read_text(encoding="utf-8")):  # a routing implies the kind "map"
                     axis["estimator"] = {key: value for key, value in axis["estimator"].items() if key != "kind"}
                 keys = {**axis.get("law", {}), "compensation": compensation, **law}
                 axis["law"] = {key: value for key, value in keys.items() if value is not None}
@@ -203,9 +227,9 @@ class RigRunner:
         return text
 
     def _needed(self) -> set[str]:
-        """Return the names of the tuned axis and of all axes whose joints bend its sheaths, directly or in turn.
+        """Return the names of the tuned axis and of all axes whose joints bend its sheaths directly or indirectly.
 
-        With `all_axes` these are all axes of the file.
+        With `all_axes`, return the names of all axes of the file.
         """
         file = self._configuration.file
         crossed = {
@@ -252,7 +276,16 @@ def _named(written: Path, log: Path) -> Path:
 
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
-    """Return a run of `seconds` s of torque; raises BusError if its log is too short. `by_stretch` as in RigRunner."""
+    """Return a run from its log. Raise BusError if the log is too short.
+
+    Args:
+        name: name of the run.
+        log: log file.
+        axis: name of the axis.
+        fade_in: duration of the fade-in, s.
+        seconds: time with torque, s.
+        by_stretch: True to use the joint torque from the tendon elongation.
+    """
     part = load_run(f"{log}:{axis}", (*INPUTS, STRETCH), fade_in, seconds, by_stretch=by_stretch)
     other = None if by_stretch else part.pop(STRETCH, None)
     pieces = _pieces(part, name, sha256_of(log))
@@ -260,7 +293,7 @@ def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by
 
 
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
-    """Return datasets of the parts between gaps that are too long for interpolation."""
+    """Return a dataset for each part between two gaps that are too long for interpolation."""
     t = columns["t"]
     present = {key: value for key, value in columns.items() if is_input(key) and bool(np.isfinite(value).all())}
     pieces = []

@@ -56,17 +56,17 @@ from tsa_ctrl.tune.procedure import (
 from tsa_ctrl.tune.report import write_page
 from tsa_ctrl.tune.run import Play, RigRunner, longest
 
-# Pictures of a tuning, as PNG: the fit and its residual, and the torque error before and after.
+# Pictures of a tuning, as PNG files: the fit and its residual, and the torque errors of the verification.
 
 FloatArray = NDArray[np.float64]
 
-SHOWN = 8.0  # s of a run
+SHOWN = 8.0  # s of a run that a picture shows
 TRIED = 0.95  # share of the friction term in the verification if the file has 0, as during commissioning
 DPI = 120
 
 
 def draw(outcome: Outcome, folder: Path) -> list[tuple[str, Path]]:
-    """Write all pictures, and return (caption, file) of each."""
+    """Write all pictures, and return the caption and the file of each."""
     log = longest(outcome.logs)
     pictures = [
         ("Measured joint torque and the predictions of both files", _fit(log, outcome, folder / "fit.png")),
@@ -103,7 +103,7 @@ def _fit(log: Dataset, outcome: Outcome, file: Path) -> Path:
 
 
 def _conclusion(outcome: Outcome) -> str:
-    """Return the title: the errors while sliding on all logs, as the terminal prints the one of the new file."""
+    """Return the title with the errors of both files while sliding, over all logs."""
     given, new = errors_of(outcome.logs, outcome.nominal).sliding, outcome.errors.sliding
     return f"Error while sliding: {told_torque(given)} with the given file, {told_torque(new)} with the new file"
 
@@ -167,8 +167,8 @@ def diff(path: Path, text: str) -> str:
 def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
     """Write each text to its path by renaming, and return the backup file of each path.
 
-    All backups of one call are called `NAME.~N~` with the same N, one above the highest N of `texts` and `beside`. If
-    one file cannot be written, none is changed. SIGINT and SIGTERM wait until all files are written.
+    All backups of one call have names `NAME.~N~` with the same N, one above the highest N of `texts` and `beside`. If
+    one file cannot be written, none is changed. SIGINT and SIGTERM are postponed until all files are written.
     """
     number = 1 + max((n for path in (*texts, *beside) for n in backups(path)), default=0)
     kept = {path: path.with_name(f"{path.name}.~{number}~") for path in texts}
@@ -191,7 +191,8 @@ def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path
 def last(path: Path, *others: Path) -> dict[Path, Path]:
     """Return the newest backup of `path` and the backups of `others` from the same tuning.
 
-    Raises UsageError if `path` has no backup, or if one of `others` was replaced again since.
+    Raises:
+        UsageError: `path` has no backup, or one of `others` has been replaced again since.
     """
     old = backups(path)
     if not old:
@@ -218,27 +219,27 @@ def undo(kept: Mapping[Path, Path]) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """Hold the options of `tsa tune`; for None the controller's file applies."""
+    """The options of `tsa tune`. The controller file applies for a limit that is None."""
 
     torque: float | None = None  # N*m at the joint
     speed: float | None = None  # rad/s of the joint
     travel: tuple[float, float] | None = None  # rad of the joint
-    seconds: float = 20.0  # of excitation
-    verification_seconds: float = 10.0
+    seconds: float = 20.0  # s, duration of the excitation
+    verification_seconds: float = 10.0  # s, duration of one verification run
     certified_gain: bool = False
     forms: bool = True
     extended: bool = False
     setpoint: Path | None = None  # file to play as the excitation, in the format that a diagnosis writes
-    joints: tuple[str, ...] = ()  # names of other axes whose joints move as well: they may bend the sheaths
+    joints: tuple[str, ...] = ()  # names of other axes whose joints also move, because they may bend the sheaths
     plant: Path | None = None  # simulated plant to use in virtual time; default: the rig's bus
     allow_simulated: bool = False  # start on hardware from a model file with simulated numbers
 
 
 class Session:
-    """Check one call of `tsa tune`, run it and write its files; `path` is the model file that may be written."""
+    """Check one call of `tsa tune`, run it and write its files. `path` is the model file that may be written."""
 
     def __init__(self, controller: Path, axis: str | None, plan: Plan) -> None:
-        """Read and check the configuration; raises UsageError."""
+        """Read and check the configuration. Raise UsageError if it is not valid."""
         self._configuration = load_configuration(controller)
         self.axis = self._chosen(controller, axis)
         index = self._configuration.file.axes.index(self.axis)
@@ -266,7 +267,7 @@ class Session:
 
     @property
     def socket(self) -> str | None:
-        """Return the socket path of the daemon, or None in virtual time, where no daemon runs."""
+        """Return the socket path of the daemon, or None in virtual time, when no daemon runs."""
         return None if self._plant is not None else self._configuration.file.socket.path or default_path()
 
     def _chosen(self, controller: Path, name: str | None) -> AxisSettings:
@@ -279,7 +280,7 @@ class Session:
         return axes[name]
 
     def _others(self, controller: Path, names: Sequence[str]) -> dict[str, Bounds]:
-        """Return the limits of the other joints that move; raises UsageError for a name that no other axis has."""
+        """Return the limits of the other joints that move. Raise UsageError for a name that no other axis has."""
         file = self._configuration.file
         known = {axis.name: place for place, axis in enumerate(file.axes) if axis.name != self.axis.name}
         found = {}
@@ -323,7 +324,8 @@ class Session:
     def undo(self) -> dict[Path, Path]:
         """Restore the files that the last tuning replaced, and return their backups.
 
-        Raises UsageError without backups, or if the controller's file was edited since.
+        Raises:
+            UsageError: No backup exists, or the controller file was edited after the tuning.
         """
         controller = self._configuration.path
         kept = last(self.path, controller)
@@ -338,7 +340,7 @@ class Session:
         return kept
 
     def next_step(self, outcome: Outcome) -> str:
-        """Return the next step after a tuning on the rig is written, or an empty text."""
+        """Return the user's next step once a tuning on the rig is written, or an empty string."""
         if self.axis.law.compensation > 0.0 or outcome.verification is None:
             return ""
         return (
@@ -395,7 +397,7 @@ class Session:
 
     @contextlib.contextmanager
     def workspace(self, out: Path | None, keep: bool) -> Iterator[None]:
-        """Provide a temporary folder for all files of the run; it is removed unless `finish` moves it into place."""
+        """Provide a temporary folder for all files of the run, and remove it unless `finish` moves it into place."""
         final = out if out is not None else untaken(self._configuration.log_folder, "tune")
         if final.exists() and (not final.is_dir() or any(final.iterdir())):
             raise UsageError(f"{final}: exists already and is not empty; choose another --out")
@@ -413,7 +415,13 @@ class Session:
     def run(self, say: Progress, ask: Ask | None = None) -> Outcome:
         """Run the whole procedure on the rig.
 
-        `ask`: asks the user to move the joint; None if no user is present. Raises UsageError, BusError.
+        Args:
+            say: function that receives the progress.
+            ask: function that asks the user to move the joint; None if no user is present.
+
+        Raises:
+            UsageError: The rig or its motion does not permit an estimate.
+            BusError: The bus or a run failed.
         """
         self.check_ready()
         runner = self.runner(self._folder, all_axes=bool(self._settings.others))
@@ -422,7 +430,7 @@ class Session:
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()
 
     def runner(self, folder: Path, all_axes: bool = False) -> RigRunner:
-        """Return a runner that plays waveforms on the axis, with all files in `folder`; `all_axes` as in RigRunner."""
+        """Return a runner that plays waveforms on the axis and writes to `folder`. See `RigRunner` for `all_axes`."""
         by_stretch = self._settings.by_stretch
         return RigRunner(self._configuration, self.axis, self.bounds, folder, self._play(), by_stretch, all_axes)
 
@@ -446,7 +454,9 @@ class Session:
     def check_ready(self) -> None:
         """Check that the joint torque is measured or can be estimated from the tendon elongation, and check the bus.
 
-        Raises UsageError, BusError.
+        Raises:
+            UsageError: The joint torque can be neither measured nor estimated.
+            BusError: The bus failed a check.
         """
         if not self.axis.has_torque_sensor and (reason := unsupported_by(self._model, self.axis.encoder is not None)):
             raise UsageError(
@@ -462,13 +472,13 @@ class Session:
                 raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
 
     def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
-        """Return the estimate from existing logs; `cutoff` as in `load_log`. Raises UsageError."""
+        """Return the estimate from existing logs. See `load_log` for `cutoff`. Raise UsageError for unsuitable logs."""
         return from_logs(self.path, self._model, load_logs(logs, cutoff=cutoff), self._settings)
 
     def changes(self, outcome: Outcome) -> dict[Path, str]:
         """Return the files to be written and their new texts.
 
-        These are the model file and, if the motor was measured, the controller's file.
+        These are the model file and, if keys of [axis.law] were derived, the controller file.
         """
         texts = {self.path: outcome.text}
         if outcome.law is not None:
@@ -481,10 +491,9 @@ class Session:
         return "".join(diff(path, text) for path, text in self.changes(outcome).items())
 
     def worth_writing(self, outcome: Outcome) -> bool:
-        """Return True if the new file has the smaller error; raises UsageError if the loop cannot use it."""
-        Feedforward(
-            outcome.estimate.model, self._configuration.period
-        )  # raises UsageError for effects that it cannot invert
+        """Return True if the new file has the smaller error. Raise UsageError if the loop cannot use the file."""
+        # The constructor raises UsageError for effects that it cannot invert.
+        Feedforward(outcome.estimate.model, self._configuration.period)
         return outcome.better
 
     def finish(self, outcome: Outcome) -> None:
@@ -502,11 +511,11 @@ class Session:
         self.page = self._final / "report.html"
 
     def targets(self, outcome: Outcome) -> list[Path]:
-        """Return the files that `write` writes: the rig's files, or new ones next to the page of a simulated plant."""
+        """Return the paths that `write` writes: the rig's files, or new files next to the page of a simulated plant."""
         return list(self.changes(outcome)) if self._plant is None else list(self._simulated(outcome))
 
     def write(self, outcome: Outcome) -> dict[Path, Path | None]:
-        """Write the files, and return the backup of each; None for a file that is new."""
+        """Write the files, and return the backup of each file, or None for a new file."""
         if self._plant is None:
             return dict(replace(self.changes(outcome), beside=(self._configuration.path,)))
         texts = self._simulated(outcome)
@@ -515,7 +524,7 @@ class Session:
         return dict.fromkeys(texts)
 
     def _simulated(self, outcome: Outcome) -> dict[Path, str]:
-        """Return the files with results of a simulated plant, next to the page, never the rig's files."""
+        """Return the files with the results of a simulated plant. They are next to the page, never the rig's files."""
         assert self._final is not None
         configuration, name = self._configuration, self.path.name
         text = self.changes(outcome).get(configuration.path, configuration.text)

@@ -2,14 +2,14 @@
 
     J_M e'' + b e' + K e = tau - slow part,     e = q_M - r_J/r_M q_J
 
-is linear while both tendons slide completely in one direction, that is while the slip by the oscillation is smaller
-than the slip by the joint. The angles of such windows are fitted together. The common parameters are J_M, K, b and an
-additional delay of the motor. Each window has its own initial angle and speed and its own slow part (a cubic). The
-reported velocity is used only to select the windows: drives filter it, and so does the bus layer where it derives it.
-In the fit, a low-pass at 100 Hz would look like a third more stiffness.
+is linear while both tendons slide completely in one direction. This is the case while the slip by the oscillation is
+smaller than the slip by the joint. The angles of all such windows are fitted together. The common parameters are J_M,
+K, b and an additional delay of the motor. Each window has its own initial angle and speed and its own slow part (a
+cubic). The reported velocity is used only to select the windows, because the drive filters it, and so does the bus
+layer if it computes the velocity. In the fit, a low-pass at 100 Hz would look like 33 % more stiffness.
 
 The input is the command, as the drive holds it and as its torque loop follows it (`delay`). With a joint at rest the
-motor would oscillate at another frequency, because the slip fronts then move.
+motor would oscillate at another frequency, because the slip fronts would move.
 """
 
 from __future__ import annotations
@@ -30,22 +30,28 @@ from tsa_ctrl.tune.delay import Delay
 
 FloatArray = NDArray[np.float64]
 
-WINDOW = 0.15  # s: some periods of any ringing, short compared with a gait
-TRAVEL = 0.1  # rad of the joint since its reversal, after which every part of the tendons slides
+WINDOW = 0.15  # s: several periods of any ringing, but short compared with a gait
+TRAVEL = 0.1  # rad of joint travel since the reversal, after which every part of the tendons slides
 FEWEST = 6  # least number of windows, for the scatter of their scores
 CUBIC = 4  # number of coefficients of the slow part, a cubic
 ANGLE = 2e-4  # rad, scale of the residuals: one count of a motor encoder
-STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # start values of ln J_M relative to the first guess
-GUESS = 1e-4  # kg*m^2
-FLOOR = 0.03  # relative, least half width of an interval: error by backlash, cables and filters of the drive
-LATE = 4.0  # periods, longest additional delay of the motor's motion after its torque
+STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # initial values of ln J_M relative to the first guess
+GUESS = 1e-4  # kg*m^2, first guess of J_M
+FLOOR = 0.03  # relative, least half width of an interval: errors by backlash, cables and filters of the drive
+LATE = 4.0  # periods, longest additional delay between the motor's torque and its motion
 
 
 @dataclass(frozen=True)
 class Swing:
-    """`inertia` J_M (kg*m^2), `stiffness` of sliding tendons (N*m/rad), `ringing` (Hz), `decay` (1/s) of that swing.
+    """The oscillation of the motor on its tendons.
 
-    `late`: s by which the motor's angle and speed are later than the reported torque.
+    Attributes:
+        inertia: motor inertia J_M, kg*m^2.
+        stiffness: stiffness K of the sliding tendons, N*m/rad.
+        ringing: frequency of the oscillation, Hz.
+        decay: decay rate of the oscillation, 1/s.
+        late: delay of the motor's angle and speed after the reported torque, s.
+        windows: number of fitted windows.
     """
 
     inertia: Quantity
@@ -58,7 +64,7 @@ class Swing:
 
 @dataclass(frozen=True)
 class _Piece:
-    """One log: the command (N*m), the motor angle minus the scaled joint angle (rad), and the windows in it."""
+    """One log: the command (N*m), the motor angle minus the geared joint angle (rad), and its windows."""
 
     command: FloatArray
     angle: FloatArray
@@ -72,9 +78,10 @@ def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float,
     identifiable.
 
     Args:
+        logs: logs of a motor that was shaken while the joint moved.
         radii: r_M and r_J, m.
         stiffness: first guess, N*m/rad.
-        delay: of the torque after the command.
+        delay: delay of the torque after the command.
     """
     period = logs[0].period
     pieces = [_piece(log, radii) for log in logs]
@@ -145,7 +152,7 @@ def _piece(log: Dataset, radii: tuple[float, float]) -> _Piece:
 
 
 class _Motor:
-    """The exact discrete model of the motor on its tendons and of its torque loop; the states are e, e' and torque."""
+    """The exact discrete model of the motor on its tendons and of its torque loop, with the states e, e' and torque."""
 
     def __init__(
         self, inertia: float, stiffness: float, damping: float, transport: float, lag: float, period: float
@@ -158,11 +165,11 @@ class _Motor:
         system[2, 2:] = -1.0 / lag, 1.0 / lag
         first, second = expm(system * period * part), expm(system * period * (1.0 - part))
         self._step = second[:3, :3] @ first[:3, :3]
-        self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # by the previous command, by the newest command
+        self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # effects of the previous and of the newest command
         self._back = whole
 
     def driven(self, command: FloatArray) -> FloatArray:
-        """Return the angle (n) to which a command (n) moves a motor at rest."""
+        """Return the angle (n,) to which a command (n,) moves a motor that starts at rest."""
         values, vectors = np.linalg.eig(self._step)
         before, newest = (np.linalg.solve(vectors, push.astype(complex)) for push in self._pushes)
         states = np.empty((3, command.size), dtype=complex)

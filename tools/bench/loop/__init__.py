@@ -1,1 +1,1 @@
-"""Variants of a control cycle on a real bus, measured alternately."""
+"""Measure variants of a control cycle alternately on a real bus."""

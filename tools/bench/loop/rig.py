@@ -37,9 +37,9 @@ TOLERANT = "[bus.supervision]\ntolerated_misses = 100\nlost_share = 1.0"
 def controller_text(
     folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False, each: str = ""
 ) -> str:
-    """Return the TOML of a controller whose files are in `folder`. Rate 0 is the highest that the bit rate allows.
+    """Return the TOML of a controller whose files are in `folder`. Rate 0 is the highest rate of the bus.
 
-    With `patient` long time-outs are set, so that a stall of the machine does not end the run. `each` is TOML that is
+    With `patient` the time-outs are long, so that a stall of the machine does not end the run. `each` is TOML that is
     added to every axis.
     """
     shutil.copy(CONFIG / "actuator.toml", folder)

@@ -1,4 +1,4 @@
-"""The variants of a control cycle that bench/cycle compares, each as a context manager that yields a `Way`."""
+"""Define the variants of a control cycle that bench/cycle compares, as context managers that yield a `Way`."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ PATIENCE = 0.05  # s for an answer
 class Way:
     """The functions of one variant.
 
-    `cycle` runs one cycle at the present time (s) and returns True if all answers came. `wait` sleeps until an absolute
-    time (ns). `rest` does the work after the cycle, which the wall time of the cycle excludes.
+    `cycle` runs one cycle at the present time (s), and returns True if it received all answers. `wait` sleeps until an
+    absolute time (ns). `rest` does the work after the cycle, which is not part of the cycle's wall time.
     """
 
     cycle: Callable[[float], bool]
@@ -92,14 +92,14 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
 
 @contextlib.contextmanager
 def raw_socket_in_c(configuration: Configuration, library: ctypes.CDLL) -> Iterator[Way]:
-    """Yield the same cycle in C, by the compiled floor.c. It includes the call from Python of about 1 us."""
+    """Yield the same cycle in C from the compiled floor.c. The call from Python takes about 1 us."""
     with _raw(configuration) as (bus, sync, commands, answers):
         handle, frames, axes, run = bus.fileno(), b"".join(commands), len(commands), library.cycle
         yield Way(lambda now: bool(run(handle, sync, frames, axes, answers) == 1))
 
 
 def floor_library(folder: str) -> ctypes.CDLL | None:
-    """Return floor.c compiled in `folder`; None without a C compiler."""
+    """Return floor.c compiled in `folder`, or None without a C compiler."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         return None
@@ -138,7 +138,7 @@ def ours(configuration: Configuration) -> Iterator[Way]:
 
 @contextlib.contextmanager
 def ours_all(configuration: Configuration) -> Iterator[Way]:
-    """Yield the cycle with log record, log writer, socket server, and at most one command per cycle."""
+    """Yield the cycle with log record, log writer and socket server, and with at most one command per cycle."""
     collect = configuration.file.controller.collect * configuration.period
     with _with_children(configuration) as (rig, axes, tuners, mailbox, telemetry):
         count = 0
@@ -193,7 +193,7 @@ Factory = Callable[[], contextlib.AbstractContextManager[Way]]
 
 
 class Samples:
-    """Durations of one variant, us."""
+    """The durations of one variant, us."""
 
     def __init__(self) -> None:
         self.cycle: list[float] = []

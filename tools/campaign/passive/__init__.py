@@ -1,1 +1,1 @@
-"""Experiments of the runaway campaign, and their evaluation."""
+"""Run and evaluate the experiments of the runaway campaign."""

@@ -1,4 +1,4 @@
-"""Run one change of the plant while the loop runs, and evaluate it by the plant's true torque and speed."""
+"""Run one change of the plant while the loop is running, and evaluate the plant's true torque and speed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 
 AT, WATCHED, LATCHED = 1.2, 3.0, 1.2  # s: time of the change; observation after the change, and after a latch
-LET_GO = 0.2  # s from the change until the hand lets go
+LET_GO = 0.2  # s from the change until the hand releases the joint
 TO_REST, AT_REST, MEASURED = 2.0, 3.0, 1.0  # s: set-point gain fades to 0, motion decays, measurement at rest
-SWUNG = 0.05  # s after the guard acted, until which a swing has decayed
+SWUNG = 0.05  # s after the guard has acted, by which a swing has decayed
 FELT = 1e-3  # J, three times the energy of a healthy reversal
 ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
 CONFIRMED = 2.5  # s of the log, by which the tendons have slid in both directions with a sine
-LOST = {"free": 60e-3}  # J that a loss after CONFIRMED may add with a joint encoder; 30 mJ with other loads
+LOST = {"free": 60e-3}  # J, most work that a loss after CONFIRMED may add with a joint encoder; 30 mJ for other loads
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 LOWERED = "friction and pretension together are about"  # first words of the estimator's report
 
 
 @dataclass(frozen=True)
 class Case:
-    """One run with a change at `at` s of the log. Without a `change` the set-point ends at this time."""
+    """One run with a change at the time `at` (s) of the log. Without a `change`, the set-point ends at this time."""
 
     sensors: str
     load: str
@@ -84,7 +84,7 @@ class Case:
 
 
 class Ended:
-    """Return True to end a run, some time after a latch or, with `stands`, after the joint has rested long enough."""
+    """A function that returns True to end a run, after a latch or, with `stands`, once the joint has rested."""
 
     def __init__(self, at: float, stands: bool) -> None:
         self._at, self._stands = at, stands
@@ -137,7 +137,7 @@ def judge(case: Case, compensation: float, compare: bool = False) -> dict[str, A
 
 @functools.lru_cache(maxsize=8)
 def _without(case: Case) -> tuple[FloatArray, FloatArray, float]:
-    """Return times, work per row and highest speed of a case at compensation 0, which is the same for all sensors."""
+    """Return times, work per row and highest speed of a case at compensation 0, which do not depend on the sensors."""
     result = case.play(0.0)
     return *power(result, case.at), peak_speed(result, case.at)
 

@@ -1,26 +1,26 @@
-"""Measure the work on a joint if friction, pretension, bending or the motor changes while the loop runs.
+"""Measure the work on a joint if friction, pretension, bending or the motor changes while the loop is running.
 
 Usage: tools/run campaign/runaway changes [--sensors motor ...] [--loads free ...] [--set-points sine ...]
                                           [--changes friction=0.1 ...] [--at 3] [--sample N] [--rows FILE] [--worst]
        tools/run campaign/runaway loss    (a sudden loss or a wrong drive, compared with compensation 0)
 
-Each case is one run of the real loop on distributed tendons in virtual time. The model file is true until --at, s of
-the log. Then one quantity steps to a share of its value: pretension, friction, bending, or the motor's torque constant
-(torque_gain; the reported torque stays). With set-point zero or constant the joint is nudged at this moment, and the
-hand on a limb lets go. A run ends 1.2 s after a latch, after 1 s of rest, or 3 s after the change. The plant's true
-torque and speed are evaluated:
+Each case is one run of the real loop on distributed tendons in virtual time. The model file is true until the time --at
+(s of the log). Then one quantity steps to a share of its value: pretension, friction, bending, or the motor's torque
+constant (torque_gain, without a change of the reported torque). With set-point zero or constant, the joint is nudged at
+this moment, and the hand releases a limb. A run ends 1.2 s after a latch, after 1 s of rest, or 3 s after the change.
+The plant's true torque and speed are evaluated:
 
   added    the largest work on the joint in any window after the change, less the work of the set-point and the work of
-           the same run at compensation 0. Goals: J/2 (1 rad/s)^2 with the torque sensor. With a joint encoder alone, a
-           sine and a loss from 2.5 s on (after sliding in both directions) 30 mJ, or 60 mJ on a free joint. Other
-           values have no goal.
-  late     the same work from 1 s after the first 1 mJ on. Goal: at most 1 mJ with the torque sensor.
+           the same run at compensation 0. Goals: J/2 (1 rad/s)^2 with the torque sensor. With only a joint encoder, a
+           sine and a loss after 2.5 s (after sliding in both directions): 30 mJ, or 60 mJ on a free joint. Other
+           cases have no goal.
+  late     the same work more than 1 s after the first 1 mJ. Goal: at most 1 mJ with the torque sensor.
   silent   more than 4 mJ were added without a report. This misses the goal with the torque sensor.
   after    the part of the work after the guard first acted, caused by delay and the swing of the motor.
 
 Without a change the set-point ends instead. 5 s later the joint must rest (0.02 rad/s RMS), and the motor torque must
-be constant (0.02 N*m peak to peak). --rows FILE: cases in the file are not run again. --worst prints the 20 worst cases
-of each sensor configuration, --which those that missed a goal. Exit code 1: a goal was missed.
+be constant (0.02 N*m peak to peak). Cases in --rows FILE are not run again. --worst prints the 20 worst cases of each
+sensor configuration, and --which prints the cases that missed a goal. Exit code 1: a goal was missed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ LOSS_TITLE = "loss: worst work added (mJ) before; once both directions have slid
 
 
 def cases(chosen: argparse.Namespace) -> list[Case]:
-    """Return every case of the chosen sensors, loads, set-points, changes, delays and times."""
+    """Return all cases of the chosen sensors, loads, set-points, changes, delays and times."""
     changes = [("", 1.0)] + [(name, share) for name, shares in CHANGES.items() for share in shares]
     if chosen.changes:
         changes = list(map(change_of, chosen.changes))
@@ -139,7 +139,7 @@ def losses(rows: Sequence[Row]) -> Table:
 
 
 def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
-    """Add the options. With `loss` the defaults are those for a sudden loss."""
+    """Add the options, with the defaults for a sudden loss if `loss` is True."""
     losses = [f"{name}={share:g}" for name, share in LOSSES] if loss else []
     parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=tuple(INERTIA))
     parser.add_argument(
@@ -185,7 +185,7 @@ def _at(row: Row, compensation: float) -> Case | None:
 
 
 def words(row: Row) -> str:
-    """Return the measurement as a line."""
+    """Return the measurement as one line of text."""
     if not row["change"]:
         return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", reported" if row["told"] else "")
     added = f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late"

@@ -1,7 +1,7 @@
 """Run the real loop on distributed tendons with a given rig, sensors, set-point, faults and changes.
 
-The controller's model file is true, except for the tendons' stiffness, which comes from a data sheet. The file does not
-contain a smaller `friction` or `pretension` of the plant, nor its later faults.
+The controller's model file is true, except for the tendon stiffness, which comes from a data sheet. The file does not
+contain the plant's smaller `friction` or `pretension`, or its later faults.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer":
 SENSORS = command.SENSORS
 SET_POINTS = ("zero", "constant", "sine", "gait")
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
-GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque, so that a joint of 0.02 kg*m^2 stays below 5 rad/s
+GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque, to keep a joint of 0.02 kg*m^2 below 5 rad/s
 _PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
 
-ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
+ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, lag of the controller's own low-pass, [axis.encoder] velocity_cutoff
 
 Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s of the joint, events; True ends the run
 
@@ -44,9 +44,9 @@ Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s o
 def true_model(
     shape: str | Points, nominal: TendonSheath = rig.NOMINAL, factors: Mapping[str, float] = rig.TRUTH
 ) -> TendonSheath:
-    """Return the model of the plant: friction, pretension and stiffness times `factors`, shape, and the encoder's lag.
+    """Return the plant's model with friction, pretension and stiffness times `factors`, the shape and the encoder lag.
 
-    (3.55) is exact with all bends at the joint. The shape is also needed to plan a reversal of the motor.
+    (3.55) is exact with all bends at the joint, but the law also needs the shape to plan a reversal of the motor.
     """
     effects: dict[str, dict[str, Any]] = {
         "velocity_lag": {"time_constant": ENCODER_LAG},
@@ -67,10 +67,10 @@ class Experiment:
         delay: Delay of the drive, periods.
         motor_bits, joint_bits: Resolution of the encoders.
         inertia: Inertia of the motor, kg*m^2.
-        true_stiffness: The controller's file has the true stiffness instead of the data sheet's value.
+        true_stiffness: True if the controller's file has the true stiffness instead of the data sheet's value.
         feedback: Bandwidth of the torque feedback with a torque sensor, Hz.
-        file_model: Replaces the controller's model.
-        hand: Script of a hand on the joint; by default a wearer has its own script.
+        file_model: Model that replaces the controller's model.
+        hand: Script of a hand on the joint. By default, a wearer has its own script.
         axis, file, plant: Tables that replace values of the controller's [[axis]], of its other tables, and of the
             plant's [[axis]].
     """

@@ -4,7 +4,7 @@ Usage: tools/run campaign/runaway healthy [--seconds 3600] [--sensors ...] [--lo
 
 Each load plays the gait (weight, free and wearer a sine) with true friction, pretension and shape, in slices of 60 s
 with different noise. With --rows an interrupted run continues. --slices limits the new slices of each load in one call.
-Exit code 1: the guard reported something, or a fault occurred.
+Exit code 1: there was a report of the guard or a fault.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SINE = ("weight", "free", "wearer")  # loads that would move too fast with the g
 
 @dataclass(frozen=True)
 class Slice:
-    """A part of a healthy run; `number` is the seed of its noise."""
+    """A part of a healthy run. `slice` is its number and the seed of its noise."""
 
     sensors: str
     healthy: str

@@ -1,8 +1,8 @@
 """Compute excess work, joint speed and reaction times of a run from the plant's truth.
 
-The excess work is the integral of (tau_J - tau_J_des) omega_J over the window that makes it largest. It is not positive
-for a joint that only its set-point, its load and passive tendons move. After a fault the desired torque is zero. If
-tendons release a joint, the same run at compensation 0 also has excess work, which the caller subtracts.
+The excess work is the integral of (tau_J - tau_J_des) omega_J over the window in which it is largest. It is not
+positive if only the set-point, the load and passive tendons move the joint. After a fault the desired torque is zero.
+If tendons release a joint, the same run at compensation 0 also has excess work, which the caller subtracts.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 
 GUARD = ("passivity", "oscillation")  # first words of the guard's events
-LATCHED = "latched at"  # in an event of the guard that latches
+LATCHED = "latched at"  # words of an event in which the guard latches
 
 FloatArray = NDArray[np.float64]
 
 
 def power(result: Simulation, begin: float) -> tuple[FloatArray, FloatArray]:
-    """Return the times of the truth from `begin` on, s of the log, and the excess work of each row, J."""
+    """Return the times of the truth (s of the log) from `begin` on, and the excess work of each row, J."""
     axis, truth = result.axes[0], result.truth
     t = truth["clock"] - axis.start
     on = t >= begin
@@ -59,7 +59,7 @@ def peak_speed(result: Simulation, begin: float) -> float:
 
 
 def latches(event: Event) -> bool:
-    """Return True for a fault, and for an event of the guard that latches."""
+    """Return True for a fault and for an event in which the guard latches."""
     return event.fault or LATCHED in event.text
 
 

@@ -2,19 +2,19 @@
 
 Usage: tools/run campaign/runaway scan [--sensors motor ...] [--loads free ...] [--shares 0.1 ...] [--sample N]
 
-Each cell is one run of the real loop on distributed tendons in virtual time. The plant has a share of the file's
-friction (--of friction, pretension or both) from the start on. The set-point is 0 or 0.3 N*m, and the joint is nudged
-once (0.4 N*m for 0.1 s). Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint
-encoder, "sensor" has both. Shape, delay and encoders are drawn for each cell by the seed. A run ends once the joint has
+Each cell is one run of the real loop on distributed tendons in virtual time. From the start, the plant has a share of
+the file's friction (--of friction, pretension or both). The set-point is 0 or 0.3 N*m, and the joint is nudged once
+(0.4 N*m for 0.1 s). Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder,
+and "sensor" has both. The seed determines random shape, delay and encoders of each cell. A run ends once the joint has
 been at rest for --rest seconds. The plant's true torque and speed are evaluated:
 
-  speed   RMS of the joint over 0.5 s, 3 s after the nudge. Goal at set-point 0: at most 0.05 rad/s. Goal at a constant
-          set-point: at most 0.2 rad/s above the faster of two reference runs, the same run at compensation 0 and the
-          run without friction ("ideal"). A free joint that follows its set-point is not a runaway. The last line counts
-          the cells that exceed the first reference alone.
-  work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less that of the same run at
+  speed   RMS speed of the joint over 0.5 s, 3 s after the nudge. Goal at set-point 0: at most 0.05 rad/s. Goal at a
+          constant set-point: at most 0.2 rad/s above the faster of two reference runs, which are the same run at
+          compensation 0 and the run without friction ("ideal"). A free joint that follows its set-point is not a
+          runaway. The last line counts the cells that exceed only the first reference.
+  work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less the integral of the same run at
           compensation 0. Goal at set-point 0: at most 10 mJ with a torque sensor, otherwise 0.1 J in class "worn" and
-          0.4 J in class "bench" (--class). At a constant set-point there is no goal.
+          0.4 J in class "bench" (--class). A constant set-point has no goal.
 
 One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
 --joint-bits 20`. Exit code 1: a goal was missed.
@@ -45,16 +45,16 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-OF = ("friction", "pretension", "both")  # "both": the root of the share each
+OF = ("friction", "pretension", "both")  # "both": each is multiplied by the square root of the share
 SET_POINTS = ("zero", "constant")
-CENTRES, DELAYS, BITS = (0.3, 0.5, 0.65), (1, 2, 3), (14, 20)  # 1, periods, least and most
+CENTRES, DELAYS, BITS = (0.3, 0.5, 0.65), (1, 2, 3), (14, 20)  # 1; periods; least and most bits
 NUDGE = 0.4  # N*m on the joint
-NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log when it begins, s that it lasts
-WATCHED, WINDOW = 3.0, 0.5  # s from the nudge to the measurement of the speed, and duration of the measurement
-STILL, REST = 0.01, 1.0  # rad/s of a joint at rest, s of rest that end a run
+NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log at the start of the nudge, and its duration, s
+WATCHED, WINDOW = 3.0, 0.5  # s from the nudge to the measurement of the speed, and duration of the measurement, s
+STILL, REST = 0.01, 1.0  # rad/s below which the joint is at rest, and s of rest that end a run
 RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
 IDEAL = 0.01  # share of the friction in the run without friction
-MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above the reference runs
+MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point in excess of the reference runs
 MOST_WITH_SENSOR = 10e-3  # J
 WIDTH = 190  # characters of the table
 MOST_WORK = {"worn": 0.1, "bench": 0.4}  # J by class of use, without a joint torque sensor
@@ -94,8 +94,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class Judge:
-    """Options of all cells: share of the friction term, class of use, seconds of rest that end a run, and TOML tables
-    that replace values of the controller's [[axis]] and file.
+    """The options of all cells.
+
+    Attributes:
+        compensation: share of the friction term, 1.
+        use: class of use.
+        rest: time of rest that ends a run, s.
+        axis, file: TOML tables that replace values of the controller's [[axis]] and file.
     """
 
     compensation: float
@@ -115,7 +120,7 @@ class Judge:
         without = ideal = 0.0
         if cell.set_point == "constant" and left > bound:
             without = speed(self._play(cell.experiment(0.0)), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
-            if left > without + bound:  # a free joint may follow its set-point, so compare without friction
+            if left > without + bound:  # a free joint may follow its set-point, as the run without friction shows
                 bare = dataclasses.replace(cell, of="friction", share=IDEAL).experiment(0.0)
                 ideal = speed(self._play(bare), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
         if work > most:
@@ -156,7 +161,7 @@ def cells(
     shares: Sequence[float],
     fixed: dict[str, Any],
 ) -> list[Cell]:
-    """Return all cells. `fixed` values replace drawn ones (centre, delay, motor_bits, joint_bits)."""
+    """Return all cells. `fixed` replaces random values (centre, delay, motor_bits, joint_bits)."""
     found = []
     for names in itertools.product(sensors, loads, set_points, of, shares):
         rng = np.random.default_rng([seed, zlib.crc32(repr(names).encode())])

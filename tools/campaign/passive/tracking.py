@@ -3,15 +3,15 @@
 Usage: tools/run campaign/runaway tracking [--against REV] [--sensors ...] [--loads ...] [--set-points ...]
 
 Each cell is one run of the real loop on distributed tendons in virtual time, with true parameters. Errors are RMS
-values of the delivered joint torque less the desired one, by the plant's truth, in mN*m:
+values of the delivered minus the desired joint torque from the plant's truth, in mN*m:
 
   first       from the end of the fade-in to 4 s, before the friction is confirmed
-  confirmed   6 s from 10 s on (12 s with a wearer, the length of the hand's script)
-  again       the first 4 s after an EMCY disabled the drive and a recovery enabled it again
+  confirmed   for 6 s after 10 s (12 s with a wearer, the length of the hand's script)
+  again       the first 4 s after an EMCY has disabled the drive and a recovery has enabled it again
 
-For a locked joint at a constant set-point of 0.3 N*m, "loss" is the decrease of the delivered torque from 1.5 s to 20
-s, in %. With --against REV the same cells also run on the package of another revision, without --axis and --file. Its
-worktree and rows are kept in .cache/against. Each value is then followed by its ratio to that revision. Goals:
+For a locked joint at a constant set-point of 0.3 N*m, "loss" is the decrease of the delivered torque between 1.5 s and
+20 s, in %. With --against REV the same cells also run on the package of another revision, without --axis and --file.
+Its worktree and rows are kept in .cache/against. Each value is then followed by its ratio to that revision. Goals:
 confirmed at most 1.2 times, again at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a
 goal was missed.
 """
@@ -48,8 +48,8 @@ LOADS = ("imposed", "held", "weight", "limb", "wearer")
 SET_POINTS = ("sine", "gait", "constant")
 FIRST, BEGIN, LENGTH = 4.0, 10.0, {"wearer": 12.0}  # s of the log; 6 s for other loads
 DISABLED = 0.3  # s from the EMCY to the recovery
-LOSS_FROM, LOSS_TO, HELD = 1.5, 20.0, 0.2  # s of the log, s over which the torque is averaged
-MOST = {"confirmed": 1.2, "again": 1.3}  # times the other revision
+LOSS_FROM, LOSS_TO, HELD = 1.5, 20.0, 0.2  # s of the log (twice), and s over which the torque is averaged
+MOST = {"confirmed": 1.2, "again": 1.3}  # times the value of the other revision
 LEAST = 2.0  # mN*m; smaller errors count as 2
 MOST_LOSS = 5.0  # %
 
@@ -114,7 +114,7 @@ def cells(chosen: argparse.Namespace) -> list[Cell]:
 
 
 def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) -> dict[Cell, dict[str, Any]]:
-    """Return the rows of the same cells on another revision's package, run in a worktree."""
+    """Run the same cells with the package of another revision in a worktree, and return their rows."""
     place = WORKTREES / commit_of(revision)[:8]
     worktree(revision, place)
     measured_by = b"".join(Path(__file__).with_name(name).read_bytes() for name in ("tracking.py", "experiment.py"))

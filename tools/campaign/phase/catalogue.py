@@ -1,4 +1,4 @@
-"""The faults of the campaign in virtual time, with the required reaction of the running loop."""
+"""Define the faults of the campaign in virtual time, with the required reaction of the running loop."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ class Hazard:
     """A fault and its hazard to the wearer.
 
     Attributes:
+        name: Name of the fault.
+        hazard: Hazard to the wearer.
         cause: Regular expression that a latched fault must match. If it is empty, no fault is required.
         lines: Commands to the plant, as on its control socket.
         act: Key of `ACTS`, instead of commands.
-        lie: The fault cannot be detected at once, so the trial is judged by the effect on the joint.
+        lie: True if the fault cannot be detected at once, so that the trial is judged by the effect on the joint.
         goes_on: Reason why the loop may continue.
         residual: Description of the residual risk.
-        axes: Number of axes that the fault needs.
-        released: The friction or pretension that holds the joint is lost permanently, independently of the motor.
-        stays: The fault is permanent.
-        sticks: Small differences decide whether the joint moves or sticks afterwards.
+        axes: Number of axes that the fault requires.
+        released: True if the friction or pretension that holds the joint is lost, independently of the motor.
+        stays: True if the fault is permanent.
+        sticks: True if small differences decide whether the joint moves or sticks afterwards.
         open: Description of the known unsafe trials; empty if none are known.
     """
 
@@ -50,8 +52,8 @@ _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
 _LIMP = "a limb falls by its weight; add a brake or springs"
 _TORN = "a limb falls by its weight, or the other tendon pulls with its pretension; add an end stop"
 _UNSEEN = "an error that no measurement shows is bounded by the limits alone; add a second sensor"
-# Hazards that are unsafe in some trials: their present limits, and additional measures. The table lists the number of
-# these trials, the joints and the excess.
+# Present limits of hazards that are unsafe in some trials, and additional measures. The table lists the number of these
+# trials, the joints and the excess.
 _LATE = (
     "the motor torque exceeds the limit from the first period on, and only the drive's current limit bounds it; the "
     "tendon elongation shows it once the torque changes by a thirtieth of its limit, at a constant torque only a joint "

@@ -1,4 +1,4 @@
-"""Generate the trials of the campaign: each fault in each phase at each moment, with a random rig for each trial."""
+"""Generate the trials of the campaign: each fault in each phase at each moment, each with a random rig."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
 PHASES = (
     "start", "enabling", "ramping", "running", "tuning", "stopping", "fault", "resetting", "recovering",
 )  # fmt: skip
-MOMENTS = 20  # within a cycle
-PAIRS = 500
+MOMENTS = 20  # moments within a cycle
+PAIRS = 500  # trials with two faults
 TWO_AXES = 0.1  # share of the trials
-LATER = 0.05  # s, the longest time between the two faults of a pair
+LATER = 0.05  # s, longest time between the two faults of a pair
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
 SHAPES = ("uniform", "motor_end", "joint_end", "s_bent")
 WANTED = ("constant", "sine", "step", "negative")
@@ -25,7 +25,7 @@ WANTED = ("constant", "sine", "step", "negative")
 
 @dataclass(frozen=True)
 class Draw:
-    """A random rig. `seed` is of its noise. `share` is the relative time of the fault in the phase, from 0 to 1."""
+    """A random rig. `seed` is the seed of its noise. `share` is the relative time of the fault in the phase, 0 to 1."""
 
     load: str
     shape: str
@@ -50,14 +50,14 @@ class Trial:
     moment: int
     gap: float  # s between the two faults of a pair
     draw: Draw
-    sensors: str = ""  # sensor configuration that replaces the drawn one
+    sensors: str = ""  # sensor configuration that replaces the random one
 
     @property
     def key(self) -> str:
         return f"{' + '.join(self.names)} | {self.phase} | {self.moment}" + f" | {self.sensors}" * bool(self.sensors)
 
     def with_sensors(self, sensors: str) -> Trial:
-        """Return the same trial with "motor" alone, a joint "encoder", or a joint torque "sensor" and an encoder."""
+        """Return the same trial with the sensors "motor", "encoder" or "sensor" (both joint sensors)."""
         draw = dataclasses.replace(self.draw, sensor=sensors == "sensor", encoder=sensors != "motor")
         return dataclasses.replace(self, draw=draw, sensors=sensors)
 
@@ -99,9 +99,9 @@ def pairs(seed: int) -> Iterator[Trial]:
 def chosen(seed: int, kind: str, sample: int | None, only: tuple[str, ...], part: tuple[int, int]) -> list[Trial]:
     """Return the trials to run.
 
-    `only` keeps trials whose key contains one of its words. `sample` keeps that many trials, and `part` every n-th of
-    them. The order is random, but each fault comes once before any fault comes again. Therefore an interrupted run has
-    trials of every fault.
+    `only` selects the trials whose key contains one of its words. `sample` selects that many trials, and `part` every
+    n-th of them. The order is random, but each fault occurs once before any fault occurs again. Therefore an
+    interrupted run has trials of every fault.
     """
     trials = [*full(seed)] if kind == "full" else [*pairs(seed)]
     trials = [trial for trial in trials if not only or any(word in trial.key for word in only)]

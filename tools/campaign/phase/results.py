@@ -1,4 +1,4 @@
-"""Results of a campaign: one row for each trial, and a summary for each hazard."""
+"""Return the results of a campaign as one row for each trial and a summary for each hazard."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
 
 
 def summary(rows: Iterable[Row]) -> dict[str, Row]:
-    """Return for each hazard the trials, safe trials, causes, times to zero torque, and worst motion and energy."""
+    """Return trials, safe trials, causes, times to zero torque, and worst motion and energy of each hazard."""
     by_name: dict[str, list[Row]] = {hazard.name: [] for hazard in HAZARDS}
     for each in rows:
         if len(each["names"]) == 1:
@@ -80,7 +80,7 @@ def _beyond(rows: list[Row]) -> Row:
 
 
 def _short(cause: str) -> str:
-    """Return the kind of a cause, without the figures of one trial."""
+    """Return the kind of a cause without the numbers of one trial."""
     words = cause
     for separator in (" says ", ": ", " by ", "; ", " (", ", "):
         words = words.partition(separator)[0]

@@ -73,7 +73,7 @@ def _another(axis: ControlSettings, place: int) -> ControlSettings:
 
 
 def plant_of(draw: Draw) -> PlantSettings:
-    """Return the plant's settings, with distributed tendons. Its motion and time begin at the first enable."""
+    """Return the plant's settings, with distributed tendons. Its motion and time start at the first enable."""
     _, base = _shipped()
     (axis,) = base.axis
     factors = _replace(

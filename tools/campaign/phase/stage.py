@@ -1,6 +1,6 @@
 """Run one trial in virtual time: bring the daemon's loop with the plant into a phase, and inject a fault.
 
-Each trial starts from power-on and shares no state with other trials, so its result is bit-exact reproducible.
+Each trial starts from power-on and shares no state with other trials, so its result is reproducible to the last bit.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from tsa_ctrl.virtual.simulation import Truth
 
 HANG = 0.3  # s, longer than every time-out
 HITCH = 0.01  # s, shorter than the shortest time-out of 20 ms
-DEAD = 0.6  # s of observation after the loop has died
-REBOOT = 0.03  # s that a drive has no power
+DEAD = 0.6  # s of observation after the death of the loop
+REBOOT = 0.03  # s for which a drive has no power
 
 
 class DiedError(Exception):
-    """The loop has died, and the trial is over."""
+    """Report that the loop has died and the trial is over."""
 
 
 def _foreign(machine: Machine, wire: Wire, can_id: int, data: bytes) -> None:
@@ -77,7 +77,7 @@ def die(machine: Machine, wire: Wire) -> None:
 
 
 def exchange(machine: Machine, wire: Wire) -> None:
-    """Switch two identical drives off, exchange their connectors, and boot them again."""
+    """Power two identical drives off, exchange their connectors, and boot them again."""
     one, two = (unit.drive for unit in machine.axes[:2])
     nodes = [unit.by_kind["drive"] for unit in machine.axes[:2]]
     for node in nodes:
@@ -105,22 +105,22 @@ RECOVER_ACT = "recover"  # `act` of a hazard in which a client requests a recove
 LOOK = 2.5e-4  # s between two checks of the phase
 WATCH = 0.45  # s from a fault until its cause is removed, longer than the torque may last
 AFTER = 0.15  # s of observation after that
-BRING_UP = 0.25  # s of a startup or a recovery, within which the fault is injected
+BRING_UP = 0.25  # s of a startup or a recovery during which the fault is injected
 READY = FADE_IN + 0.1  # s of torque before a fault of a running loop
 PERIOD = 1e-3  # s between two rows of the truth
-LONGEST = 6.0  # s, the longest duration of a trial, after which it is stopped
+LONGEST = 6.0  # s after which a trial is stopped
 Traces = dict[str, NDArray[np.float64]]  # columns of the record of one axis of the plant, one row per PERIOD
 
 
 @dataclass(frozen=True)
 class Seen:
-    """Results of a trial. Times are in s of the plant's clock.
+    """The results of a trial. Times are in s of the plant's clock.
 
     Attributes:
         axes: Record of each axis of the plant.
         injected: Time of the fault, or None if it was not injected.
         cleared: Time at which the cause was removed, or infinity.
-        asked: Time of the last request for torque, 0 for startup.
+        asked: Time of the last request for torque, or 0 for startup.
         stopped: Time at which a stop was requested, or infinity.
         faults, cause_ids: Texts and identifiers of the faults.
         said: Texts of the other events.
@@ -187,7 +187,7 @@ class Stage:
             self.daemon.mailbox.put(Command(place, number, value))
 
     def begin(self, line: str) -> None:
-        """Begin a fault in the plant. Ignore a fault of an absent sensor."""
+        """Start a fault in the plant. Ignore a fault of a missing sensor."""
         absent = [("torque_sensor", self.draw.sensor), ("encoder", self.draw.encoder)]
         if any(name in line and not present for name, present in absent):
             return
@@ -203,7 +203,7 @@ class Stage:
         try:
             self.daemon.lifecycle.run(math.inf)
         except DiedError:
-            pass  # the recording ended before
+            pass  # the recording has already ended
         except TsaError as error:
             refused = str(error)
         except Exception as error:  # the trial reports any exception as a crash
@@ -227,7 +227,7 @@ class Stage:
             crashed,
         )
 
-    # states that the script waits for
+    # States for which the script waits.
 
     @property
     def enabling(self) -> bool:
@@ -247,7 +247,7 @@ class Stage:
 
 
 class _Script:
-    """Run the steps of a trial, as a generator that yields between two checks of the phase."""
+    """The steps of a trial, run by a generator that yields between two checks of the phase."""
 
     def __init__(self, stage: Stage, trial: Trial | None) -> None:
         self._stage = stage
@@ -292,7 +292,7 @@ class _Script:
         stage.stop()
 
     def _reach(self, trial: Trial) -> Iterator[bool]:
-        """Wait until the loop is in the phase of the trial, and then for a share of that phase."""
+        """Wait until the loop reaches the phase of the trial, and then for a share of that phase."""
         stage, phase, share = self._stage, trial.phase, trial.draw.share
         if phase == "start":
             yield from self._wait(share * BRING_UP)

@@ -1,11 +1,11 @@
-"""Judge if a trial was safe, by torque, speed, travel and energy of the plant, and by the latched cause.
+"""Judge whether a trial was safe, by torque, speed, travel and energy of the plant and by the latched cause.
 
 If a joint moves too far after a fault, the motion of these reference runs is subtracted:
 
-- the same joint without the fault, or with the torque off from that time on. No software can hold a falling weight.
+- the same joint without the fault, or with the torque off after that time. No software can hold a falling weight.
 - the same fault without compensation, if tendons or sheaths change. The joint moves if friction no longer holds it.
 - the joint without the fault and with 10 % less friction, if small differences decide whether the joint sticks.
-- a first startup of the same length, if a recovery was requested. The set-point starts at each enable.
+- a first startup of the same length, if a recovery was requested. The set-point restarts at each enable.
 
 Motion without motor torque is caused by the wearer or the weight, and is safe.
 """
@@ -29,24 +29,24 @@ from tools.campaign.phase.stage import PERIOD, Seen, Traces, play
 
 ZERO = 0.01  # N*m, 1 % of the rated torque; a smaller motor torque counts as zero
 PEAK = 1.05 * LIMIT  # N*m, the limiter's limit and the noise of the current loop
-# rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s: twice
-# the 250 mm/s that ISO 10218-1 allows for a robot near people, and a fifth of the speed of a walking knee. A stretch
-# reflex responds after 50 to 100 ms; until then the joint has moved by 0.2 rad.
+# rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s. This
+# is twice the 250 mm/s that ISO 10218-1 permits for a robot near people, and a fifth of the speed of a walking knee. A
+# stretch reflex responds after 50 to 100 ms. By then the joint has moved by 0.2 rad.
 SPEED = 2.0
 TRAVEL = 0.35  # rad of excess, 20 degrees, the reserve of a knee or an elbow in the middle of its range
-LOOSE = 0.9  # share of the friction in a reference run, in which the joint must not stick by chance
+LOOSE = 0.9  # share of the friction in a reference run in which the joint must not stick by chance
 ENERGY = 0.1  # J of excess work on the joint, the energy of a limb of 0.05 kg*m^2 at `SPEED`
 EARLY = ("start", "enabling", "resetting", "recovering")  # phases that may come before any torque
 RECOVERED = ("fault", "resetting", "recovering")  # phases of disabled axes, in which a recovery may be requested
 MOVED = ("imposed", "held")  # loads whose motion is independent of the motor; they are judged by torque alone
-_ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # faults that end at once
+_ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # faults that end immediately
 OFF = "safe torque off"
 Excess = tuple[float, float, float]  # rad/s, rad, J
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the joints: highest speed (rad/s), range of the angle (rad), and largest work of any window (J)."""
+    """The motion of the joints: highest speed (rad/s), range of the angle (rad), and largest work of any window (J)."""
 
     speed: float
     low: float
@@ -56,7 +56,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a trial. `wrong` has the reasons if it is unsafe. `zero` is the time from fault to zero torque, s."""
+    """The verdict on a trial. `wrong` has the reasons if it is unsafe. `zero` is the time to zero torque, s."""
 
     wrong: tuple[str, ...]
     zero: float | None
@@ -122,7 +122,7 @@ class Judge:
         return self._rows[-1] - self._since + 1e-3 if self._rows else 0.0
 
     def _torque(self) -> list[str]:
-        """Return the errors in the times at which there was torque."""
+        """Return the violations of the times at which torque was permitted."""
         seen, trial, rows = self._seen, self._trial, self._rows
         asked_since = seen.asked >= self._since  # torque may return if a client requested it after the fault
         wrong = []
@@ -134,7 +134,7 @@ class Judge:
         if trial.phase in ("stopping", "fault") or not must or not rows or asked_since:
             return wrong
         early = trial.phase in EARLY
-        if early:  # axes enable in turn, so another axis may have torque before the fault acts on the first one
+        if early:  # axes are enabled one by one, so another axis may have torque before the fault affects the first one
             rows = self._of(seen.axes[:1])
             if not rows:
                 return wrong
@@ -188,7 +188,7 @@ class Judge:
         ]
 
     def _wanted(self) -> Motion:
-        """Return the motion of a startup without a fault, for as long as this trial was enabled after its recovery."""
+        """Return the motion of a startup without a fault, over the time that this trial was enabled after recovery."""
         began = first_enabled(self._seen.axes, self._seen.asked)
         length = max((float(each["clock"][-1]) for each in self._seen.axes if each["clock"].size), default=0.0) - began
         twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"))
@@ -203,7 +203,7 @@ def first_enabled(axes: Sequence[Traces], since: float) -> float:
 
 
 def _less(excess: Excess, here: Motion, there: Motion) -> Excess:
-    """Return for each quantity the smaller of the old excess and the excess over another run."""
+    """Return the smaller of the old excess and the excess over another run, for each quantity."""
     beyond = (here.speed - there.speed, max(here.high - there.high, there.low - here.low), here.energy - there.energy)
     return (
         min(excess[0], max(0.0, beyond[0])), min(excess[1], max(0.0, beyond[1])), min(excess[2], max(0.0, beyond[2])),
@@ -215,7 +215,7 @@ def _borne(excess: Excess) -> bool:
 
 
 def _over(hazard: Hazard) -> bool:
-    """Return True if the fault ends without a command that clears it."""
+    """Return True if the fault ends without being cleared by a command."""
     return bool(hazard.act) or any("duration" in line or line.split()[0] in _ONCE for line in hazard.lines)
 
 

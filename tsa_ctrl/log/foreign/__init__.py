@@ -1,1 +1,1 @@
-"""Tables that other programs wrote: their own names, units, separators, decimal commas and encodings."""
+"""Import tables of other programs, with their own names, units, separators, decimal commas and encodings."""

@@ -1,9 +1,9 @@
 """Map foreign columns to canonical ones, and write the files of an import.
 
-Column and unit are guessed from the foreign names, or given by a mapping file. A mapping file (TOML) has `[table]`
-(encoding, separator, decimal, header) and one `[column.NAME]` for each canonical column with `from` (the foreign name),
-`unit`, and, if the unit requires them, `scale` (SI per unit) and `offset` (SI). The files of an import are
-canonical CSV, the mapping, a model-file skeleton and a picture.
+Column and unit are guessed from the foreign names, or given by a mapping file. A mapping file (TOML) has a `[table]`
+(encoding, separator, decimal, header) and one `[column.NAME]` for each canonical column. A column has `from` (the
+foreign name), `unit`, and, if the unit requires them, `scale` (SI per unit) and `offset` (SI). An import writes a
+canonical CSV file, the mapping, a model-file skeleton and a picture.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from tsa_ctrl.signals import COLUMNS, INPUTS
 
 DATE = "date"  # the unit of a column of dates and times
 
-# SI per unit, by the unit of our column. Units that depend on the device (A, %, counts) are not here: it needs `scale`.
+# SI per unit, by the unit of our column. Units that depend on the device (A, %, counts) are missing and need `scale`.
 UNITS: dict[str, dict[str, float]] = {
     "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, DATE: 1.0},
     "N*m": {
@@ -54,7 +54,8 @@ DEVICE_UNITS = {"a": "N*m per A", "ma": "N*m per mA", "%": "SI per %", "permille
                 "‰": "SI per mille", "counts": "rad per count", "cnt": "rad per count", "inc": "rad per increment",
                 "v": "SI per V", "mv": "SI per mV", "digits": "SI per digit"}  # fmt: skip
 
-# Words of foreign names, all of one group needed; German and English, as recorded by drives, bridges and lab tools.
+# Words in foreign names, German and English, as written by drives, bridges and lab tools. A name must contain a word of
+# every group.
 _MOTOR = ("motor", "drive", "antrieb", "driver", "mot", "_m", "input", "actuator")
 _JOINT = ("joint", "gelenk", "load", "output", "abtrieb", "jaw", "last", "_j", "knee", "knie", "elbow")
 _TORQUE = ("torque", "drehmoment", "moment", "tau", "trq", "mom")
@@ -76,12 +77,12 @@ WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 
 class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[table] of a mapping file; the rest is determined from the table."""
+    """[table] of a mapping file. Missing keys are determined from the table."""
 
     encoding: str | None = None
     separator: str | None = None  # one character, or " " for any white space
     decimal: str | None = None  # "." or ","
-    header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0: none
+    header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
 
 
 class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, rename={"source": "from"}):
@@ -89,8 +90,8 @@ class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     source: str
     unit: str
-    scale: float | None = None  # SI per unit; needed where the unit is the device's own
-    offset: float = 0.0  # SI, added
+    scale: float | None = None  # SI per unit; required for a unit that depends on the device
+    offset: float = 0.0  # SI, added after scaling
 
 
 class MapFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -102,7 +103,7 @@ class MapFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=T
 
 @dataclass(frozen=True)
 class Mapped:
-    """One of our columns: where it comes from, and SI = scale * value + offset."""
+    """A canonical column and its foreign source, with SI = scale * value + offset."""
 
     name: str
     source: str
@@ -111,14 +112,14 @@ class Mapped:
     offset: float
 
     def values(self, table: ForeignTable) -> NDArray[np.float64]:
-        """Return the column in SI; raises UsageError with the line of a value that is not a number."""
+        """Return the column in SI units. Raise UsageError with the line of a value that is not a number."""
         if self.unit == DATE:
             return table.times(self.source)
         return table.numbers(self.source) * self.scale + self.offset
 
 
 def shape_of(file: MapFile, told: Shape) -> Shape:
-    """Return the shape of the text from the mapping file, and from the text itself for missing keys."""
+    """Return the shape of the text from the mapping file, with missing keys from `told`, the text's own shape."""
     given = file.table
     return Shape(
         given.encoding or told.encoding,
@@ -129,7 +130,7 @@ def shape_of(file: MapFile, told: Shape) -> Shape:
 
 
 def full_shape(file: MapFile) -> Shape | None:
-    """Return the shape of the text if the mapping file states all of it: then nothing is determined from the text."""
+    """Return the shape of the text if the mapping file has all keys of it, or None otherwise."""
     given = file.table
     if given.encoding and given.separator and given.decimal and given.header is not None:
         return Shape(given.encoding, given.separator, given.decimal, given.header)
@@ -137,12 +138,16 @@ def full_shape(file: MapFile) -> Shape | None:
 
 
 def load_map(path: Path) -> MapFile:
-    """Read a mapping file; raises UsageError."""
+    """Read a mapping file. Raise UsageError if it is not valid."""
     return settings.load(path, MapFile)
 
 
 def parse_column(text: str) -> tuple[str, ColumnSettings]:
-    """`NAME=FOREIGN NAME` or `NAME=FOREIGN NAME|UNIT` or `...|UNIT*SCALE` of the command line; raises UsageError."""
+    """Parse `NAME=FOREIGN NAME`, `NAME=FOREIGN NAME|UNIT` or `...|UNIT*SCALE` of the command line.
+
+    Raises:
+        UsageError: The text has another form.
+    """
     name, separator, rest = text.partition("=")
     source, _, unit = rest.partition("|")
     unit, _, scale = unit.rpartition("*") if re.search(r"\*[-+.\d]", unit) else (unit, "", "")
@@ -160,7 +165,8 @@ def parse_column(text: str) -> tuple[str, ColumnSettings]:
 def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str) -> list[Mapped]:
     """Return the given columns, checked against the table.
 
-    Raises UsageError with the value found and the allowed ones.
+    Raises:
+        UsageError: A column, its source or its unit is wrong. The message has the value found and the allowed ones.
     """
     found = []
     for name, wanted in given.items():
@@ -175,7 +181,7 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
 
 
 def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
-    """Return columns that their names determine, except the ones in `taken`; unit "" if the file states none."""
+    """Return the columns that their names determine, except those in `taken`. The unit is "" if the file has none."""
     used = {settings.source for settings in taken.values()}
     found: dict[str, ColumnSettings] = {}
     for source in table.names:
@@ -191,9 +197,9 @@ def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str,
 
 
 def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
-    """Return the proposal for a column that no name determines, as --column takes it.
+    """Return the proposal for a column that no name determines, in the form of --column.
 
-    Time is the first column that increases in every row, the torque the first column that is left. Both in SI.
+    Time is the first column that increases in every row. The torque is the first remaining column. Both are in SI.
     """
     free = [name for name in table.names if name not in used]
     for name in free:
@@ -207,7 +213,10 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
 
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
-    """Return the unit in brackets or after the last slash or underscore of a name; a canonical name has its own."""
+    """Return the unit in brackets, or after the last space, slash or underscore of a name, or None without a unit.
+
+    A canonical name has its canonical unit.
+    """
     if source in COLUMNS:
         return COLUMNS[source].unit
     found = re.search(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$", source)
@@ -223,7 +232,7 @@ def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
 
 
 def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
-    """Return the mapping as the text of a file that repeats it."""
+    """Return the text of a mapping file that repeats this import."""
     import tomlkit
 
     document = tomlkit.document()
@@ -288,7 +297,7 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
     return Mapped(name, source, unit, scale, offset + SHIFT.get(unit, 0.0))
 
 
-POINTS = 4000  # drawn per curve
+POINTS = 4000  # least number of drawn points of a longer curve
 Columns = Mapping[str, NDArray[np.float64]]
 
 RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. A key behind # may be a cause.
@@ -312,18 +321,19 @@ viscous_friction = 0.0           # b, N*m*s/rad
 
 @dataclass(frozen=True)
 class Imported:
-    """The written files by their kind."""
+    """The files that an import has written."""
 
     log: Path
     mapping: Path
-    model: Path | None  # None: there was one
+    model: Path | None  # None if the file existed already
     picture: Path
 
 
 def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns in SI, with time from 0 at the first row.
+    """Return the columns in SI units, with time 0 at the first row.
 
-    Raises UsageError with the line of a value that is not a number.
+    Raises:
+        UsageError: A value is not a number. The message has its line.
     """
     columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
     t = columns["t"]
@@ -342,10 +352,19 @@ def write(
     stem: str,
     kind: str = "",
 ) -> Imported:
-    """Write all of it to `folder`. Raises UsageError.
+    """Write the files of an import to `folder`.
 
-    `skeleton` is the commented model file of a tendon-sheath. `kind` of the model file; default: a tendon-sheath if
-    the joint torque is there, else a plain drive.
+    Args:
+        folder: folder of the files.
+        table: foreign table.
+        mapped: mapping of the columns.
+        columns: columns in SI units.
+        skeleton: commented model file of a tendon-sheath.
+        stem: start of the file names.
+        kind: kind of the model file. The default is a tendon-sheath if there is a joint torque, or else a plain drive.
+
+    Raises:
+        UsageError: A file cannot be written.
     """
     log, mapping, model = folder / f"{stem}.csv", folder / f"{stem}-map.toml", folder / "model.toml"
     picture = folder / f"{stem}.png"

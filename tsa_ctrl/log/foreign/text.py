@@ -1,8 +1,8 @@
 """Read foreign tables: text files, and the binary files of other programs.
 
-A text table is read as columns of text: encoding, separator, header line and decimal sign are determined from the file.
-A binary format has one function, which returns named columns. It uses the library that the users of the format use; the
-extra `formats` of pyproject.toml installs these libraries.
+A text table is read as columns of text. Encoding, separator, header line and decimal sign are determined from the file.
+Each binary format has one function, which returns named columns. It uses the common library of the format. The extra
+`formats` of pyproject.toml installs these libraries.
 """
 
 from __future__ import annotations
@@ -28,13 +28,14 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 
 Columns = dict[str, NDArray[Any]]
-TIME = "time [s]"  # of a format whose samples have their time separate from the columns
-# A list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS (name, ...)
+TIME = "time [s]"  # time column of a format that stores time separately from the columns
+# Keys of a list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS
+# (name, ...).
 LABELS = ("Name", "label", "name")
 
 
 def library(name: str, path: Path) -> Any:
-    """Import the library of a format; raise UsageError with the remedy if it is not installed."""
+    """Import the library of a format. Raise UsageError with the remedy if it is not installed."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -75,7 +76,7 @@ def _length(value: Any) -> int:
 
 
 def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
-    """Split matrices into columns and keep the ones of the most common length; raise UsageError without any."""
+    """Split matrices into columns, and return the columns of the most common length. Raise UsageError without any."""
     every: Columns = {}
     for name, values in found:
         array = np.squeeze(np.asarray(values))
@@ -84,9 +85,8 @@ def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
         elif array.ndim == 1 and array.size > 1:
             every[name or "column 1"] = array
         elif array.ndim == 2:
-            by_column = (
-                array if array.shape[0] >= array.shape[1] else array.T
-            )  # a signal has more samples than a file signals
+            # A signal has more samples than a file has signals.
+            by_column = array if array.shape[0] >= array.shape[1] else array.T
             every |= {f"{name}.{i}" if name else f"column {i}": c for i, c in enumerate(by_column.T, start=1)}
     if not every:
         raise UsageError(f"{path}: holds no column of numbers; give a file with at least a time and a torque")
@@ -96,7 +96,7 @@ def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
 
 
 def on_one_clock(tables: Mapping[str, tuple[NDArray[np.float64], Columns]]) -> Columns:
-    """Interpolate tables with separate clocks onto the densest clock; NaN outside a table's time."""
+    """Interpolate tables with separate clocks onto the longest clock, with nan outside a table's time range."""
     clock = max((t for t, _ in tables.values()), key=len)
     clock = clock[np.concatenate([[True], np.diff(np.maximum.accumulate(clock)) > 0])]
     found: Columns = {TIME: clock - clock[0]}
@@ -109,18 +109,18 @@ def on_one_clock(tables: Mapping[str, tuple[NDArray[np.float64], Columns]]) -> C
 
 
 def mat(path: Path) -> Columns:
-    """MATLAB v5 and v7.3, with the structures that Simulink and dSPACE write."""
+    """Read MATLAB v5 and v7.3, including the structures that Simulink and dSPACE write."""
     return columns(flat(library("pymatreader", path).read_mat(path)), path)
 
 
 def numpy_file(path: Path) -> Columns:
-    """NumPy's .npy and .npz, without pickled objects, which could run code."""
+    """Read NumPy's .npy and .npz. Reject pickled objects, which could run code."""
     found = np.load(path, allow_pickle=False)
     return columns(iter([("", found)] if isinstance(found, np.ndarray) else list(found.items())), path)
 
 
 def hdf5(path: Path) -> Columns:
-    """HDF5: each data set by its path; an attribute `unit` or `units` becomes part of the name."""
+    """Read HDF5: each data set by its path. An attribute `unit` or `units` becomes part of the name."""
     h5py, found = library("h5py", path), []
     with h5py.File(path) as file:
 
@@ -134,7 +134,7 @@ def hdf5(path: Path) -> Columns:
 
 
 def tdms(path: Path) -> Columns:
-    """LabVIEW TDMS: each channel, with the time of its waveform if it has one."""
+    """Read LabVIEW TDMS: each channel, with the time of its waveform if it has one."""
     tables: dict[str, tuple[NDArray[np.float64], Columns]] = {}
     plain: Columns = {}
     for group in library("nptdms", path).TdmsFile.read(path).groups():
@@ -151,7 +151,7 @@ def tdms(path: Path) -> Columns:
 
 
 def parquet(path: Path) -> Columns:
-    """Parquet of any program, by DuckDB."""
+    """Read Parquet of any program with DuckDB."""
     import duckdb
 
     found = duckdb.execute("SELECT * FROM read_parquet(?)", [str(path)]).fetchnumpy()
@@ -161,7 +161,7 @@ def parquet(path: Path) -> Columns:
 
 
 def ros(path: Path) -> Columns:
-    """Read a bag of ROS 1 (.bag) or ROS 2 (a folder, or its .db3): the numbers of each topic at their record time."""
+    """Read a bag of ROS 1 (.bag) or ROS 2 (a folder, or its .db3): the numbers of each topic by their record time."""
     rosbags, stores = library("rosbags.highlevel", path), library("rosbags.typesys", path)
     bag = path if path.is_dir() or path.suffix == ".bag" else path.parent
     with rosbags.AnyReader([bag], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
@@ -170,7 +170,7 @@ def ros(path: Path) -> Columns:
 
 
 def mcap(path: Path) -> Columns:
-    """MCAP of other programs: messages in JSON or of ROS 2."""
+    """Read MCAP of other programs with messages in JSON or of ROS 2."""
     reading, decoding = library("mcap.reader", path), library("mcap_ros2.decoder", path)
 
     def messages() -> Iterator[tuple[str, int, Any]]:
@@ -186,7 +186,7 @@ def mcap(path: Path) -> Columns:
 
 
 def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Columns:
-    """Collect the single numbers of messages (topic, ns, message), each topic on its own clock."""
+    """Collect the scalars of messages (topic, ns, message), with a separate clock for each topic."""
     rows: dict[str, tuple[list[int], dict[str, list[Any]]]] = {}
     for topic, stamp, message in found:
         stamps, numbers = rows.setdefault(topic, ([], {}))
@@ -209,13 +209,13 @@ def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Columns:
 
 
 def sheet(path: Path) -> str:
-    """Return the first sheet of a workbook as text, for the reader of text tables."""
+    """Return the first sheet of a workbook as text for the reader of text tables."""
     rows = library("python_calamine", path).CalamineWorkbook.from_path(path).get_sheet_by_index(0).to_python()
     return "\n".join("\t".join(str(cell).replace("\t", " ").replace("\n", " ") for cell in row) for row in rows)
 
 
 def lvm(path: Path) -> str:
-    """LabVIEW's text without its two heads and its column of comments, which most rows do not have."""
+    """Return the text of a LabVIEW file without its two headers and without the comment column of a few rows."""
     lines = path.read_text(encoding="cp1252").splitlines()
     heads = [i for i, line in enumerate(lines) if line.startswith("***End_of_Header***")]
     if not heads:
@@ -233,29 +233,36 @@ TEXTS: dict[str, Callable[[Path], str]] = {".xlsx": sheet, ".xls": sheet, ".ods"
 
 
 def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
-    """Call a reader; raise UsageError in one line for a file that its library cannot read."""
+    """Call a reader. Raise UsageError with a message of one line if its library cannot read the file."""
     if not path.exists():
         raise UsageError(f"{path}: no such file; give the path of a table")
     try:
         return reader(path)
     except UsageError:
         raise
-    except Exception as error:  # each library raises its own errors, and a damaged file must not print a traceback
+    except Exception as error:  # each library raises its own errors, but a damaged file must not cause a traceback
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise UsageError(
             f"{path}: is damaged or no {path.suffix or 'ROS 2'} file ({reason}); export it again"
         ) from None
 
 
-LARGEST = 1 << 30  # bytes of text; a foreign table is held in memory, and ours is not meant to be exhausted by one
-SEPARATORS = ";\t,|"  # in the order of trust: a comma may be a decimal sign
+LARGEST = 1 << 30  # bytes of text, because a foreign table is read into memory
+SEPARATORS = ";\t,|"  # in order of preference: a comma may be a decimal sign
 LOOKED_AT = 200  # lines from which header and separator are determined
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 
 
 @dataclass(frozen=True)
 class Shape:
-    """How to read the text: `separator` is one character or " " for any white space; `header` is from 1, 0: none."""
+    """The format of a text table.
+
+    Attributes:
+        encoding: text encoding.
+        separator: one character, or " " for any white space.
+        decimal: decimal sign, "." or ",".
+        header: line of the names, counted from 1; 0 without such a line.
+    """
 
     encoding: str
     separator: str
@@ -263,25 +270,26 @@ class Shape:
     header: int
 
 
-NO_TEXT = Shape("", "", "", 0)  # of a file that a library reads
+NO_TEXT = Shape("", "", "", 0)  # for a binary file
 
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """Columns of text as in the file, all of one length; `first` is the line of the first row, counted from 1."""
+    """The columns of a foreign table, as text of equal length or as arrays."""
 
     path: Path
     shape: Shape
     names: tuple[str, ...]
     cells: dict[str, list[str]]
-    first: int
-    ignored: int  # lines below the header that have another number of fields (units, a last torn line)
+    first: int  # line of the first row, counted from 1
+    ignored: int  # lines below the header without numbers or with another number of fields (units, a truncated line)
     arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # columns of a binary file
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """Return one column as doubles, empty cells as nan.
+        """Return one column as doubles, with nan for empty cells.
 
-        Raises UsageError with the line of a value that is not a number.
+        Raises:
+            UsageError: A value is not a number. The message has its line.
         """
         if name in self.arrays:
             return np.asarray(self.arrays[name], dtype=np.float64)
@@ -302,9 +310,10 @@ class ForeignTable:
         return out
 
     def times(self, name: str) -> NDArray[np.float64]:
-        """Return a column of dates and times as seconds from the first.
+        """Return a column of dates and times in s since the first one.
 
-        Raises UsageError with the line of a value that is not one.
+        Raises:
+            UsageError: A value is not a date and time. The message has its line.
         """
         if name in self.arrays:
             stamps = self.arrays[name].astype("datetime64[ns]")
@@ -321,7 +330,7 @@ class ForeignTable:
         return np.array(found) - (found[0] if found else 0.0)
 
     def is_date(self, name: str) -> bool:
-        """Return True if the column begins with a date and time."""
+        """Return True if the first value of the column is a date and time."""
         if name in self.arrays:
             return bool(self.arrays[name].dtype.kind == "M")
         first = next((cell.strip().strip('"') for cell in self.cells[name] if cell.strip()), "")
@@ -332,7 +341,11 @@ _EMPTY = frozenset({"", "nan", "-nan", "na", "n/a", "null", "none", "-", "--", "
 
 
 def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
-    """Read a text table as the file itself suggests, or by `shape`. Raises UsageError in one line."""
+    """Read a table in the format that its name and content suggest, or a text table in the format `shape`.
+
+    Raises:
+        UsageError: The file cannot be read. The message is one line.
+    """
     suffix = path.suffix.lower()
     if suffix in ARRAYS and (suffix or path.is_dir()):
         arrays = read_with(ARRAYS[suffix], path)
@@ -371,10 +384,10 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
 
 
 def _recorded(lines: list[str]) -> list[str]:
-    """Return the table of a recorder of dSPACE ControlDesk as plain text: names, units, rows; other lines as they are.
+    """Return the longest section of a dSPACE ControlDesk recording as plain lines, and other files unchanged.
 
-    Such a file has a section for each raster. The first field of a line is a keyword: `trace_names`, `unit`, or
-    `trace_values` for the first row of numbers. It is empty in the rows below. The longest section counts.
+    Such a recording has a section with names, units and rows for each raster. The first field of a line is a keyword:
+    `trace_names`, `unit`, or `trace_values` for the first row of numbers. It is empty in the rows below.
     """
     sections: list[list[str]] = []
     for line in lines:
@@ -420,13 +433,13 @@ def _encoding(data: bytes) -> str:
         data.decode("utf-8-sig")
         return "utf-8-sig"
     except UnicodeDecodeError:
-        return "cp1252"  # what western Windows programs write where it is not UTF-8
+        return "cp1252"  # western Windows programs use it instead of UTF-8
 
 
 def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     """Determine separator, header and decimal sign from the first lines.
 
-    The separator is the one with which most lines have the same number of fields.
+    The separator is the character with which most lines have the same number of fields.
     """
     some = lines[:LOOKED_AT]
     best: tuple[int, int, str] | None = None  # rows of equal width, width, separator
@@ -467,7 +480,7 @@ def _mostly_numbers(row: Sequence[str]) -> bool:
 
 
 def _is_units(row: Sequence[str], names: Sequence[str]) -> bool:
-    """Return True if the line below the names has units: as many short cells, none of them a number."""
+    """Return True if the line below the names has units: the same number of short cells without a number."""
     cells = [cell.strip() for cell in row]
     few = len(cells) == len(names) and any(cells) and all(len(cell) <= 10 for cell in cells)
     return few and not any(_is_number(cell) for cell in cells) and not any("[" in name for name in names)
