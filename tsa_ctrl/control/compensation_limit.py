@@ -14,10 +14,10 @@ joint keeps its full compensation. A joint torque sensor measures this work: the
 excess over the set-point. If friction is proven, low is close to high, and the credit has no effect.
 
 An empty credit reduces the term to 0. If the term returned while the joint rests, it would start the motion again. The
-credit is therefore filled again only if the joint is moved without the term: after a rest, or for longer than the joint
-can move on its momentum. Motion in the direction of the set-point's torque does not count, because that torque may have
-caused it. A changed set-point also fills the credit once the joint rests, whether the credit is empty or partly spent:
-each request has one credit.
+credit is therefore filled again only if the joint is moved without the term. The motion must follow a rest, or last
+longer than the joint can move on its momentum. Motion in the direction of the set-point's torque does not count,
+because that torque may have caused it. A changed set-point also fills an empty or partly spent credit once the joint
+rests, because each request has one credit.
 
 Without a sensor at the joint, friction is never proven. A changing set-point then suspends the account, because a
 person requests motion. It also fills a partly spent credit, even on a moving joint: a sine whose peaks look constant

@@ -17,8 +17,8 @@ separate rule:
   After every enable the torque starts from 0, as the set-point does, even if it is already large when it is first
   known.
 
-* The joint torque sensor can contradict. If it shows that the desired torque is already exceeded in the new direction,
-  the elongation does not reverse sigma: a joint that creeps back releases as much as the elongation takes up. At rest,
+* The joint torque sensor can contradict. If the delivered torque already exceeds the desired one in the new direction,
+  the elongation does not reverse sigma. A joint that creeps back releases as much as the elongation takes up. At rest,
   the sensor also corrects the direction. Sliding tendons deliver at most the desired torque in their direction, because
   the friction term does not exceed the friction (`law`). More torque than that at rest shows that they stick, and that
   they will slide in the other direction. This happens when a hand moves the joint by less than one encoder count. The
@@ -249,7 +249,7 @@ class Direction:
     def _in_play(self) -> bool:
         """Return True if the joint has moved only within its backlash since the last reversal by its motion.
 
-        The friction term itself causes reversals that are faster than a tremor: each one throws the joint across its
+        The friction term itself causes reversals that are faster than a tremor. Each one throws the joint across its
         backlash, which looks like motion in the other direction. The travel between them is the backlash.
         """
         angle = self._motion.angle

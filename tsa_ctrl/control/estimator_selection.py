@@ -1,9 +1,9 @@
 """Select the estimator of an axis without a configured kind: "sensor" or "stretch", both in use, otherwise "fixed".
 
 A joint torque sensor measures the friction while the joint moves. The tendon elongation shows it only as well as the
-model describes everything else that moves the motor against the joint. On random rigs with backlash, ripple, gear
-friction and an eccentric pulley, the error of a locked joint was up to ten times as large with the estimate by the
-elongation.
+model describes everything else that moves the motor against the joint. Random rigs with backlash, ripple, gear friction
+and an eccentric pulley were tested. With the estimate by the elongation, the error of a locked joint was up to ten
+times as large.
 
 The friction torque by the elongation is proportional to 1/(1 - s_c). The file must therefore contain the centre s_c of
 the bends with a small uncertainty. Stiffness, friction angle and pretension are learned. An effect that changes the

@@ -8,7 +8,7 @@ walk reduces the weight of old data. The covariance never exceeds the prior, so 
 adapting. The estimate does not change while no data are admitted.
 
 The tendons slide while the joint moves. They also slide on a joint at rest as soon as the joint torque follows the
-motor: after a reversal they slide from the motor's end on, so that the joint torque follows with its full slope s only
+motor. After a reversal, they slide from the motor's end on, and the joint torque follows with its full slope s only
 once the whole sheath slides. They stick again when the motor reverses. A joint torque sensor therefore also measures
 the friction of a locked joint.
 

@@ -2,9 +2,9 @@
 
     tau_M = tau_J* r_M/r_J  +  c f b (1 - e) (tau_ff(sigma) - tau_J* r_M/r_J)  +  C  +  J_M theta''  +  damping
 
-tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, for the set-point tau_J* at the time when the
-command acts, and for the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can follow
-(`reversal.Turn`). At a joint at rest, the reversal stops where the slip fronts do (`reversal.Slip`). c is the
+tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects. Its inputs are the set-point tau_J* at the time
+when the command acts, and the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can
+follow (`reversal.Turn`). At a joint at rest, the reversal stops where the slip fronts do (`reversal.Slip`). c is the
 compensation factor, f the fade-in after every enable, b the back-off of the guards against excessive compensation.
 
 The term must not exceed the actual friction. Term and friction together give the joint the power
@@ -23,9 +23,10 @@ The share e (`settle`) is therefore removed while the set-point is constant and 
 sensor's correction (`torque_feedback`), which counts as a part of the friction term.
 
 theta = r_M/K (tau_J*/r_J + s_c (friction term)/r_M) is the elongation between motor and joint as an angle of the motor.
-It determines the planned torque J_M theta'' of a reversal. J_M r_J/r_M alpha_J moves the motor with the joint. The sum
-of ideal and friction term stays between the two bounds of tau_M at which both tendons pull in the present direction,
-with T_p by (3.54), unless the model has slack. `beyond` is True while the sum or its exact inverse is clipped there.
+It determines the planned torque J_M theta'' of a reversal. J_M r_J/r_M alpha_J moves the motor with the joint. Both
+tendons pull between two bounds of tau_M in the present direction, with T_p by (3.54). The sum of ideal and friction
+term stays between these bounds, unless the model has slack. `beyond` is True while the sum or its exact inverse is
+clipped there.
 """
 
 from __future__ import annotations

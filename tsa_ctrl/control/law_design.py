@@ -4,10 +4,10 @@ All values that [axis.law] leaves out are derived here once, before the loop sta
 
 * the delay from a measurement to the acting torque: the setting, or otherwise the sum of transport (a period with
   rpdo = "sync"), half a period of hold, and the torque loop of the drive;
-* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath, and less with
-  bends nearer to the joint, where no front hides it. Without a known motor inertia, no motor motion is planned, and the
-  reversal takes `BLIND` s, which is slow enough for a light motor on stiff tendons. A limit of [axis.limits] or of the
-  drive can lengthen it. The speed limits latch a fault, so they lengthen every reversal, even that of [axis.law];
+* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath. It is shorter with
+  bends nearer to the joint, because no front hides it there. Without a known motor inertia, no motor motion is planned.
+  The reversal then takes `BLIND` s, which is slow enough for a light motor on stiff tendons. A limit of [axis.limits]
+  or of the drive can lengthen it. The speed limits latch a fault, so they also lengthen a reversal of [axis.law];
 * the damping that keeps a gain margin of 2 (`gain_margin`); 0 if no damping keeps it.
 """
 
@@ -150,9 +150,10 @@ SPEED_SHARE = 0.6  # of the speed limit: the joint moves as well, and an estimat
 # growing torques and cuts a step or two. With prescribed gait and a friction angle of 0.8, the error is 145 mN*m with
 # 2.4 or 3.2, and 164 mN*m with 1.6.
 RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 2.4
-# Slope of the inertia's torque in a reversal, over that rate. That torque has both signs; only its growth is bounded.
-# A motor of 3.2e-4 kg*m^2 with bends at the joint, reversed in 5.5 ms at five times the rate, keeps oscillating after
-# the cut: 43 mN*m, against 34 mN*m at three times the rate (7 ms). The slope of a lighter motor is far smaller.
+# Slope of the inertia's torque in a reversal, over that rate. That torque has both signs, and only its growth is
+# bounded. With bends at the joint, a motor of 3.2e-4 kg*m^2 that reverses in 5.5 ms at five times the rate keeps
+# oscillating after the cut, with 43 mN*m instead of the 34 mN*m at three times the rate (7 ms). The slope of a lighter
+# motor is far smaller.
 RATE_OF_INERTIA = 3.0
 TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may require
 MOST_LEAD = 0.03  # s; a prediction farther ahead would be a guess

@@ -1,17 +1,17 @@
 """Plan the reversal of the friction term: the slip front in the sheath, the motor motion, and the tensions at rest.
 
 **Front.** Until the motor reverses, each tendon slides in one direction, and its tension changes along the bends by
-exp(-+x). After the reversal it slides in the other direction from the motor up to a front, and beyond the front nothing
+exp(-+x). After the reversal it slides in the other direction from the motor up to a front. Beyond the front, nothing
 has changed. A front at the share p of the bending (p x of the friction angle) has changed the motor-side tension by
-2 p x T, to first order in x, and has let the motor move by
+2 p x T, to first order in x. The motor has moved by
 
     s(p) = 2 x T l/EA S(p),     S(p) = integral over u from 0 to 1 of max(0, p - b(u)),     S(1) = s_c
 
 where b(u) is the share of the bending up to the share u of the length (`tsa_ctrl.model.curvature`) and s_c its centre.
 The joint torque does not change before the front has passed the sheath, p = 1. In an evenly bent sheath, S = p^2/2, so
 the first half of the hysteresis takes a quarter of the motor's travel. With all bends at the joint, S = p, like a
-spring. With all bends at the motor, S = 0, and there is no travel. A series spring is a part of the length without
-bends, before all bends if it is at the motor, and behind them if it is at the joint.
+spring. With all bends at the motor, S = 0, and the travel is 0. A series spring is a part of the length without bends.
+A spring at the motor is before all bends, and a spring at the joint is behind them.
 
 **Turn.** When the tendon reverses, the motor-side tension passes through the whole hysteresis, and the motor moves by
 the corresponding elongation. The motor's inertia prevents a step. The elongation therefore follows a cycloid in time,

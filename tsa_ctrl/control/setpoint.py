@@ -160,7 +160,7 @@ def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:
 def largest(settings: SetPointSettings, folder: str | Path = ".") -> float:
     """Return the largest size that the set-point can reach, N*m; 0 for a socket, whose values are clamped one by one.
 
-    A sum of sines is sampled for a minute, because it rarely reaches the sum of its amplitudes.
+    A sum of sines is sampled for at most a minute, because it rarely reaches the sum of its amplitudes.
 
     Raises:
         UsageError: a file cannot be played.

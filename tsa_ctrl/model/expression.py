@@ -1,7 +1,8 @@
 """Parse a formula into a short program for a stack machine; it is bounded and never executed as Python.
 
-    expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument, and functions
-                 with a memory: lag(x, T), ring(x, f, d), dahl(x, w) of any x without one, and of constants (`filters`)
+    expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument
+                 lag(x, T), ring(x, f, d), dahl(x, w): functions with a memory (`filters`), whose x has no memory and
+                 whose other arguments are constants
                  inside(x, low, high): 1 in that range and 0 far outside, for a formula that was learned there
 
 The parser of Python converts the text to a tree. Only the nodes above are accepted; everything else is rejected. The

@@ -24,8 +24,8 @@ from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonShea
 from tsa_ctrl.model.signals import Signals, hold_direction
 from tsa_ctrl.model.stretch import compliances
 
-# Cached friction states and exponentials of one log, and their largest size in bytes: a search requests the same states
-# with every fit, and an hour at 1 kHz must need less than a gigabyte.
+# Number of cached friction states and exponentials of one log, their largest size in bytes, and their least number. A
+# search requests the same states with every fit. An hour at 1 kHz must need less than a gigabyte.
 KEPT, KEPT_BYTES, FEWEST_KEPT = 128, 24_000_000, 2
 _ABSENT: Array = np.asarray(np.nan)
 

@@ -1,6 +1,6 @@
 """Hold the signals of one log as input of the model: columns of equal length, in SI units.
 
-Derivatives have zero phase. A causal filter would shift them relative to the torque, and the identification would then
+Derivatives have zero phase. A causal filter would shift them relative to the torque. The identification would then
 find a delay or a velocity lag that the machine does not have.
 """
 

@@ -49,7 +49,7 @@ SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a fr
 # too short: on a rig that rings at 42 Hz, the motor still reached its speed limit.
 RINGS = 0.1
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
-NOISE = 0.03  # of the elongation that friction causes: standard deviation of such a sample by creep, ripple, counts
+NOISE = 0.03  # of the elongation that friction causes: standard deviation of a sample by creep, ripple, counts
 MEMORY = 1.5  # rad of the joint after which older strokes have the weight 1/e
 RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: the effective pulley radii are known within 1 %
 # 1, error of the radii (95 %) up to which the stiffness of the elongation observer is used, because larger errors may

@@ -4,9 +4,9 @@
     T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
 
 A series spring at the joint is stretched by T2 and T4, so its term is lambda exp(+-z x). While the tendons slide, z is
-the sign of motion. At standstill, z is between -1 and 1 and follows the tendon displacement at the centre of bending.
-(With any other place, a small closed cycle could create energy.) z is the mean of elements that slip at D (i/N)^2, like
-the slip front that runs into a uniformly bent sheath. D is the elongation of half a tendon by friction. The effect
+the sign of motion. At standstill, z is between -1 and 1 and follows the tendon displacement at the centre of bending,
+because with any other place a small closed cycle could create energy. z is the mean of elements that slip at D (i/N)^2,
+like the slip front that runs into a uniformly bent sheath. D is the elongation of half a tendon by friction. The effect
 `presliding_hysteresis` replaces this rule.
 Both tensions are >= 0, because a tendon cannot push.
 """

@@ -73,7 +73,7 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Define the table [axis.motor]."""
 
-    inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons at once
+    inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons without delay
     damping: Positive = 1e-4  # N*m*s/rad
 
 

@@ -40,7 +40,7 @@ _NOISE_TO_STEP = 3.0  # standard deviations of white noise that replace one coun
 
 
 def _followed(parameters: Mapping[str, Setting]) -> Columns:
-    """Return the angle that the friction state follows in the loop, where no velocity is integrated."""
+    """Return the angle that the friction state follows in the loop, which does not integrate the velocity."""
     side = parameters.get("displacement")
     return (("q_m",),) if side == "motor" else (("q_j",),) if side == "joint" else (("q_m", "q_j"),)
 
