@@ -1,1 +1,1 @@
-"""The control loop: set-point, direction, estimate, feedforward law, limiter, and the cycle that joins them."""
+"""Control an axis: set-point, direction, estimate, feedforward law, limiter, and the cycle that combines them."""

@@ -1,4 +1,4 @@
-"""One controlled axis: the parts that a cycle works with, and how they start, stop and reset together."""
+"""Connect the parts of one controlled axis, so that they start, stop and reset together."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.polarity_check import PolarityCheck
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
-# Joint torque, tendon tensions and sheath bending of one axis: from a node on the bus, or from sensors next to it.
+# Joint torque, tendon tensions, wrap angle and temperature come from a node on the bus or from separate sensors.
 
-Source = Callable[[float], float]  # monotonic time now (s) -> SI value, nan when there is none that is young enough
+Source = Callable[[float], float]  # monotonic time now (s) -> SI value; nan if it is missing or too old
 
 
 class Instruments:
-    """Hold the measurements of one axis in this cycle; nan without one, or if its value is too old."""
+    """Hold the measurements of one axis in this cycle; nan if a measurement is missing or too old."""
 
     __slots__ = (
         "_image",
@@ -59,16 +59,16 @@ class Instruments:
         self.tau_j = math.nan  # N*m, joint torque
         self.t1 = math.nan  # N, motor-side tension of tendon a
         self.t3 = math.nan  # N, motor-side tension of tendon b
-        self.theta = math.nan  # rad, bending of the sheath
+        self.theta = math.nan  # rad, wrap angle of the sheath
         self.temperature = math.nan  # degC, of the sheath
 
     def connect(self, sources: Mapping[str, Source]) -> None:
-        """Take "tau_j", "t1", "t3", "theta" or "temperature" from these instead of from the bus."""
+        """Read "tau_j", "t1", "t3", "theta" or "temperature" from these sources instead of the bus."""
         self._tau_j, self._t1, self._t3, self._theta = (sources.get(name) for name in ("tau_j", "t1", "t3", "theta"))
         self._temperature = sources.get("temperature")
 
     def update(self, now: float) -> None:
-        """Read all, at monotonic `now` in s; about a microsecond for each source."""
+        """Read all sources at the monotonic time `now` (s), in about a microsecond each."""
         self.tau_j = self._image.tau_j if self._tau_j is None else self._tau_j(now)
         if self._t1 is not None:
             self.t1 = self._t1(now)
@@ -80,7 +80,7 @@ class Instruments:
             self.temperature = self._temperature(now)
 
 
-BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
+BENT = 2.5  # of the friction torque: a sheath bent 40 % more has 1.4 times the angle and 1.8 times the pretension
 _TRIPPING = {Reason.OVER_SPEED: Cause.OVER_SPEED, Reason.NOT_FINITE: Cause.NOT_FINITE}
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 NOTICEABLE = 1e-3  # smallest relative change of a parameter that the law adopts
@@ -113,7 +113,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Safeguards:
-    """The parts of an axis that may take its torque away, or part of it."""
+    """Hold the parts of an axis that can remove or reduce its torque."""
 
     supervisor: Supervisor
     limiter: Limiter
@@ -126,12 +126,12 @@ class Safeguards:
 
 @dataclass(frozen=True)
 class Timing:
-    """Times of an axis, s.
+    """Hold the times of an axis, s.
 
     Attributes:
-        period: of the loop.
-        most_age: of measurements that may still drive the motor.
-        stop_time: from full torque to 0.
+        period: period of the loop.
+        most_age: largest age of measurements that may drive the motor.
+        stop_time: duration of the ramp from full torque to 0.
     """
 
     period: float
@@ -140,7 +140,7 @@ class Timing:
 
 
 class ControlAxis:
-    """The parts of one axis and its clock, which starts at every enable."""
+    """Control one axis by its parts; its clock starts at every enable."""
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class ControlAxis:
         timing: Timing,
         has_torque_sensor: bool,
     ) -> None:
-        """Connect the parts; `has_torque_sensor`: of the joint, on the bus or on a serial line."""
+        """Connect the parts; `has_torque_sensor`: True if the bus or a serial line has a joint torque sensor."""
         self.name = io.name
         self.io = io
         self.image: Image = io.image
@@ -187,7 +187,7 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
-        self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of the wrap angles apart
+        self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of `Bending.apart`
         self.limiter.ceiling = self.polarity_check.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._imbalance = 0.0  # 1, of the two tendons' friction angles
@@ -203,12 +203,12 @@ class ControlAxis:
 
     @property
     def reason(self) -> Reason:
-        """Return why this cycle's torque is not the desired one; the strongest cause counts."""
+        """Return why this cycle's torque is not the desired one, with priority for the limiter and then the guard."""
         return self.terms.reason or self.guard.reason or self.compensation_limit.reason
 
     @property
     def trusted(self) -> bool:
-        """Return True if a tuning of this joint wrote the model file; each bring-up decides, before any enable."""
+        """Return True if a tuning of this joint wrote the model file; each bring-up sets it before any enable."""
         return self.compensation_limit.trusted
 
     @trusted.setter
@@ -217,7 +217,7 @@ class ControlAxis:
 
     @property
     def at_rest(self) -> bool:
-        """Return True if the drive is known to be disabled, or a fault keeps it so."""
+        """Return True if the drive is known to be disabled, or if a fault keeps it disabled."""
         return self.supervisor.phase in (Phase.STANDBY, Phase.FAULT)
 
     @property
@@ -226,7 +226,7 @@ class ControlAxis:
         return self.at_rest and not (self.image.fresh and decode(self.image.statusword) in _ON)
 
     def enable(self) -> None:
-        """Ask for torque; it comes when drive and supervisor agree, and fades in."""
+        """Request torque, which fades in once drive and supervisor permit it."""
         self._stopping = False
         self._ramp_from = None
         self.ramp = 1.0
@@ -239,7 +239,7 @@ class ControlAxis:
             self.request = Request.DISABLE
 
     def connect(self, register: Callable[[], tuple[float, float] | None]) -> None:
-        """Take the newest set-point (N*m) over the socket, and its time (s, monotonic), from there; once each."""
+        """Connect the function that returns each new set-point of the socket once: value (N*m), monotonic time (s)."""
         self._register = register
 
     def joint(self) -> tuple[float, float]:
@@ -257,7 +257,7 @@ class ControlAxis:
         return self.joint()[0] + age * velocity, velocity
 
     def read_motion(self) -> None:
-        """Take this cycle's motion of motor and joint into `terms`."""
+        """Store this cycle's motion of motor and joint in `terms`."""
         image, terms = self.image, self.terms
         terms.q_j, terms.omega_j = self.joint()
         apart, rate = self.bending.apart()
@@ -271,16 +271,16 @@ class ControlAxis:
         if self._stopping:
             if self._ramp_from is None:
                 self._ramp_from = now - self._period
-            self.ramp = 1.0 - (now - self._ramp_from) / self._stop_time  # by time: lost cycles do not lengthen it
+            self.ramp = 1.0 - (now - self._ramp_from) / self._stop_time  # by time, so lost cycles do not lengthen it
             if self.ramp <= 1e-9:
                 self.ramp = 0.0
                 self.request = Request.DISABLE
         return now - self._enabled_at
 
     def listen(self, now: float, t: float) -> None:
-        """Take over the set-point that came since the last cycle; `t`: s since the enable.
+        """Accept the set-point that has arrived since the last cycle; `t`: s since the enable.
 
-        The time stamp of the client counts, which is never later than now.
+        Its age follows from the client's time stamp, which is limited to `now`.
         """
         found = self._register()
         if found is not None:
@@ -288,9 +288,7 @@ class ControlAxis:
             self.set_point.receive(value, t - max(now - time, 0.0))
 
     def follow(self, now: float) -> None:
-        """After the command: inform the law, latch the findings of the limiter, and learn from this cycle's
-        measurements.
-        """
+        """Complete a cycle after its command: inform the law, latch the limiter's findings, use the measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
         self.law.temperature = self._temperature.update(instruments.temperature)
@@ -320,7 +318,7 @@ class ControlAxis:
             return
         self.law.applied(terms.tau_m_cmd)
         if self._has_torque_sensor:
-            # A stop only takes torque away, whatever the tendons still hold, and without compensation nothing reverses.
+            # A stop only reduces torque, whatever the tendons still hold. Without compensation, no term reverses.
             counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
             excess = instruments.tau_j - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.turn.turning)
@@ -361,8 +359,8 @@ class ControlAxis:
     def _expected(self) -> tuple[float, float]:
         """Return the joint torque (N*m) of the model for the motor torque, with friction in either direction.
 
-        A tendon that is slow may stick for seconds after the law's direction has turned, and a sheath may be bent more
-        than its estimate has followed yet (BENT).
+        A slow tendon may stick for seconds after the law's direction has reversed. The estimate may also lag behind an
+        increase of the bending (BENT).
         """
         angle, pretension = self._used
         more = self.bending.most_more
@@ -377,13 +375,13 @@ class ControlAxis:
         return self.terms.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def pass_over(self, periods: int) -> None:
-        """Count periods that had no cycle, because the loop was late, wherever cycles are counted."""
+        """Account for periods without a cycle, because the loop was late, in all parts that count cycles."""
         self.image.skipped += periods
         self.law.pass_over(periods)
         self.joint_torque.pass_over(periods)
         self.plausibility.pass_over()
         self.compensation_limit.proven.miss(periods * self._period)
-        if self._enabled_at is not None:  # the guard begins with the torque
+        if self._enabled_at is not None:  # the guard runs only with torque
             self.guard.pass_over(periods)
 
     def release(self) -> None:
@@ -408,7 +406,7 @@ class ControlAxis:
         self._take_over(self._nominal)
 
     def _delivered(self) -> float:
-        """Return the joint torque by its sensor, else by the tendons' stretch, N*m; nan while it is not known."""
+        """Return the joint torque by its sensor, or else by the tendon elongation, N*m; nan while it is unknown."""
         if not self.image.fresh:
             return math.nan
         if self._has_torque_sensor:
@@ -444,7 +442,7 @@ class ControlAxis:
         law.room = limit.room
 
     def adapt(self) -> None:
-        """Hand the estimate to the law where that is allowed, else the model file's values."""
+        """Pass the estimate to the law if that is permitted, otherwise the model file's values."""
         estimator = self.estimator
         angle, pretension = self._nominal
         if estimator.use:
@@ -463,7 +461,7 @@ class ControlAxis:
         if (*parameters, imbalance) != (*self._used, self._imbalance):
             self._used, self._imbalance = parameters, imbalance
             self.law.set_parameters(*parameters, imbalance)
-            if isinstance(self.estimator, Fixed):  # a client's word proves no friction beyond the file's
+            if isinstance(self.estimator, Fixed):  # a client's value is no proof of more friction
                 half_loop = abs(self._sliding(1.0, *parameters).motor_half_loop)
                 self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
             self.joint_torque.set_parameters(*parameters, imbalance, bent=self._measures_wrap_angle)

@@ -1,10 +1,10 @@
-"""The sheath's wrap angle Theta while the loop runs: fixed, commanded, measured, or by the routing over several joints.
+"""Determine the sheath's wrap angle Theta in the loop: fixed, commanded, measured, or by the routing over joints.
 
-    Theta = offset + sum over joints of what each adds        (rad; `tsa_ctrl.model.routing`)
+    Theta = offset + sum over joints of the angle that each adds        (rad; `tsa_ctrl.model.routing`)
 
-A measured angle is predicted by the joint's velocity to the moment when the torque acts. An angle that is missing is
-replaced by the angle within the joint's range at which the sheath is bent least. Friction grows with the wrap angle,
-and so does the pretension, so this is the least friction that the joint allows. The change to it is a fade.
+A measured angle is extrapolated by the joint's velocity to the time at which the torque acts. A missing angle is
+replaced by the angle within the joint's range at which the sheath is bent least. Friction and pretension grow with the
+wrap angle, so this is the least friction that the joint allows. The transition is gradual.
 
 Tendons a and b may be routed differently. Their friction angles then differ, and so do their path lengths:
 
@@ -20,18 +20,18 @@ from collections.abc import Callable, Mapping
 from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.model.routing import Route, Routing, Span
 
-Reading = Callable[[], tuple[float, float]]  # rad and rad/s of a joint now; nan where they are not known
+Reading = Callable[[], tuple[float, float]]  # returns the present rad and rad/s of a joint; nan if they are unknown
 
-FADE_OUT = 0.044  # s from a missing angle to the least wrap angle; 50 ms with three missed answers at 500 Hz
+FADE_OUT = 0.044  # s from the loss of an angle to the least wrap angle; 50 ms with three missed answers at 500 Hz
 FADE_IN = 1.0  # s back to the measured angle
 
 
 def routing_of(settings: BendingSettings, routing: Routing | None) -> Routing | None:
-    """Return the routing that the law follows; None without one.
+    """Return the routing that the law uses; None without one.
 
     Args:
-        settings: [axis.bending], whose gains are read as a routing.
-        routing: of the model file. A sensor of the wrap angle replaces it.
+        settings: [axis.bending], whose gains are used as a routing.
+        routing: routing of the model file. A sensor of the wrap angle replaces it.
     """
     if settings.gains:
         route = Route(dict(settings.gains), {})
@@ -40,7 +40,7 @@ def routing_of(settings: BendingSettings, routing: Routing | None) -> Routing | 
 
 
 class _Joint:
-    """One joint that bends the sheath: its part of the wrap angle, mean of both tendons."""
+    """Compute the wrap angle that one joint adds, as the mean of both tendons."""
 
     def __init__(
         self, name: str, routing: Routing, read: Reading | None, span: Span | None, period: float, ahead: float
@@ -48,13 +48,13 @@ class _Joint:
         self.name = name
         self.missing = read is None
         self.fading = False
-        self.difference = 0.0  # rad, half of Theta_a - Theta_b by this joint; kept while the angle is missing
+        self.difference = 0.0  # rad, half of Theta_a - Theta_b by this joint; held while the angle is missing
         self._routes = (routing.a, routing.b)
         self._read = read
         self._ahead = ahead
         self._apart = 0.0  # rad, `difference` at the time of the measurement
         self._span = span
-        self._seen = (math.inf, -math.inf)  # rad, for a joint without a travel
+        self._seen = (math.inf, -math.inf)  # rad, measured range, used for a joint without a travel
         self._added = math.nan
         self._gap = self._step = 0.0
         self._period = period
@@ -62,7 +62,7 @@ class _Joint:
     def extremes(self) -> Span:
         """Return the smallest and the largest angle that the joint may add, rad.
 
-        Without a travel the angles measured so far count. The fault of that axis takes the torque away soon.
+        For a joint without a travel, the range measured so far is used. The fault of that axis soon removes the torque.
         """
         span = self._seen if self._span is None else self._span
         if span[0] > span[1]:
@@ -71,7 +71,10 @@ class _Joint:
         return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
 
     def apart(self) -> tuple[float, float]:
-        """Return half of Theta_a - Theta_b by this joint at the measurement, rad and rad/s; it stands while missing."""
+        """Return half of Theta_a - Theta_b by this joint at the measurement, and its rate, rad and rad/s.
+
+        Without a measurement, the last angle is returned with the rate 0.
+        """
         angle, speed = (math.nan, 0.0) if self._read is None else self._read()
         if not math.isfinite(angle):
             return self._apart, 0.0
@@ -80,7 +83,7 @@ class _Joint:
         return self._apart, 0.5 * speed * (a.slope_by(self.name, angle) - b.slope_by(self.name, angle))
 
     def update(self) -> float:
-        """Return rad that the joint adds now; a change between measured and missing is a fade."""
+        """Return the angle that the joint adds now, rad; changes between measured and missing are gradual."""
         angle, speed = (math.nan, 0.0) if self._read is None else self._read()
         angle += self._ahead * speed
         missing = not math.isfinite(angle)
@@ -108,10 +111,10 @@ class _Joint:
 
 
 class Bending:
-    """Theta of one axis' sheaths; `commanded` is the value of the user (rad)."""
+    """Determine Theta of the sheaths of one axis; `commanded` is the user's value (rad)."""
 
     def __init__(self, settings: BendingSettings, nominal: float, routing: Routing | None = None) -> None:
-        """`nominal`: the model file's bending angle, rad; `routing`: that of `routing_of`."""
+        """Prepare the sources; `nominal`: the model file's bending angle, rad; `routing`: result of `routing_of`."""
         self.settable = settings.source in ("command", "joints") or routing is not None
         self.fixed = settings.source == "fixed" and routing is None
         self.commanded = nominal if settings.offset is None else settings.offset
@@ -126,10 +129,10 @@ class Bending:
         """Connect the joints of the routing.
 
         Args:
-            joints: what reads each joint, by name. A joint that is absent is never measured.
-            ranges: rad by name, where the joint can be.
+            joints: function that reads each joint, by name. A joint without a function is never measured.
+            ranges: range of each joint by name, rad.
             period: s.
-            ahead: s from a reading to the moment when the torque acts.
+            ahead: time from a reading until the torque acts, s.
         """
         if self.routing is not None:
             self._joints = tuple(
@@ -138,12 +141,12 @@ class Bending:
             )
 
     def measure(self, read: Callable[[], float]) -> None:
-        """Take the angle (rad) from a sensor; nan without a value."""
+        """Use this function to read the angle (rad) from a sensor; it returns nan without a value."""
         self._measured = read
 
     @property
     def difference(self) -> float:
-        """Return half of Theta_a - Theta_b at the last update, rad; 0 for tendons that are routed alike."""
+        """Return half of Theta_a - Theta_b at the last update, rad; 0 for tendons with the same routing."""
         return sum([joint.difference for joint in self._joints]) if self._apart else 0.0
 
     def apart(self) -> tuple[float, float]:
@@ -157,17 +160,17 @@ class Bending:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Return the names of the joints whose angle is not known now."""
+        """Return the names of the joints whose angle is missing now."""
         return tuple([joint.name for joint in self._joints if joint.missing])
 
     @property
     def fading(self) -> bool:
-        """Return True while an angle that was lost or found again is approached."""
+        """Return True during the transition after an angle was lost or is measured again."""
         return any(joint.fading for joint in self._joints)
 
     @property
     def most_more(self) -> float:
-        """Return rad by which the sheath may be bent more than `update` returned, because angles are missing."""
+        """Return the angle by which the sheath may be bent more than `update` returned for missing angles, rad."""
         more = 0.0
         for joint in self._joints:
             if joint.missing:

@@ -1,27 +1,27 @@
 """Limit the compensated share of the friction to the proven friction and a limited energy beyond it.
 
-Compensation drives a joint wherever it exceeds the actual friction (`law`). The friction term therefore never exceeds
-the friction torque that the sensors prove at this moment (`observer.proven_friction`), except for an energy credit:
+Compensation drives a joint if it exceeds the actual friction (`law`). The friction term therefore never exceeds the
+friction torque that the sensors prove at present (`observer.proven_friction`), except for an energy credit:
 
     limit h = low + k (most - low),    most = c min(h, (low + high)/2)      low <= friction torque <= high
     dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
 
-h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while the
+h is the friction torque of the model in use, c the desired share. The credit covers the work of the term while the
 friction is not proven. It is at most its capacity, for any friction, load and set-point. A file that no tuning of this
-joint wrote may belong to any other joint. Its capacity is therefore the one of class "worn", until the proven friction
-reaches the least friction that the file's own uncertainty allows. Only motion spends it, so a
-locked joint keeps its full compensation. A joint torque sensor measures that work: the joint receives at most the
-sensor's excess over the set-point. Where friction is proven, low is close to high, and the credit has no effect.
+joint wrote may belong to any other joint. The capacity of class "worn" therefore applies to it, until the proven
+friction reaches the least friction that the file's own uncertainty allows. Only motion spends the credit, so a locked
+joint keeps its full compensation. A joint torque sensor measures this work: the joint receives at most the sensor's
+excess over the set-point. If friction is proven, low is close to high, and the credit has no effect.
 
 An empty credit reduces the term to 0. If the term returned while the joint rests, it would start the motion again. The
-credit is therefore filled again only if the joint is moved without the term: after a rest, or for longer than the joint
-can move on its momentum. Motion in the direction of the set-point's torque does not count, because that torque may have
-caused it. A changed set-point also fills the credit once the joint rests, whether the credit is empty or partly spent:
-each request has one credit.
+credit is therefore filled again only if the joint is moved without the term. The motion must follow a rest, or last
+longer than the joint can move on its momentum. Motion in the direction of the set-point's torque does not count,
+because that torque may have caused it. A changed set-point also fills an empty or partly spent credit once the joint
+rests, because each request has one credit.
 
-Without a sensor at the joint nothing is ever proven. There a changing set-point suspends the account, because a person
-requests motion. It also fills a credit that was partly spent, on a moving joint as well: a sine whose peaks look
-constant never empties it.
+Without a sensor at the joint, friction is never proven. A changing set-point then suspends the account, because a
+person requests motion. It also fills a partly spent credit, even on a moving joint: a sine whose peaks look constant
+never empties it.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from tsa_ctrl.safety.limiter import Reason
 
 # The share of the friction that may be compensated, so that c h_model <= h_true holds for every possible h_true.
 #
-# Two quantities are uncertain: the half loop at the calibration, and the present bending of the sheath.
+# Two quantities are uncertain: the friction torque h at the calibration, and the present bending of the sheath.
 #
-# bound = (lower end of the half loop's interval / its value) * min over the range of Theta of h(Theta)/h(Theta_0)
+# bound = (lower end of the interval of h / its value) * min over the range of Theta of h(Theta)/h(Theta_0)
 #
 # The interval comes from the calibration, `[provenance] intervals` of the model file. A file that was never calibrated
 # has only [uncertainty]. If the delivered torque is measured, the guard uses the measurement and a note reports this.
-# Otherwise the lower end of [uncertainty] counts. The range of the bending is `[axis.bending] range`. It is not needed
+# Otherwise the lower end of [uncertainty] is used. The range of the bending is `[axis.bending] range`. It is not needed
 # if the bending is measured, commanded or estimated.
 
-_STEPS = 16  # over the range of the bending; h has one maximum there
+_STEPS = 16  # over the range of the bending, in which h has a single maximum
 
 
 @dataclass(frozen=True)
 class Bound:
-    """`seen`: 1, most of the friction term while the delivered torque is known; `unseen`: while it is not."""
+    """Hold the largest share of the friction term, 1: `seen` while the delivered torque is known, else `unseen`."""
 
     seen: float
     unseen: float
@@ -65,8 +65,12 @@ def bound_of(
 ) -> Bound:
     """Return the bound for a model and the settings of the axis.
 
-    `bending_range`: share of the model's bending, either way, that it may differ; `bending_known`: it is followed live;
-    `sees`: something can measure the delivered torque; `compensation`: what [axis.law] asks for.
+    Args:
+        model: the tendons and their sheaths.
+        bending_range: largest deviation from the model's bending in either direction, 1.
+        bending_known: True if the bending is followed in the loop.
+        sees: True if the axis can measure the delivered torque.
+        compensation: desired share of [axis.law].
     """
     calibrated = interval_share(model)
     uncertain = 1.0 / model.most_friction
@@ -126,7 +130,7 @@ def unmeasured_notes(settings: BendingSettings, model: TendonSheath) -> tuple[st
 
 
 def interval_share(model: TendonSheath) -> float | None:
-    """Lower end of the calibrated half loop's interval over its value, at most 1; None without a calibration."""
+    """Return the lower end of the friction torque's interval over its value, at most 1; None without a calibration."""
     low = model.half_loop_low
     if low is None:
         return None
@@ -135,9 +139,7 @@ def interval_share(model: TendonSheath) -> float | None:
 
 
 def bending_share(model: TendonSheath, span: float) -> float:
-    """Return the least friction torque at the motor over the model file's, with Theta within 1 -+ `span` of the
-    file's.
-    """
+    """Return the least friction torque at the motor with Theta within 1 -+ `span` of the file's, over the file's, 1."""
     nominal = abs(sliding(model).motor_half_loop)
     if span == 0.0 or nominal == 0.0:
         return 1.0
@@ -150,33 +152,33 @@ def bending_share(model: TendonSheath, span: float) -> float:
     return least
 
 
-KNEE = 0.4  # of the capacity, below which the share falls with the remaining energy: a person feels no step
+KNEE = 0.4  # of the capacity, below which the share falls with the remaining energy, so that a person feels no step
 EMPTY = 0.02  # of the capacity, below which the term is withdrawn
-STANDS = 0.02  # N*m/s: a set-point that changes more slowly is constant
-RISE = 10.0  # 1/s at which the limit rises; it falls at once
-RESTED = 0.5  # s of rest after which a new motion is not the old one: a leg that swings turns within 0.2 s
-MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill the credit
-REQUEST = 0.2  # of the friction torque, by which a set-point that changed asks a resting joint for motion again
-LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
-MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who continues to walk needs them
-# s without a reading, while the set-point requests motion, after which the last upper bound grows older. More friction
+STANDS = 0.02  # N*m/s; a set-point that changes more slowly counts as constant
+RISE = 10.0  # 1/s at which the limit rises; it falls without delay
+RESTED = 0.5  # s of rest after which motion is a new motion: a swinging leg reverses within 0.2 s
+MOVED = 0.1  # rad of joint motion without the term, after a rest, that fill the credit
+REQUEST = 0.2  # of the friction torque: change of the set-point that requests motion of a resting joint again
+LASTING = 2.0  # s of motion without the term that fill the credit: friction stops a person's joint in less time
+MOST_FILLS = 16.0  # capacities at most, doubled at each such motion, because a person who continues to walk needs them
+# s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
 # than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
 # 1/s, of the model's friction torque, at which that bound then rises, and the term by half of it. If the bound is
-# dropped at once, a joint with 0.75 of the file's friction is driven after each rest, and the guard latches: on random
-# rigs the error is up to four times as large.
+# dropped at once, a joint with 0.75 of the file's friction is driven after each rest, and the guard latches. On random
+# rigs, the error is then up to four times as large.
 AGING = 0.2
 MORE_THAN_FILE = 1.02  # of the file's friction torque: beyond rounding
-LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
-LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
-SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough
+LEFT = 0.5  # of the desired term; a larger proven friction is not reported as a withdrawal
+LESS = 0.9  # of the model's friction torque; a proven upper bound below this is reported
+SURELY_LESS = 0.1  # rad of joint motion that must confirm it, because the start of one stroke is not enough
 
 
 class EnergyCredit:
-    """Energy (J) that a friction term may give a joint without proof; `share` (1) is the permitted part."""
+    """Limit the energy (J) of a friction term on the joint without proof; `share` (1) is the permitted part."""
 
     def __init__(self, capacity: float, period: float) -> None:
-        """`capacity` in J, `period` in s."""
+        """Start with a full credit; `capacity` in J, `period` in s."""
         self._capacity = capacity
         self._size = self._left = capacity
         self._period = period
@@ -195,7 +197,7 @@ class EnergyCredit:
         self._left = min(self._size, max(0.0, self._left + more))
 
     def reset(self) -> None:
-        """Fill the credit: a new enable."""
+        """Fill the credit at a new enable."""
         self._size = self._left = self._capacity
         self.withdrawn = False
         self._forget()
@@ -203,7 +205,7 @@ class EnergyCredit:
     def _forget(self) -> None:
         self._rest = self._moved = self._moving = 0.0
         self._rested = False
-        self._asked = 0.0  # N*m, the set-point at which the credit was spent last
+        self._asked = 0.0  # N*m, set-point at which the credit was last spent
 
     @property
     def share(self) -> float:
@@ -215,11 +217,11 @@ class EnergyCredit:
         """Account for one cycle.
 
         Args:
-            unproven: N*m at the joint, of the term beyond the proven friction, in the direction of the motion.
-            velocity: rad/s of the joint, 0 where it is noise.
-            tau_j_des: N*m, the set-point.
-            request: N*m by which a set-point must change to ask for motion again.
-            suspended: True if nothing is spent in this cycle.
+            unproven: part of the term beyond the proven friction, in the direction of motion, N*m at the joint.
+            velocity: joint velocity, rad/s, 0 within its noise.
+            tau_j_des: set-point, N*m.
+            request: change of the set-point that requests motion again, N*m.
+            suspended: True if no credit is spent in this cycle.
         """
         if velocity == 0.0:
             self._moving = 0.0
@@ -284,12 +286,12 @@ class CompensationLimit:
         """Start at the bound of the files, with a model file that is not trusted.
 
         Args:
-            bound: of the model file and the wrap angle's range.
-            proven: the friction torque that the sensors prove.
-            capacity: J of the credit.
+            bound: bound by the model file and the range of the wrap angle.
+            proven: friction torque that the sensors prove.
+            capacity: capacity of the credit, J.
             gearing: r_J/r_M.
             period: s.
-            untrusted_capacity: J of the credit for a file that is neither trusted nor confirmed; default `capacity`.
+            untrusted_capacity: capacity for a file that is neither trusted nor confirmed, J; default `capacity`.
         """
         self.bound = bound
         self.proven = proven
@@ -310,7 +312,7 @@ class CompensationLimit:
         self.credit.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
-        self._driven, self._driven_for = math.inf, 0.0  # N*m at the motor, by the energy guard, and its age in s
+        self._driven, self._driven_for = math.inf, 0.0  # N*m at the motor by the energy guard, its age in s
         self.room = 0.0
         self.share = self._desired = self.ceiling
 
@@ -321,13 +323,13 @@ class CompensationLimit:
 
     @trusted.setter
     def trusted(self, value: bool) -> None:
-        """State for the nodes that a bring-up found whether the file is theirs; nothing is confirmed on them yet."""
+        """Set whether the file belongs to the nodes of a bring-up; their friction is not confirmed yet."""
         self._trusted, self._confirmed = value, False
         self.proven.trusted = value
         self.credit.capacity = self._capacity if value else self._untrusted_capacity
 
     def observe(self, friction: float) -> None:
-        """Take the friction torque (N*m at the motor) that the energy guard has found; valid until the next reading."""
+        """Store the friction torque (N*m at the motor) by the energy guard, which is valid until the next reading."""
         self._driven, self._driven_for = friction, 0.0
 
     def update(
@@ -343,12 +345,12 @@ class CompensationLimit:
         """Return the share for the next cycle.
 
         Args:
-            half_loop: N*m at the motor, the friction torque of the model in use.
-            term: N*m at the motor, the friction term as sent.
-            omega_j: rad/s of the joint, 0 within its noise.
-            tau_j_des, rate: N*m, N*m/s of the set-point.
-            compensation: the desired share of the friction.
-            tau_j: N*m of a joint torque sensor, nan without.
+            half_loop: friction torque of the model in use, N*m at the motor.
+            term: friction term as sent, N*m at the motor.
+            omega_j: joint velocity, rad/s, 0 within its noise.
+            tau_j_des, rate: set-point and its slope, N*m and N*m/s.
+            compensation: desired share of the friction.
+            tau_j: torque of a joint torque sensor, N*m, nan without one.
         """
         proven, credit = self.proven, self.credit
         low, high = proven.low, proven.high
@@ -382,7 +384,7 @@ class CompensationLimit:
         allowed = low if low < most else most
         if allowed < most:
             allowed += credit.share * (most - allowed)
-        if half_loop > 0.0:  # the friction may be more than the file's: the sensor then adds to the term
+        if half_loop > 0.0:  # the friction may exceed the file's value: the sensor then adds to the term
             more = most + MORE * half_loop
             lowest = low if low < more else more
             self.room = (lowest + credit.share * (more - lowest) - allowed) / half_loop
@@ -407,7 +409,7 @@ class CompensationLimit:
 
     @property
     def reason(self) -> Reason:
-        """Return why less than the files allow is compensated, for the log."""
+        """Return the reason for less compensation than the files allow, for the log."""
         return Reason.UNPROVEN if self.share < LESS * self._desired else Reason.NONE
 
     def _report(self, words: str) -> None:

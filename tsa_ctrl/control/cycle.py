@@ -1,4 +1,4 @@
-"""One control cycle. It is given the time; nothing below it reads a clock, and nothing in it knows which bus it has."""
+"""Run one control cycle. It receives the time, no part of it reads a clock, and it does not depend on the bus type."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tsa_ctrl.safety.limiter import Reason
 def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float) -> None:
     """Send SYNC, collect the answers, and send one command to every axis.
 
-    `now`: monotonic time in s; `deadline`: end of the wait for answers, s. The torque sent here acts at the next
-    SYNC, or on arrival, as the bus is configured.
+    `now`: monotonic time in s; `deadline`: end of the wait for answers, s. The torque sent here acts at the next SYNC
+    or on arrival, depending on the configuration of the bus.
     """
     rig.sync(now)
     rig.collect(deadline)
@@ -25,7 +25,7 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
 
 
 def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
-    """Return controlword and motor torque (N*m) of one axis by this cycle's measurements; `now` in s, monotonic."""
+    """Return controlword and motor torque (N*m) of one axis from this cycle's measurements; `now` in s, monotonic."""
     image, terms = axis.image, axis.terms
     controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
     axis.read_motion()
@@ -51,10 +51,10 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
 
 
 def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
-    """Do the rest of a cycle after its commands, so as not to delay them; it takes effect in the next cycle."""
+    """Complete a cycle after its commands, so that they are not delayed; the results act in the next cycle."""
     for axis in axes:
         axis.follow(now)
-        if axis.supervisor.cut_off:  # commands do not reach it, or it does not obey: its reaction 0x6007 is left
+        if axis.supervisor.cut_off:  # commands do not reach the drive or have no effect: 0x6007 remains
             rig.nmt(NmtCommand.STOP, axis.io.nodes.drive.node_id)
     rig.heartbeat(now)
     rig.read_back(now)

@@ -8,8 +8,8 @@ oscillation of one frequency can be predicted:
 
     e'(t + T_d) = e'(t) cos(w_n T_d) - w_n e(t) sin(w_n T_d),     tau = -k e'(t + T_d),     w_n = sqrt(K / J_M)
 
-The planned angle is compared T_d later, when it acts. The slow part of e (zero of the encoders, a wrong model) is
-removed. `margin` is the gain margin of k.
+The planned angle is compared with the measured one T_d later, when it acts. The slow part of e (zero of the encoders, a
+wrong model) is removed. `law_design.gain_margin` returns the gain margin of k.
 """
 
 from __future__ import annotations
@@ -20,12 +20,20 @@ FORGET = 0.05  # s, time constant of the mean of e: far slower than the oscillat
 
 
 class Damping:
-    """`torque` of the last update, N*m at the motor."""
+    """Compute the damping torque; `torque` is its value at the last update, N*m at the motor."""
 
     def __init__(self, gain: float, ringing: float, delay: float, gearing: float, period: float) -> None:
-        """`gain` k in N*m*s/rad, `ringing` w_n in rad/s, `delay` T_d and `period` in s, `gearing` r_J/r_M."""
+        """Prepare the prediction.
+
+        Args:
+            gain: k, N*m*s/rad.
+            ringing: w_n, rad/s.
+            delay: T_d, s.
+            gearing: r_J/r_M.
+            period: s.
+        """
         self.gain = gain
-        self.share = 1.0  # of it, that the guard leaves
+        self.share = 1.0  # of the gain, permitted by the guard
         self._cosine, self._sine = math.cos(ringing * delay), ringing * math.sin(ringing * delay)
         self._gearing = gearing
         self._period = period
@@ -35,13 +43,13 @@ class Damping:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the plan."""
+        """Reset the torque and the plan."""
         self.torque = 0.0
         self._planned: list[float] = []
         self._mean = math.nan
 
     def replace_plan(self, planned: float) -> None:
-        """Replace the last planned stretch, rad: a limit cut its torque, so the motor will not be there."""
+        """Replace the last planned elongation (rad), because a limit cut its torque and the motor will not reach it."""
         if self._planned:
             self._planned[-1] = planned
 
@@ -53,16 +61,18 @@ class Damping:
                 del self._planned[0]
 
     def update(self, planned: float, q_m: float, omega_m: float, q_j: float, omega_j: float) -> float:
-        """Torque, N*m at the motor.
+        """Return the damping torque, N*m at the motor.
 
-        `planned`: the stretch as an angle of the motor (rad) that is to be there in T_d; the rest is measured now, rad
-        and rad/s.
+        Args:
+            planned: elongation planned for T_d from now, as an angle of the motor, rad.
+            q_m, omega_m: present angle and speed of the motor, rad and rad/s.
+            q_j, omega_j: present angle and speed of the joint, rad and rad/s.
         """
         plan, part = self._planned, self._part
         plan.append(planned)
         if len(plan) < self._back + 3:
             return 0.0
-        first, second, third = plan[:3]  # the oldest ones, a period between two
+        first, second, third = plan[:3]  # the three oldest, one period apart
         stretch = third + part * (second - third)
         before = second + part * (first - second)
         del plan[0]

@@ -9,21 +9,24 @@ The first term is the joint motion. The second is the tendon elongation when the
 the second term, and its torque must be compensated as well. Friction does not depend on the rate, so each term has a
 separate rule:
 
-* The joint motion counts by its velocity, extrapolated by the lead, omega_J + L alpha_J, so that the change of sigma is
-  centred on the reversal. Within `zone` it counts as 0. The zone is at least the velocity noise of one encoder count.
-* The elongation counts by its travel. While the joint rests, sigma reverses when the desired torque has changed back by
-  `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
-  every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
+* The joint motion is evaluated by its velocity, extrapolated by the lead, omega_J + L alpha_J, so that the change of
+  sigma is centred on the reversal. A velocity within `zone` counts as 0. The zone is at least the velocity noise of one
+  encoder count.
+* The elongation is evaluated by its travel. While the joint rests, sigma reverses when the desired torque has changed
+  back by `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time.
+  After every enable the torque starts from 0, as the set-point does, even if it is already large when it is first
+  known.
 
-* The joint torque sensor contradicts. If it shows that the desired torque is exceeded in the new direction already, the
-  elongation does not reverse sigma: a joint that creeps back releases as much as the elongation takes up. At rest the
-  sensor also corrects the direction. Sliding tendons deliver at most the desired torque in their direction, because
-  the friction term does not exceed the friction (`law`). More than that at rest shows that they stick, and that they
-  slide next in the other direction: a hand moves the joint by less than one encoder count. The sensor counts beyond
-  its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured while the joint moves, and
-  after the sensor has changed the direction. Where the elongation shows the direction of a locked joint as well, a
-  reversal with a wrong friction delivers too much once, so the sensor counts from `OVERSHOOT` on. Where all bends are
-  at the joint, the elongation is the same in both directions, and the sensor alone decides.
+* The joint torque sensor can contradict. If the delivered torque already exceeds the desired one in the new direction,
+  the elongation does not reverse sigma. A joint that creeps back releases as much as the elongation takes up. At rest,
+  the sensor also corrects the direction. Sliding tendons deliver at most the desired torque in their direction, because
+  the friction term does not exceed the friction (`law`). More torque than that at rest shows that they stick, and that
+  they will slide in the other direction. This happens when a hand moves the joint by less than one encoder count. The
+  sensor is used only beyond its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is measured
+  while the joint moves, and after the sensor has changed the direction. If the elongation also shows the direction of a
+  locked joint, a reversal with a wrong friction delivers too much torque once. The sensor is then used only beyond
+  `OVERSHOOT`. If all bends are at the joint, the elongation is the same in both directions, and the sensor alone
+  decides.
 
 If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
 happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then
@@ -40,25 +43,26 @@ import math
 from tsa_ctrl.control.motion_filter import Motion
 from tsa_ctrl.control.settings import DirectionSettings
 
-NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
-LEAST_ZONE = 0.002  # rad/s, that may be set while running
-LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
-UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at a gait's 10 N*m/s
-# of the friction torque. With 0.12 a random rig with an imposed motion had twice the error, and a wearer no less.
+NOISE = 1.5  # least zone over the velocity noise of one count, because the mechanics also vibrate
+LEAST_ZONE = 0.002  # rad/s, smallest zone that may be set while running
+LITTLE = 0.05  # of the travel after which the whole tendons slide: a shorter motion has not reversed them
+UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at 10 N*m/s, as in a gait
+# Share of the friction torque. With 0.12, a random rig with prescribed motion had twice the error, and a
+# human-in-the-loop load had no smaller error.
 OVERSHOOT = 0.25
-MEAN = 0.01  # s: a motor on its tendons rings at 40 Hz and more
+MEAN = 0.01  # s, time constant of the mean: a motor on its tendons oscillates at 40 Hz and more
 SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is averaged: 0.2 s
-SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean counts
-AT_REST = 5e-3  # s of rest after which it is reported: a reversal passes the zone in less
-TREMOR = 0.04  # s between two turns of a hand that trembles: 12 Hz is the fastest tremor of people (Deuschl 1998)
-QUICK = 3  # turns in a row, each within `TREMOR`, that no hand makes
-BEYOND = 1.5  # of the way between them: the term throws the joint farther at some turns than at others
-MOST_PLAY = 0.02  # rad; a joint with more is loose
-REMEMBERED = 5.0  # s of the play that was found: a limit cycle that comes again has it found again within 0.1 s
+SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean is used
+AT_REST = 5e-3  # s of rest after which rest is certain, because a reversal passes the zone in less time
+TREMOR = 0.04  # s between two reversals of a trembling hand: the fastest human tremor has 12 Hz (Deuschl 1998)
+QUICK = 3  # successive reversals, each within `TREMOR`, that no hand makes
+BEYOND = 1.5  # of the travel between them, because the term moves the joint farther at some reversals than at others
+MOST_PLAY = 0.02  # rad; a joint with more backlash is loose
+REMEMBERED = 5.0  # s, memory of the measured backlash; a limit cycle that returns shows it again within 0.1 s
 
 
 class Direction:
-    """Track `sigma`; `age`: periods since a reversal in this cycle, 0 to 1; `rest`: s since the joint last moved."""
+    """Track `sigma`. `age`: periods since a reversal in this cycle, 0 to 1. `rest`: s since the joint last moved."""
 
     def __init__(
         self,
@@ -81,10 +85,10 @@ class Direction:
             reach: d/(2 r_J EA), m of tendon per N*m of desired torque, joint at rest.
             joint_radius: r_J, m.
             period: s.
-            give: like `reach`, joint moving; None if it is the same.
-            way: rad of the joint after which the whole tendons slide.
-            unsure: N*m by which the delivered torque must exceed the desired one until the joint torque sensor
-                decides at rest (`measure`).
+            give: like `reach`, with the joint moving; None if it is the same.
+            way: joint travel after which the whole tendons slide, rad.
+            unsure: excess of the delivered over the desired torque above which the joint torque sensor decides at rest
+                (`measure`), N*m.
         """
         self.lead = lead
         self._motion = motion
@@ -123,34 +127,34 @@ class Direction:
 
     @property
     def missing(self) -> float:
-        """Return the joint torque that the sensor misses because the tendons stick, N*m, 0 or more."""
+        """Return the joint torque that the sensor shows to be missing because the tendons stick, N*m, 0 or more."""
         return abs(self._excess) if self._needed * self.sigma > 0.0 else 0.0
 
     def reset(self) -> None:
         """Return to the state before the first motion."""
         self.sigma = 0.0
         self.age = 0.0
-        self.rest = math.inf  # it has never moved
-        self._before, self._turned_at = 0.0, math.nan  # the direction before the joint's last turn, and its angle then
+        self.rest = math.inf  # the joint has never moved
+        self._before, self._turned_at = 0.0, math.nan  # direction before the joint's last reversal, and its angle there
         self._follows = False
-        self._since = TREMOR  # s since the last turn
-        self._gap, self._quick, self._swung_at = 0.0, 0, math.nan  # rad of play, quick turns in a row, rad
+        self._since = TREMOR  # s since the last reversal
+        self._gap, self._quick, self._swung_at = 0.0, 0, math.nan  # rad of backlash, quick reversals in a row, rad
         self.forget()
 
     def forget(self) -> None:
-        """Let the next desired torque start from 0; sigma stays."""
+        """Let the next desired torque start from 0, and keep sigma."""
         self._edge = math.nan
         self._lasting = 0.0  # N*m, mean of the excess over `SETTLED`, reversals included
         self._doubt = 0.0  # N*m, of sensor and model
-        self._tried = False  # the direction was changed for the sensor, and the effect is not measured yet
+        self._tried = False  # the sensor has changed the direction, and the effect is not measured yet
         self._needed = 0.0  # direction whose friction the sensor shows to be missing
         self._await()
 
     def measure(self, excess: float, turning: bool) -> None:
-        """Take the difference of the delivered and the desired joint torque of this cycle.
+        """Process the difference of the delivered and the desired joint torque of this cycle.
 
         Args:
-            excess: N*m, by a sensor of the joint torque; nan without one.
+            excess: N*m by the joint torque sensor; nan without one.
             turning: True while the friction term reverses.
         """
         if self._unsure == math.inf:
@@ -209,7 +213,7 @@ class Direction:
                 if not self._little_since_turn():
                     self._before, self._turned_at = self.sigma, motion.angle
                 elif turned == self._before:
-                    self._turned_at = math.nan  # back again: as before
+                    self._turned_at = math.nan  # back in the previous direction
                 self.sigma = turned
                 self._follows, self._since = self._since >= TREMOR, 0.0
                 since = abs(omega / alpha) if alpha != 0.0 else 0.0
@@ -243,10 +247,10 @@ class Direction:
         return self._lasting * sigma > UNSURE
 
     def _in_play(self) -> bool:
-        """Return True if the joint has moved within its play only since the last reversal by its motion.
+        """Return True if the joint has moved only within its backlash since the last reversal by its motion.
 
-        Reversals that follow each other faster than a tremor are made by the friction term itself: each one throws the
-        joint across its play, which looks like a motion back. The way between them is the play.
+        The friction term itself causes reversals that are faster than a tremor. Each one throws the joint across its
+        backlash, which looks like motion in the other direction. The travel between them is the backlash.
         """
         angle = self._motion.angle
         way = abs(angle - self._swung_at)  # nan before the first one

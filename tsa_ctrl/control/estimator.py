@@ -8,7 +8,7 @@ There are six kinds of estimator:
 * "stretch": from two encoders, see `stretch_estimator`.
 * "tension": from two load cells, see `tension_estimator`.
 
-Every kind has the same three outputs. Every disable resets them. No parameter changes faster than its rate.
+All kinds have the same three outputs. Every disable resets them. No parameter changes faster than its rate.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
 
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
-POINTS = 256  # of the table by which the half loop is inverted: 1e-5 of it, and no iteration in the loop
+POINTS = 256  # of the table that inverts the friction torque to 1e-5 of it, without an iteration in the loop
 
 
 class Split:
@@ -36,7 +36,7 @@ class Split:
     """
 
     def __init__(self, model: TendonSheath, attribution: Attribution, at_motor: bool, bounds: float) -> None:
-        """Tabulate the friction torque; `bounds`: largest factor of the changing quantity either way, minus 1."""
+        """Tabulate the friction torque; `bounds`: largest factor of the changing quantity up or down, minus 1."""
         self._attribution = attribution
         self._per_pretension = _half_loop_of(model, at_motor)
         self._mu = model.friction_coefficient
@@ -45,7 +45,7 @@ class Split:
         self._theta = max(model.bending_angle, SMALLEST_ANGLE)
         self._slope = model.pretension_slope
         low, high = 1.0 / (1.0 + bounds), 1.0 + bounds
-        if attribution is Attribution.BENDING:  # a long way down the pretension may reach 0, where the map folds
+        if attribution is Attribution.BENDING:  # far below, the pretension may reach 0, where the map folds
             low = max(low, 1.0 - 0.95 * self._pretension / max(self._slope * self._theta, 1e-12))
         self._factors = tuple(low + (high - low) * k / POINTS for k in range(POINTS + 1))
         self._half_loops = tuple(self._half_loop(factor) for factor in self._factors)
@@ -91,22 +91,22 @@ def _half_loop_of(model: TendonSheath, at_motor: bool) -> Callable[[float], floa
     return lambda angle: sliding(model, 1.0, angle, 1.0).half_loop
 
 
-JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor that sends 20 values a second
-DOWN = 5.0  # steps at which a parameter falls: too much compensation moves the joint in the meantime
+JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor with 20 values per second
+DOWN = 5.0  # times the rate for a falling parameter, because too much compensation moves the joint in the meantime
 
 
 class EstimateState(IntEnum):
-    """Values are the log's codes."""
+    """List the states of an estimate; the values are the codes in the log."""
 
     FIXED = 0
     UNESTIMATED = 1  # too little excitation so far; the outputs are nominal
     ESTIMATED = 2
-    INVALID = 3  # the data contradict the model, or want a parameter beyond its bounds; see the kinds for the outputs
+    INVALID = 3  # the data contradict the model or require a parameter beyond its bounds; each kind defines the outputs
 
 
 @dataclass(slots=True)
 class Sample:
-    """The inputs of an estimator in one cycle; nan if not measured. An axis reuses the same object in each cycle."""
+    """Hold the inputs of an estimator in one cycle; nan if not measured. An axis reuses one object in all cycles."""
 
     sigma: float  # 1, direction of the tendon
     omega_j: float  # rad/s
@@ -122,17 +122,17 @@ class Sample:
 
 
 class Estimator(Protocol):
-    """The interface of every kind of estimator."""
+    """Define the interface of all kinds of estimators."""
 
     friction_angle: float  # 1
     pretension: float  # N
     state: EstimateState
-    use: bool  # whether the law may use the two
-    why: str  # the explanation of a state INVALID; empty where the state says it
+    use: bool  # True if the law may use both values
+    why: str  # explanation of the state INVALID; empty if the state is sufficient
 
     @property
     def found(self) -> float:
-        """Return the friction torque found in both directions over the model file's value, 1; nan without one."""
+        """Return the friction torque estimated in both directions over the file's value, 1; nan without an estimate."""
 
     def update(self, seen: Sample) -> None: ...
 
@@ -152,19 +152,19 @@ class Fixed:
         self.pretension = model.pretension
 
     def update(self, seen: Sample) -> None:
-        """Do nothing: the values are constant."""
+        """Do nothing, because the values are constant."""
 
     def reset(self) -> None:
-        """Do nothing: nothing is stored."""
+        """Do nothing, because no state is stored."""
 
 
 class ConfigurationMap:
-    """Derive x and T_p from the measured bending angle Theta, whose motion is followed at once.
+    """Derive x and T_p from the measured bending angle Theta, whose motion is followed without delay.
 
     A jump is not motion. It is a client's command or the first value after a gap, and is approached at the rate.
 
     The map is invalid and frozen while Theta is missing. It is invalid and held at its bound while Theta exceeds 1 +
-    bounds times the model file's value. A straight sheath is valid, because less friction must be compensated less.
+    bounds times the model file's value. A straight sheath is valid, because less friction needs less compensation.
     """
 
     use = True
@@ -174,7 +174,7 @@ class ConfigurationMap:
     def __init__(
         self, model: TendonSheath, settings: EstimatorSettings, period: float, most_theta: float | None = None
     ) -> None:
-        """Prepare the map; `period` in s, `most_theta`: rad, default by the bounds of the settings."""
+        """Prepare the map; `period` in s; `most_theta` in rad, by default from the bounds of the settings."""
         self._mu = model.friction_coefficient
         self._theta = model.bending_angle
         self._most_theta = (1.0 + settings.bounds) * model.bending_angle if most_theta is None else most_theta
@@ -220,5 +220,5 @@ def toward(value: float, target: float, step: float) -> float:
 
 
 def sooner_down(value: float, target: float, step: float) -> float:
-    """Return the same, but a falling value may change by `DOWN` steps."""
+    """Return `value` moved towards `target` by at most `step`, or by `DOWN` steps if it falls."""
     return toward(value, target, DOWN * step if target < value else step)

@@ -1,13 +1,13 @@
-"""Select the estimator of an axis that names none: "sensor", else "stretch", both in use, else "fixed".
+"""Select the estimator of an axis without a configured kind: "sensor" or "stretch", both in use, otherwise "fixed".
 
-A joint torque sensor measures the friction while the joint moves. The elongation of the tendons shows it only as well
-as the model knows everything else that moves the motor against the joint. On random rigs with play, ripple, gear
-friction and an eccentric pulley, the error of a held joint was up to ten times as large with the estimate by the
-elongation.
+A joint torque sensor measures the friction while the joint moves. The tendon elongation shows it only as well as the
+model describes everything else that moves the motor against the joint. Random rigs with backlash, ripple, gear friction
+and an eccentric pulley were tested. With the estimate by the elongation, the error of a locked joint was up to ten
+times as large.
 
 The friction torque by the elongation is proportional to 1/(1 - s_c). The file must therefore contain the centre s_c of
 the bends with a small uncertainty. Stiffness, friction angle and pretension are learned. An effect that changes the
-motor's torque or the tendons' friction would be found in the stretch as friction, and then be compensated twice.
+motor's torque or the tendons' friction would appear in the elongation as friction, and then be compensated twice.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.stretch import compliance_centre, unsupported_reason
 
-LOOSEST = 0.25  # 1, bound of a stiffness that is still learned within seconds: a fifth off was, on simulated rigs
-SHAPE = (
-    0.11  # 1, of the half loop, that the place of the bends may leave open; evenly bent and its bound of 0.05 leave 0.1
-)
-# Where an effect leaves motor torque and tendons as they are.
+LOOSEST = 0.25  # 1, bound of a stiffness that is learned within seconds; an error of 1/5 was, on simulated rigs
+# 1, largest share of the friction torque that the place of the bends may leave uncertain. An even bend with its bound
+# of 0.05 leaves 0.1.
+SHAPE = 0.11
+# Stages of effects that change neither the motor torque nor the tendons.
 _APART = frozenset({Stage.VELOCITY, Stage.DIRECTION, Stage.JOINT, Stage.DELAY})
-_KNOWN = frozenset({"elongation_coupling"})  # the observer's tendons have it
+_KNOWN = frozenset({"elongation_coupling"})  # the observer's tendons include it
 
 
 def chosen(
@@ -35,7 +35,7 @@ def chosen(
 ) -> tuple[EstimatorSettings, str]:
     """Return the settings with a kind and a use, and the reason in one line if the default is "fixed".
 
-    `follows_bending`: the bending angle is measured or commanded, which only kind "map" uses.
+    `follows_bending`: True if the bending angle is measured or commanded, which only kind "map" uses.
     """
     if settings.kind is not None:
         return (settings if settings.use is not None else msgspec.structs.replace(settings, use=False)), ""
@@ -49,7 +49,7 @@ def chosen(
 
 
 def why_fixed(model: TendonSheath, has_encoder: bool) -> str:
-    """Return the obstacle to an estimate from the tendon elongation; empty where nothing does."""
+    """Return the obstacle to an estimate from the tendon elongation; empty if there is none."""
     if not has_encoder:
         return "the elongation is the difference of motor and joint angle, which needs an [axis.encoder]"
     if not _has_friction(model):
@@ -82,5 +82,5 @@ def _has_friction(model: TendonSheath) -> bool:
 
 
 def shape_share(model: TendonSheath) -> float:
-    """1, of the half loop by the stretch, that the place of the bends leaves open (95 %)."""
+    """Return the share of the friction torque that the place of the bends leaves uncertain, 1 (95 %)."""
     return model.bending_centre_uncertainty / (1.0 - compliance_centre(model))

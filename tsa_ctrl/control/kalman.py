@@ -4,12 +4,12 @@
     "motor":   tau_M =  k sigma + s tau_L + c          k = 2 T_p r_M tanh x,  tau_L: the known joint torque
 
 A Kalman filter follows a random walk of (h, s, c). Its data are means over short blocks of steady sliding. The random
-walk makes it forget old data. Its covariance never exceeds the prior, so it neither diverges nor stops adapting. The
-estimate does not change while no data are admitted.
+walk reduces the weight of old data. The covariance never exceeds the prior, so the filter neither diverges nor stops
+adapting. The estimate does not change while no data are admitted.
 
 The tendons slide while the joint moves. They also slide on a joint at rest as soon as the joint torque follows the
-motor: after a reversal they slide from the motor's end on, so that the joint torque follows with its full slope s only
-once the whole sheath slides. They stick again when the motor turns back. A joint torque sensor therefore also measures
+motor. After a reversal, they slide from the motor's end on, and the joint torque follows with its full slope s only
+once the whole sheath slides. They stick again when the motor reverses. A joint torque sensor therefore also measures
 the friction of a locked joint.
 
 s is a nuisance parameter: cosh x is too flat to identify x from it. With `elongation_coupling` in the model, h, k and s
@@ -44,7 +44,7 @@ class Bare:
     """
 
     def __init__(self, model: TendonSheath, period: float) -> None:
-        """`period` in s."""
+        """Prepare the effects; `period` in s."""
         self._stack = Stack.of(model.effects, model.source)
         self._gain = period / (ACCELERATION_TIME + period)
         self._period = period
@@ -59,7 +59,7 @@ class Bare:
         return bool(self._memories.parts)
 
     def reset(self) -> None:
-        """Forget the last velocity and the memory of a formula."""
+        """Reset the last velocity and the memory of a formula."""
         self._memories.reset()
         self._state = unmoved(self._theta)
         self._last = math.nan
@@ -76,13 +76,13 @@ class Bare:
         state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)
 
     def motor(self, tau_m: float) -> float:
-        """Return the torque on the motor's pulley for the motor torque that the drive reports, both N*m."""
+        """Return the torque on the motor pulley for the motor torque that the drive reports, both in N*m."""
         for effect in self._stack.motor_torque:
             tau_m = effect.apply(SCALARS, tau_m, self._state)
         return tau_m
 
     def joint(self, tau_j: float) -> float:
-        """Return the torque of the tendons for a torque that is measured or known behind the joint, both N*m."""
+        """Return the torque of the tendons for a torque that is measured or known behind the joint, both in N*m."""
         stack, state = self._stack, self._state
         for effect in stack.joint:
             tau_j += effect.torque(SCALARS, state)
@@ -108,13 +108,13 @@ def why_not(model: TendonSheath) -> str:
 
 
 BLOCK = 0.01  # s, length of the means that enter the filter
-SLIDING = 0.999  # 1, |sigma| above which the sheath surely slides
-NOISE = 0.05  # 1, of a block mean, of the nominal half loop: what the model does not explain, not the sensor's own
-OUTLYING = 2.0  # standard deviations: a larger innovation counts as this one, as a jerk or a withdrawn term makes it
+SLIDING = 0.999  # 1, |sigma| above which the sheath is certain to slide
+NOISE = 0.05  # 1, model error of a block mean over the nominal friction torque, without the sensor's noise
+OUTLYING = 2.0  # standard deviations to which an innovation is limited; a jerk or a withdrawn term causes larger ones
 BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction needs
-CERTAIN = 0.1  # 1, standard deviation of the half loop, of nominal, below which it counts as estimated
-PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up to which both surely pull
-FOLLOWS = 0.9  # of the slope s, which is known within a tenth: less shows that a part of the sheath still sticks
+CERTAIN = 0.1  # 1, standard deviation of the friction torque over nominal, below which it counts as estimated
+PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up to which both are certain to pull
+FOLLOWS = 0.9  # of the slope s, which is known within a tenth; less shows that a part of the sheath still sticks
 
 
 class KalmanEstimator:
@@ -171,7 +171,7 @@ class KalmanEstimator:
         return self.half_loop / self._split.nominal if self.state is EstimateState.ESTIMATED else math.nan
 
     def update(self, seen: Sample) -> None:
-        """Take the data of one cycle."""
+        """Process the data of one cycle."""
         sigma, omega_j, tau_m, tau_j = seen.sigma, seen.omega_j, seen.tau_m, seen.tau_j
         bare = self._bare
         if bare is not None:
@@ -180,7 +180,7 @@ class KalmanEstimator:
                 bare.joint(self._load if self._motor else tau_j)
         direction = 1 if sigma > SLIDING else -1 if sigma < -SLIDING else 0
         moves = omega_j * direction > self._least_speed
-        if self._motor and not moves:  # without a joint torque sensor nothing shows that a joint at rest follows
+        if self._motor and not moves:  # without a torque sensor, it is unknown if a joint at rest follows
             direction = 0
         if direction != self._direction or not seen.admit:
             self._direction = direction
@@ -199,9 +199,9 @@ class KalmanEstimator:
 
     def _begin_stroke(self) -> None:
         self._since, self._count = 0.0, 0
-        self._farthest = -math.inf  # N*m of the motor along the direction
-        self._begun = -math.inf, math.inf  # N*m along the direction, of motor and joint: where `_slides` is judged from
-        self._slides = False  # the joint torque followed the motor's over the last `_followed`
+        self._farthest = -math.inf  # N*m, largest motor torque along the direction
+        self._begun = -math.inf, math.inf  # N*m along the direction, motor and joint torque from which it must follow
+        self._slides = False  # the joint torque has followed the motor torque over the last `_followed`
 
     def _admit(self, direction: int, omega_j: float, moves: bool, tau_m: float, tau_j: float) -> None:
         if self._count == 0:
@@ -231,7 +231,7 @@ class KalmanEstimator:
         self._judge()
 
     def _follows(self, tau_m: float, tau_j: float) -> bool:
-        """Return True if the joint torque follows the motor's, N*m along the direction, on the line of the model."""
+        """Return True if the joint torque follows the motor torque on the model's line (N*m along the direction)."""
         farther = tau_m >= self._farthest
         self._farthest = max(self._farthest, tau_m)
         begun_m, begun_j = self._begun

@@ -1,32 +1,32 @@
-"""The feedforward law: ideal torque, the compensated share of the friction term, the motor's inertia, its damping.
+"""Compute the feedforward law: ideal torque, compensated share of the friction term, motor inertia torque, damping.
 
     tau_M = tau_J* r_M/r_J  +  c f b (1 - e) (tau_ff(sigma) - tau_J* r_M/r_J)  +  C  +  J_M theta''  +  damping
 
-tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, at the set-point tau_J* of the moment when the
-command acts, and for the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can follow
-(`reversal.Turn`). At a joint at rest the reversal stops where the slip fronts do (`reversal.Slip`). c is the
+tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects. Its inputs are the set-point tau_J* at the time
+when the command acts, and the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can
+follow (`reversal.Turn`). At a joint at rest, the reversal stops where the slip fronts do (`reversal.Slip`). c is the
 compensation factor, f the fade-in after every enable, b the back-off of the guards against excessive compensation.
 
 The term must not exceed the actual friction. Term and friction together give the joint the power
 
     P = (r_J/r_M) (c b h_model sigma_term - h_true sigma) omega_J,     h = 2 T_p0 r_M f(x) at the motor
 
-where f is tanh, x or sinh depending on where the sheath bends. The condition of passivity, for any load and speed, is P
-<= 0:
+where f is tanh, x or sinh depending on where the sheath bends. The condition of passivity for any load and speed is
+P <= 0:
 
     c b h_model <= h_true
 
-whether the term reverses early, in time or late. Beyond it a joint of damping d accelerates to (r_J/r_M) (c b h_model -
-h_true)/d. c is limited by the proven h (`compensation_limit`), b is set by the guard, which observes the integral of P
-(`safety.passivity`). With the true parameters and c = 1 only the joint's damping ends an oscillation. The share e
-(`settle`) is therefore removed while the set-point is constant and the joint hardly moves. C is the torque sensor's
-correction (`torque_feedback`), which counts as a part of the friction term.
+whether the term reverses early, in time or late. If it is violated, a joint of damping d accelerates to
+(r_J/r_M) (c b h_model - h_true)/d. `compensation_limit` limits c by the proven h. The guard sets b, and observes the
+integral of P (`safety.passivity`). With the true parameters and c = 1, only the joint's damping ends an oscillation.
+The share e (`settle`) is therefore removed while the set-point is constant and the joint hardly moves. C is the torque
+sensor's correction (`torque_feedback`), which counts as a part of the friction term.
 
-theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the elongation between motor and joint as an angle
-of the motor. It gives the planned J_M theta'' of a reversal; J_M r_J/r_M alpha_J moves the motor with the joint. The
-sum of ideal and friction term stays between the two bounds of tau_M at which both tendons pull in the present
-direction, T_p by (3.54), unless the model has slack. `beyond` is True while the sum or its exact inverse is clipped
-there.
+theta = r_M/K (tau_J*/r_J + s_c (friction term)/r_M) is the elongation between motor and joint as an angle of the motor.
+It determines the planned torque J_M theta'' of a reversal. J_M r_J/r_M alpha_J moves the motor with the joint. Both
+tendons pull between two bounds of tau_M in the present direction, with T_p by (3.54). The sum of ideal and friction
+term stays between these bounds, unless the model has slack. `beyond` is True while the sum or its exact inverse is
+clipped there.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from tsa_ctrl.control.reversal import Slip, Turn
 from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
-CLOSING = 5.0  # Hz at which the sensor's missing torque is added at rest: all of it at once throws a hand-held joint
+CLOSING = 5.0  # Hz, rate at which the missing torque by the sensor is added at rest; a step throws a hand-held joint
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as at rest
-SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
-STANDS = 0.02  # N*m/s: a set-point that changes slower counts as constant
-SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
-BLIND = 2.0  # memories of the motion after a reversal in which a motor without a joint encoder shows nothing
-NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
-MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
-_REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
+SLOW = 0.5  # rad/s of the joint, below which an oscillation may be settled
+STANDS = 0.02  # N*m/s; a set-point that changes more slowly counts as constant
+SETTLING = 0.3  # s in which the share e is applied; it is removed five times as fast
+BLIND = 2.0  # memories of the motion after a reversal, in which the motor angle alone shows no joint motion
+NEAR_SLACK = 0.3  # of the model file's pretension; below it, the friction hardly changes any more, but the domain does
+MOST_EXPECTED = 50  # periods without a cycle; after a longer gap, the watchdogs have removed the torque
+_REFRESH = 64  # cycles between two updates of the friction torque, because parameters change slowly
 
 
 class Inverse(Protocol):
-    """The live inverse of a model (`tsa_ctrl.model.feedforward`)."""
+    """Define the live inverse of a model (`tsa_ctrl.model.feedforward`)."""
 
     @property
     def friction_angle(self) -> float: ...
@@ -111,18 +111,18 @@ class Law:
         has_encoder: bool = True,
         joint_angle: JointAngle | None = None,
     ) -> None:
-        """`radii`: r_M, r_J in m; `period` in s; `joint_angle`: refines a coarse joint encoder."""
+        """Prepare the law; `radii`: r_M, r_J in m; `period` in s; `joint_angle` refines a coarse joint encoder."""
         r_m, r_j = radii
         self.compensation = settings.compensation
         self.late = 0.0  # s, from the planned time of the cycle to its measurements
         self.temperature = math.nan  # degC; nan while it is not measured
-        self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
+        self.bound = math.inf  # 1, limit of the compensation by the proven friction (`compensation_limit`)
         self.confirmed = 1.0  # 1, of the friction torque in use, covered by the file; a client's excess is not proven
         self.slew = settings.slew
         self.plan = plan
         self.ideal = self.friction_term = self.planned = 0.0
         self.beyond = False
-        self.cut = 0  # cycles in which it was
+        self.cut = 0  # cycles with `beyond`
         self.near_slack = False
         self.notes = (*plan.notes, *inverse.notes)
         self.turn = Turn(plan.front, plan.turn, period)
@@ -137,11 +137,12 @@ class Law:
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
         self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
         self._settle = settings.settle
-        # The whole release changes the torque by up to 2 h: 2 pi f dt |excess| (r_M/r_J) / (2 h) of it in each cycle.
+        # A complete release changes the torque by up to 2 h. Each cycle releases the share
+        # 2 pi f dt |excess| (r_M/r_J) / (2 h) of it.
         self._closing = math.pi * CLOSING * period * r_m / r_j
         self._ratio = r_m / r_j
         self._period = period
-        self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint held
+        self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint locked
         self._delay, self._inertia, self._damps = plan.delay, plan.inertia, plan.damping > 0.0
         self._fade_step = period / settings.fade_in if settings.fade_in > 0.0 else 1.0
         self._stretch = self._blind = 0.0
@@ -173,14 +174,14 @@ class Law:
         return self._inverse.pretension
 
     def reset(self) -> None:
-        """Forget everything but the motion of the joint; the next enable starts uncompensated and fades in."""
+        """Reset everything except the joint motion; the next enable starts without compensation and fades in."""
         self.ideal = self.friction_term = self.planned = self._fade = self._settled = 0.0
         self._correction = 0.0  # N*m, of the friction term, by the torque sensor
-        self._wanted = 1.0  # 0 when the socket's client is gone
+        self._wanted = 1.0  # 0 after the client of the socket has gone
         self.beyond = False
         self.direction.forget()
         self._slip.reset(self.direction.sigma)
-        self._peak = 0.0  # N*m, the set-point farthest in the present direction
+        self._peak = 0.0  # N*m, largest set-point in the present direction
         self.damping.reset()
         self.feedback.reset()
         self._inverse.reset()
@@ -194,7 +195,7 @@ class Law:
         self.half_loop = self._inverse.half_loop()
 
     def observe(self, q_j: float, q_m: float, fresh: bool, ahead: float, rate: float) -> None:
-        """Take the measurements of one cycle.
+        """Process the measurements of one cycle.
 
         Args:
             q_j, q_m: angles of joint and motor, rad.
@@ -203,7 +204,7 @@ class Law:
             rate: slope of that set-point, N*m/s; 0 without torque.
         """
         direction, turn, motion = self.direction, self.turn, self._motion
-        since = self.late * motion.velocity  # rad, moved since the planned time
+        since = self.late * motion.velocity  # rad, joint motion since the planned time
         if self._has_encoder:
             if fresh and self._joint_angle is not None:
                 of_motor = self._ratio * (q_m - self._stretch)
@@ -212,7 +213,7 @@ class Law:
         else:
             motion.update(self._ratio * (q_m - self._stretch) - since, fresh)
             self._blind = BLIND * self._motion.memory if turn.turning else self._blind - self._period
-            if self._blind > 0.0:  # the motion of the motor by the reversal itself is not a motion of the joint
+            if self._blind > 0.0:  # the reversal itself moves the motor, but not the joint
                 turn.update(direction.sigma)
                 return
         old = direction.sigma
@@ -263,7 +264,7 @@ class Law:
         acceleration = motion.acceleration
         velocity, delay = motion.velocity, self._delay
         omega = velocity + delay * acceleration
-        angle, motor = motion.angle + delay * velocity, q_m + delay * omega_m  # as they are when the torque acts
+        angle, motor = motion.angle + delay * velocity, q_m + delay * omega_m  # when the torque acts
         full = inverse.update(tau_j, turn.force, omega, angle, motor, self.temperature, t=t)
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
         term = self.friction_term
@@ -287,7 +288,7 @@ class Law:
         still = ideal * self._give
         self._stretch = stretch = still + share * (slip.stretch - still)
         planned = 0.0
-        if self._inertia > 0.0:  # the torque that moves the motor as planned, and damps what differs from the plan
+        if self._inertia > 0.0:  # torque that moves the motor as planned, and damps deviations from the plan
             planned = self._inertia * (share * slip.bend + acceleration / self._ratio)
             if self._damps:
                 planned += self.damping.update(stretch, q_m, omega_m, motion.angle, motion.velocity)
@@ -318,10 +319,10 @@ class Law:
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
     def learn(self, excess: float) -> None:
-        """Take the joint torque sensor's result of this cycle into the correction.
+        """Update the correction with the joint torque sensor's result of this cycle.
 
         Args:
-            excess: N*m of the delivered joint torque beyond the desired one, nan without a measurement.
+            excess: delivered minus desired joint torque, N*m; nan without a measurement.
         """
         turn = self.turn
         if self.feedback.used and not self.beyond:
@@ -344,7 +345,7 @@ class Law:
         return 0.5 * self._inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
 
     def applied(self, tau_m: float) -> None:
-        """Take the torque that was sent (N*m), so that a clipped friction term and elongation continue from there."""
+        """Account for the sent torque (N*m), so that a clipped friction term and elongation continue from there."""
         left = tau_m - self.ideal - self.planned
         term = self.friction_term
         wanted = self.ideal + term

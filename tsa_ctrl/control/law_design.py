@@ -1,14 +1,14 @@
-"""Derive the times and gains of an axis' law from its model, its settings and the delay.
+"""Derive the times and gains of an axis's law from its model, its settings and the delay.
 
-Everything that [axis.law] leaves open is derived here once, before the loop starts:
+All values that [axis.law] leaves out are derived here once, before the loop starts:
 
-* the delay from a measurement to the torque that acts: the setting, or else the sum of transport (a period with
+* the delay from a measurement to the acting torque: the setting, or otherwise the sum of transport (a period with
   rpdo = "sync"), half a period of hold, and the torque loop of the drive;
-* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath, less towards the
-  joint, where no front hides it. Without a known motor inertia no swing is planned, and it takes `BLIND` s, slow enough
-  for a light motor on stiff tendons. A limit of [axis.limits] or of the drive can lengthen it. The speed limits latch a
-  fault, so they lengthen every reversal, also the one of [axis.law];
-* the damping that keeps a gain margin of 2 (`margin`); 0 if no damping does.
+* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath. It is shorter with
+  bends nearer to the joint, because no front hides it there. Without a known motor inertia, no motor motion is planned.
+  The reversal then takes `BLIND` s, which is slow enough for a light motor on stiff tendons. A limit of [axis.limits]
+  or of the drive can lengthen it. The speed limits latch a fault, so they also lengthen a reversal of [axis.law];
+* the damping that keeps a gain margin of 2 (`gain_margin`); 0 if no damping keeps it.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from tsa_ctrl.safety.limiter import LimiterSettings
 LAG = 0.5e-3  # s, torque loop of a drive; the known drives are faster
 LEAST = 2.0  # required gain margin
 STIFFNESS = (0.8, 1.0, 1.25)  # of the model's stiffness: the uncertainty before the tendons are measured
-SHARE = 0.32  # of sqrt(K J_M), largest useful gain: a sixth of critical damping, a swing then lasts two periods
-WORTH = 0.05  # of sqrt(K J_M); below it damping is not worth its noise
+SHARE = 0.32  # of sqrt(K J_M), largest useful gain: a sixth of critical damping, which ends a swing in two periods
+WORTH = 0.05  # of sqrt(K J_M); below it, damping is not worth its noise
 _MOST = 64.0
 _OUTSIDE = 1.0 + 1e-9
 
@@ -46,7 +46,7 @@ def gain_margin(gain: float, inertia: float, stiffness: float, delay: float, per
         gain: N*m*s/rad.
         inertia: J_M, kg*m^2.
         stiffness: K, N*m/rad.
-        delay: s from a measurement to the torque that acts, with half a period of hold and the drive's torque loop.
+        delay: s from a measurement to the acting torque, with half a period of hold and the drive's torque loop.
         period: s.
     """
     return min(_margin(gain, inertia, share * stiffness, stiffness, delay, period) for share in STIFFNESS)
@@ -93,9 +93,9 @@ def loop_matrix(
     """
     ringing = math.sqrt(believed / inertia)
     cosine, sine = math.cos(ringing * delay), ringing * math.sin(ringing * delay)
-    late = max(0.0, (delay - LAG - 0.5 * period) / period)  # periods between measurement and the hold's begin
+    late = max(0.0, (delay - LAG - 0.5 * period) / period)  # periods between measurement and start of the hold
     whole = math.ceil(late - 1e-9)
-    part = whole - late  # of a period that the newest of two commands acts
+    part = whole - late  # of a period in which the newest of two commands acts
     motor = np.array([[0.0, 1.0, 0.0], [-stiffness / inertia, 0.0, 1.0 / inertia], [0.0, 0.0, -1.0 / LAG]])
     push = np.array([[0.0], [0.0], [1.0 / LAG]])
     first, first_push = _held(motor, push, period * (1.0 - part))
@@ -117,7 +117,7 @@ def loop_matrix(
 
 
 def _exponential(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the exponential of a square matrix: its series after halving, then squared as often.
+    """Return the exponential of a square matrix by scaling, a power series and squaring.
 
     scipy.linalg.expm would load 35 MB into the daemon.
     """
@@ -140,25 +140,27 @@ def _held(
     return whole[:3, :3], whole[:3, 3:]
 
 
-TURN, TURN_AT_JOINT = 8, 5  # periods of a turn, for bends up to the middle of the sheath and for all at the joint
-BLIND = 0.02  # s of a turn without a motor inertia
-LONGEST_TURN = 0.06  # s; slower than that a gait is not followed: a limit of rate or torque then cuts the turn
-MOST_TURN = 0.2  # s; no limit of speed may require more
+TURN, TURN_AT_JOINT = 8, 5  # periods of a reversal, for bends up to the middle of the sheath and for all at the joint
+BLIND = 0.02  # s of a reversal without a motor inertia
+LONGEST_TURN = 0.06  # s; a slower reversal does not follow a gait, so a limit of rate or torque then cuts it instead
+MOST_TURN = 0.2  # s; a speed limit must not require more
 SPEED_SHARE = 0.6  # of the speed limit: the joint moves as well, and an estimate may find 1.6 times the friction
 # Share of the limiter's rate that a reversal may use: bends up to the middle of the sheath, and all bends at the joint.
-# With bends at the joint the friction reverses at once, so a short reversal matters more. The limiter bounds only
-# growing torques and cuts a step or two. Prescribed gait, friction angle 0.8: 145 mN*m with 2.4 or 3.2, 164 with 1.6.
+# With bends at the joint, the friction reverses immediately, so a short reversal matters more. The limiter bounds only
+# growing torques and cuts a step or two. With prescribed gait and a friction angle of 0.8, the error is 145 mN*m with
+# 2.4 or 3.2, and 164 mN*m with 1.6.
 RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 2.4
-# Slope of the inertia's torque in a reversal, over that rate. That torque has both signs; only its growth is bounded.
-# A motor of 3.2e-4 kg*m^2 with bends at the joint, reversed in 5.5 ms at five times the rate, keeps oscillating after
-# the cut: 43 mN*m, against 34 mN*m at three times the rate (7 ms). The slope of a lighter motor is far smaller.
+# Slope of the inertia's torque in a reversal, over that rate. That torque has both signs, and only its growth is
+# bounded. With bends at the joint, a motor of 3.2e-4 kg*m^2 that reverses in 5.5 ms at five times the rate keeps
+# oscillating after the cut, with 43 mN*m instead of the 34 mN*m at three times the rate (7 ms). The slope of a lighter
+# motor is far smaller.
 RATE_OF_INERTIA = 3.0
-TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may ask for
-MOST_LEAD = 0.03  # s; a reversal that is farther away is not predicted but guessed
+TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may require
+MOST_LEAD = 0.03  # s; a prediction farther ahead would be a guess
 
 
 class Limits(NamedTuple):
-    """The limits of one axis that a planned reversal must respect, at the motor."""
+    """Hold the limits of one axis that a planned reversal must respect, at the motor."""
 
     rate: float  # N*m/s
     torque: float  # N*m
@@ -171,7 +173,7 @@ class Limits(NamedTuple):
         """Return the limits of an axis; `max_speed`: the drive's own clamp, rad/s."""
         gearing = model.joint_pulley_radius / model.motor_pulley_radius
         speeds = {"limits.motor_over_speed": limits.motor_over_speed, "drive.max_speed": max_speed}
-        if not has_encoder:  # the motor's speed then counts as the joint's
+        if not has_encoder:  # the motor speed then replaces the joint speed
             speeds["limits.over_speed"] = gearing * limits.over_speed
             speeds["limits.joint_speed"] = gearing * limits.joint_speed
         key = min(speeds, key=lambda name: speeds[name])
@@ -180,24 +182,24 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class Plan:
-    """The numbers of one axis' law, in SI; `notes` explain the limits of this rig."""
+    """Hold the parameters of one axis's law in SI units; `notes` explain the limits of this rig."""
 
     front: Front
-    delay: float  # s, from a measurement to the torque that acts
-    turn: float  # s
-    lead: float  # s, by which the joint's velocity is taken ahead
-    inertia: float  # kg*m^2 of the motor; 0: not known
+    delay: float  # s, from a measurement to the acting torque
+    turn: float  # s, duration of a friction reversal
+    lead: float  # s, by which the joint velocity is extrapolated
+    inertia: float  # kg*m^2 of the motor; 0: unknown
     stiffness: float  # N*m/rad, K
     ringing: float  # rad/s, 0 without an inertia
     damping: float  # N*m*s/rad
     margin: float  # of the damping's gain; inf without damping
-    reach: float  # m of tendon per N*m desired at a joint at rest
-    give: float  # m of tendon per N*m desired that a moving joint's slip adds: 0 with all bends at the joint
+    reach: float  # m of tendon per N*m of desired torque, at a joint at rest
+    give: float  # m of tendon per N*m of desired torque, at a moving joint; 0 with all bends at the joint
     notes: tuple[str, ...] = ()
 
     @property
     def horizon(self) -> float:
-        """s by which a set-point must be known ahead."""
+        """Return the time by which a set-point must be known in advance, s."""
         return max(self.turn + self.delay, self.lead)
 
 
@@ -235,7 +237,7 @@ def plan_of(
     omega = 2.0 * math.pi * ringing if ringing else math.sqrt(stiffness / mass) if mass else 0.0
     notes: list[str] = []
     if turn is None:
-        rate = min(limits.rate, limits.distance / (total + period))  # the measured torque is late by that much
+        rate = min(limits.rate, limits.distance / (total + period))  # the measured torque has this delay
         turn = _duration(model, front, stiffness, mass, period, limits._replace(rate=rate))
     half_loop = abs(sliding(model).motor_half_loop)
     turn = _slowed(turn, _way(front, half_loop, stiffness), limits, where, notes)
@@ -287,12 +289,12 @@ def reversal_speed(model: TendonSheath, turn: float | None, period: float) -> fl
 
 
 def _way(front: Front, half_loop: float, stiffness: float) -> float:
-    """Return the angle, rad, that a whole turn moves the motor by."""
+    """Return the motion of the motor in a whole friction reversal, rad."""
     return 2.0 * front.centre * half_loop / stiffness
 
 
 def _slowed(turn: float, way: float, limits: Limits, where: str, notes: list[str]) -> float:
-    """Return the turn, s, lengthened until its peak motor speed is within the limit: a cycloid has 2 way/turn."""
+    """Return the reversal time (s), lengthened until the peak motor speed of a cycloid, 2 way/turn, is in the limit."""
     allowed = SPEED_SHARE * limits.speed
     if turn * allowed >= 2.0 * way:
         return turn
@@ -314,7 +316,7 @@ def _slowed(turn: float, way: float, limits: Limits, where: str, notes: list[str
 def _duration(
     model: TendonSheath, front: Front, stiffness: float, inertia: float, period: float, limits: Limits
 ) -> float:
-    """s of a turn that the drive's limits of rate and torque allow."""
+    """Return the duration of a friction reversal that the limits of rate and torque allow, s."""
     half_loop = abs(sliding(model).motor_half_loop)
     to_joint = max(0.0, 2.0 * front.centre - 1.0)
     periods = TURN - (TURN - TURN_AT_JOINT) * to_joint

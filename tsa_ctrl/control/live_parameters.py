@@ -21,7 +21,7 @@ _NONE: tuple[float | None, float | None] = (None, None)
 
 @dataclass(frozen=True)
 class Parameter:
-    """One live parameter of one axis: an attribute of one of its parts."""
+    """Describe one live parameter of one axis, which is an attribute of one of its parts."""
 
     name: str
     unit: str
@@ -40,15 +40,15 @@ class Parameter:
 
 
 def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
-    """Return the live parameters of an axis, the same names for each axis.
+    """Return the live parameters of an axis, with the same names for each axis.
 
-    No value weakens the protection that the files give. A limit stays at or below the file's value. The zone can only
-    be widened. An estimate in use stays in use. A release alone restores the guard's share.
+    No value weakens the protection that the files define. A limit stays at or below the file's value. The zone can only
+    be widened. An estimate in use stays in use. Only a release restores the guard's share.
     A parameter without bounds cannot be set on this axis; its text names the key that permits it.
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
-    angle, pretension = model.friction_angle, model.pretension  # raised by no more than [uncertainty] leaves open
+    angle, pretension = model.friction_angle, model.pretension  # may only rise within [uncertainty]
     angles = (0.0, angle * (1.0 + model.friction_angle_uncertainty)) if fixed else _NONE
     tensions = (0.0, pretension * (1.0 + model.pretension_uncertainty)) if fixed else _NONE
     use = _NONE

@@ -1,7 +1,7 @@
 """Estimate the motion of the joint from the encoders of joint and motor.
 
-`Motion` is the filter. `JointAngle` refines a coarse joint encoder by the motor's: the tendons connect both, so while
-they slide in one direction the motor shows how far the joint moves within one count of its encoder.
+`Motion` is the filter. `JointAngle` refines a coarse joint encoder by the motor encoder. The tendons connect both, so
+while they slide in one direction, the motor shows how far the joint moves within one count of its encoder.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 
 SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a gait reverses within two of the longest
-FEWEST = 10.0 / 3.0  # periods of memory, at least: below it the acceleration is noise
+FEWEST = 10.0 / 3.0  # least periods of memory, because with fewer the acceleration is only noise
 STEP = 1.2  # ratio of successive memories in the search
 QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
-_SETTLED = 40  # memories after which a step is forgotten
+_SETTLED = 40  # memories after which a step has no effect
 
 
 class Motion:
-    """Estimate velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; both are 0 until a second.
+    """Estimate velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; both are 0 at the first one.
 
     A fading-memory filter of second degree fits a parabola in which each angle weighs m times as much as the next. A
     low-pass filter of differences would delay the reversal, which must be predicted. The memory dt/(1 - m) is the
@@ -56,12 +56,12 @@ class Motion:
         self.memory = memory
 
     def reset(self) -> None:
-        """Forget the past: the next angle is the first."""
+        """Reset the filter; the next angle is the first one."""
         self.angle = math.nan
         self.velocity = self.acceleration = 0.0
 
     def update(self, angle: float, fresh: bool = True) -> None:
-        """Take the angle (rad) of this cycle; an angle that is not `fresh` or is nan is replaced by the prediction."""
+        """Process the angle (rad) of this cycle; the prediction replaces an angle that is not `fresh` or is nan."""
         q = self.angle
         if q != q:
             self.angle = angle
@@ -88,27 +88,28 @@ class Motion:
         return largest
 
 
-# Parts of a joint encoder's count that the motor resolves. With 8, ripple and elongation of random rigs are taken for
+# Parts of a joint encoder's count that the motor resolves. With 8, ripple and elongation of random rigs look like
 # motion of the joint.
 FINER = 4.0
-WORTH = 2.0  # parts, at least: a motor encoder that is hardly finer than the joint's refines nothing
+WORTH = 2.0  # least parts, because a motor encoder that is hardly finer than the joint encoder is no improvement
 HALF = 0.6  # counts of the joint encoder: largest difference from its reading, half a count and the noise
 # Counts at `QUIET`. If the encoder takes longer for the next count, the joint hardly moves, and the motor mainly
-# stretches the tendons. With 1.2, a slow joint of a random rig is taken to reverse; 0.1 to 0.6 give similar errors.
+# stretches the tendons. With 1.2, a slow joint of a random rig appears to reverse. Values of 0.1 to 0.6 have similar
+# errors.
 STILL = 0.3
-AFTER_TURN = 2.0 * SHORTEST  # s after a turn of the friction term, in which the motor moves without the joint
+AFTER_TURN = 2.0 * SHORTEST  # s after a reversal of the friction term, in which the motor moves without the joint
 
 
 class JointAngle:
     """Refine the angle of a joint encoder by the motor angle, within one count.
 
-    The angle follows the motor, and the last velocity while the friction term turns. It stays within `HALF` counts of
+    The angle follows the motor, or the last velocity while the friction term reverses. It stays within `HALF` counts of
     the encoder's reading, so neither an error of the elongation nor a slipped tendon adds up. A joint at rest does not
-    follow the motor, which stretches the tendons.
+    follow the motor, which only stretches the tendons.
     """
 
     def __init__(self, count: float, period: float) -> None:
-        """`count`: rad of the joint's encoder; `period`: s."""
+        """Prepare the refinement; `count`: rad of one count of the joint encoder; `period`: s."""
         self._half = HALF * count
         self._period = period
         self._longest = STILL * count / QUIET  # s
@@ -120,10 +121,10 @@ class JointAngle:
         """Return the refined angle, rad.
 
         Args:
-            reading: of the joint's encoder, rad.
-            motor: the motor's angle less the elongation, as an angle of the joint, rad.
-            velocity: of the joint, rad/s.
-            turning: True while the friction term turns.
+            reading: angle of the joint encoder, rad.
+            motor: motor angle minus the elongation, as an angle of the joint, rad.
+            velocity: joint velocity, rad/s.
+            turning: True while the friction term reverses.
         """
         step = motor - self._motor
         self._motor = motor

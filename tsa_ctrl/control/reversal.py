@@ -1,44 +1,44 @@
-"""The reversal of the friction term: the slip front in the sheath, the planned motor motion, and the tensions at rest.
+"""Plan the reversal of the friction term: the slip front in the sheath, the motor motion, and the tensions at rest.
 
 **Front.** Until the motor reverses, each tendon slides in one direction, and its tension changes along the bends by
-exp(-+x). After the reversal it slides in the other direction from the motor up to a front, and beyond the front nothing
+exp(-+x). After the reversal it slides in the other direction from the motor up to a front. Beyond the front, nothing
 has changed. A front at the share p of the bending (p x of the friction angle) has changed the motor-side tension by
-2 p x T, to first order in x, and has let the motor move by
+2 p x T, to first order in x. The motor has moved by
 
     s(p) = 2 x T l/EA S(p),     S(p) = integral over u from 0 to 1 of max(0, p - b(u)),     S(1) = s_c
 
 where b(u) is the share of the bending up to the share u of the length (`tsa_ctrl.model.curvature`) and s_c its centre.
-The joint feels nothing before the front has passed the sheath, p = 1. For an evenly bent sheath S = p^2/2: the first
-half of the loop takes a quarter of the motor's travel. With all bends at the joint S = p, like a spring. With all bends
-at the motor S = 0: no travel. A series spring is a part of the length without bends, before all bends if it is at the
-motor and behind them if it is at the joint.
+The joint torque does not change before the front has passed the sheath, p = 1. In an evenly bent sheath, S = p^2/2, so
+the first half of the hysteresis takes a quarter of the motor's travel. With all bends at the joint, S = p, like a
+spring. With all bends at the motor, S = 0, and the travel is 0. A series spring is a part of the length without bends.
+A spring at the motor is before all bends, and a spring at the joint is behind them.
 
-**Turn.** When the tendon reverses, the motor-side tension passes through the whole loop, and the motor moves by the
-corresponding elongation. The motor's inertia forbids a step. The elongation therefore follows a cycloid in time,
+**Turn.** When the tendon reverses, the motor-side tension passes through the whole hysteresis, and the motor moves by
+the corresponding elongation. The motor's inertia prevents a step. The elongation therefore follows a cycloid in time,
 
     s/s_end = y - sin(2 pi y) / 2 pi,     y = time / duration in [0, 1],     s'' = 0 at both ends
 
 and ends without an oscillation. The torque follows from the elongation by the front, p = S^-1(s). The law adds the
-torque of the inertia, J_M s'' / r_M. A turn that begins before another has ended is added to it. It has no feedback:
-a delay of the command shifts the turn, and the lead compensates for the shift. Input shaping by one period of the
-oscillation would take 10 ms at 100 Hz, and more for a heavier motor.
+torque of the inertia, J_M s'' / r_M. A reversal that begins before another one has ended is added to it. A reversal has
+no feedback: a delay of the command shifts it in time, and the lead compensates for this shift. Input shaping by one
+period of the oscillation would take 10 ms at 100 Hz, and more for a heavier motor.
 
 **Slip.** While the joint rests, the tension along a tendon changes from its motor side only. A contact at which the
 tendon slides keeps the tension ratio exp(+-delta), delta = x/CONTACTS. A contact at which it sticks keeps its tensions.
-The motor moves both tendons by the same travel s, one up and one down, and each tendon needs another travel until its
-front has passed the sheath:
+The motor moves both tendons by the same travel s, one up and one down, and each tendon needs a different travel until
+its front has passed the sheath:
 
     s_through = sum of w_i |T_N exp(+-(N - i) delta) - T_i|,     w_i: share of the length between two contacts
 
-From the first of the two on, the joint torque follows the tendon that slides, while the other still sticks at the
-joint. From the second on, both slide, as they do at once when the joint moves. The tensions at the last reversal are
+After the shorter travel, the joint torque follows the sliding tendon, while the other one still sticks at the joint.
+After the longer travel, both slide, as they do immediately when the joint moves. The tensions at the last reversal are
 the state, with return-point memory: a smaller stroke begins within them, and a larger one replaces them.
 
 Limit of `Slip`: the joint is assumed to be locked. A hand that holds it yields, and then the second tendon slides with
-the first. The less length is between bends and joint, the less motion suffices. At a point bend no encoder shows it.
-With true parameters, x = 0.8 and bends in the last tenth, the first stroke costs the human-in-the-loop load 7 mN*m RMS
-(32 instead of 24), and saves the locked joint 25 (3 instead of 28). On 14 random rigs `Slip` reduces the error of a
-locked joint from 61 to 15 mN*m (geometric mean).
+the first. The shorter the length between bends and joint, the less motion is sufficient. At a point bend, no encoder
+detects this motion. With true parameters, x = 0.8 and bends in the last tenth, `Slip` costs a human-in-the-loop load
+7 mN*m RMS in the first stroke (32 instead of 24), and saves a locked joint 25 (3 instead of 28). On 14 random rigs, it
+reduces the error of a locked joint from 61 to 15 mN*m (geometric mean).
 
 Source: (3.24)-(3.30) at each contact, (3.31)-(3.41) for the travel.
 """
@@ -54,16 +54,18 @@ from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.stretch import profile_of
 
-_STEPS = 64  # of p, and of y
+_STEPS = 64  # of the tables over p and over y
 
 
 class Front:
-    """S(p) of a sheath as a table, its inverse, and the moments of the bending seen from the joint."""
+    """Hold S(p) of a sheath as a table, with its inverse and the centre of the bending."""
 
     def __init__(self, points: Points, before: float = 0.0, after: float = 0.0) -> None:
-        """`points`: (share of the length, share of the bending); `before`, `after`: series springs at motor and joint.
+        """Tabulate S(p).
 
-        The springs as lengths of tendon, in lengths of the tendon.
+        Args:
+            points: (share of the length, share of the bending).
+            before, after: series springs at motor and joint as lengths of tendon, over the tendon's length.
         """
         whole = 1.0 + before + after
         start = [(0.0, 0.0), (before / whole, 0.0)] if before > 0.0 else []
@@ -74,13 +76,13 @@ class Front:
         self.centre = self.table[-1]  # s_c, 1
 
     def lengths(self, contacts: int) -> tuple[float, ...]:
-        """Return the shares of the length before, between and after so many contacts of equal wrap angle, 1."""
+        """Return the shares of the length before, between and after `contacts` contacts of equal wrap angle, 1."""
         each = _STEPS // contacts
         before = [contacts * (self.table[each * (i + 1)] - self.table[each * i]) for i in range(contacts)]
         return tuple(after - now for now, after in itertools.pairwise([0.0, *before, 1.0]))
 
     def depth(self, stretch: float) -> float:
-        """p in [0, 1] for S(p) = `stretch`."""
+        """Return p in [0, 1] for S(p) = `stretch`."""
         table = self.table
         if stretch >= table[-1]:
             return 1.0
@@ -109,18 +111,18 @@ def _mean_above(course: list[tuple[float, float]], p: float) -> float:
     return total
 
 
-_SOFT = 0.02  # of s_c: no part of the torque turns without any stretch, where all bends sit at the motor
+_SOFT = 0.02  # of s_c: elongation added over the whole torque, which would otherwise step with all bends at the motor
 
 
 class Turn:
-    """A turn of the friction term.
+    """Plan a reversal of the friction term.
 
-    Attributes: `force` and `stretch`: in [-1, 1], how far torque and stretch have turned. `bend`: d^2 stretch / dt^2,
-    1/s^2. `turning`: False once the turn is over.
+    Attributes: `force` and `stretch`: progress of torque and elongation, in [-1, 1]. `bend`: d^2 stretch / dt^2, 1/s^2.
+    `turning`: True during the reversal.
     """
 
     def __init__(self, front: Front, duration: float, period: float) -> None:
-        """`duration` of a whole turn and `period` in s."""
+        """Prepare the course; `duration` of a whole reversal and `period` in s."""
         self.duration = duration
         self._step = period / duration
         self._force = _course(front)
@@ -128,7 +130,7 @@ class Turn:
         self.reset()
 
     def reset(self, sigma: float = 0.0) -> None:
-        """Be turned to `sigma` without having moved."""
+        """Set the direction `sigma` without a transition."""
         self.force = self.stretch = self._end = self._base = sigma
         self.bend = 0.0
         self.turning = False
@@ -192,19 +194,19 @@ def _course(front: Front) -> tuple[float, ...]:
 
 
 CONTACTS = 16  # along one sheath, with equal shares of the wrap angle
-_ROUNDS = 16  # of the bisection for the way at a reversal
+_ROUNDS = 16  # of the bisection for the travel at a reversal
 FADE = 0.004  # s in which all tendons slide once the joint moves
 
 
 class Slip:
-    """The tensions along both tendons.
+    """Track the tensions along both tendons.
 
-    `torque` (N*m): motor torque beyond the torque of sliding tendons; `stretch` (rad): planned angle of the motor
-    beyond the joint's; `bend` (rad/s^2): its second derivative during a turn of the friction term.
+    Attributes: `torque`: motor torque in addition to the torque of sliding tendons, N*m. `stretch`: planned angle of
+    the motor beyond the joint angle, rad. `bend`: its second derivative in a reversal of the friction term, rad/s^2.
     """
 
     def __init__(self, front: Front, motor_radius: float, joint_radius: float, stiffness: float, period: float) -> None:
-        """Radii in m, `stiffness` of the tendons at the motor in N*m/rad, `period` in s."""
+        """Prepare the tendons; radii in m, `stiffness` of the tendons at the motor in N*m/rad, `period` in s."""
         self._lengths = front.lengths(CONTACTS)
         self._r_m = motor_radius
         self._per_r_j = 1.0 / joint_radius
@@ -213,18 +215,18 @@ class Slip:
         self.reset(0.0)
 
     def reset(self, sigma: float) -> None:
-        """Assume level tensions, as no stroke without torque is known; `sigma` is the present direction."""
+        """Assume level tensions, because no stroke without torque is known; `sigma` is the present direction."""
         self._use(0.0, 0.0)
         self.torque = self.stretch = self.bend = 0.0
-        self._lack = 0.0  # of the stretch, rad
+        self._lack = 0.0  # rad, missing elongation
         self._turned = (sigma, sigma, 0.0, 0.0)
         self.slide(sigma)
         self._level = True
 
     def slide(self, sigma: float) -> None:
-        """Let both tendons slide all along in the direction `sigma`."""
+        """Let both tendons slide along their whole length in the direction `sigma`."""
         self._sigma = sigma
-        self._left = 0.0  # of the difference to sliding tendons, 1
+        self._left = 0.0  # 1, remaining share of the difference to sliding tendons
         self._level = False
 
     def move(self) -> None:
@@ -232,13 +234,13 @@ class Slip:
         self.release(self._fade)
 
     def release(self, share: float) -> None:
-        """Approach sliding tendons by `share` (1) of the difference at the reversal."""
+        """Approach the state of sliding tendons by `share` (1) of the difference at the reversal."""
         self._level = False
         if self._left > 0.0:
             self._left = max(0.0, self._left - share)
 
     def turn(self, turn: Turn) -> None:
-        """Note where the turn of the friction term begins; call it before `slide` or `begin`."""
+        """Store the start of a reversal of the friction term; call this before `slide` or `begin`."""
         self._turned = (turn.force, turn.stretch, self.torque, self._lack)
 
     def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
@@ -262,7 +264,7 @@ class Slip:
             self._start(a, b, sigma)
 
     def update(self, tau_j: float, x: float, pretension: float, turn: Turn) -> None:
-        """Find torque and stretch at the joint torque `tau_j` in N*m, by friction angle (1) and pretension (N)."""
+        """Update torque and elongation for the joint torque `tau_j` (N*m), friction angle (1) and pretension (N)."""
         if x != self._x or pretension != self._pretension:
             self._use(x, pretension)
         difference = tau_j * self._per_r_j
@@ -281,7 +283,7 @@ class Slip:
                 force, slid = self._sliding(1.0 if forward else -1.0, difference)
                 other, _ = self._sliding(-1.0 if forward else 1.0, difference)
                 pull, most = t3 - t1 - force, other - force
-                # Less torque was sent than desired if the tensions differ by more than both ways of sliding do.
+                # A larger difference than between both directions of sliding means that less torque was sent.
                 pull = max(min(0.0, most), min(max(0.0, most), pull))
                 torque = self._left * self._r_m * pull
                 lack = self._left * self._angle * (self._start_b + self._sigma * self._gone - slid)
@@ -296,7 +298,7 @@ class Slip:
         self.stretch = middle + half * turn.stretch + lack
 
     def _between(self, torque: float, difference: float, now: float) -> float:
-        """Return what leads a turn from the tensions before it to those after it, N*m at the motor."""
+        """Return the torque that leads a reversal from the tensions before it to those after it, N*m at the motor."""
         then, _, before, _ = self._turned
         if (before == 0.0 and torque == 0.0) or self._sigma == then:
             return 0.0
@@ -328,7 +330,7 @@ class Slip:
         self._left = 1.0
 
     def _tensions(self, force: float) -> tuple[list[float], list[float]]:
-        """Return the tensions of the segments of both tendons, N, where T3 - T1 has come to `force`, N."""
+        """Return the tensions of the segments of both tendons, N, when T3 - T1 has reached `force` (N)."""
         sigma = self._sigma
         if self._left > 0.0:
             least, most = 0.0, max(self._through_a, self._through_b)
@@ -358,7 +360,7 @@ class Slip:
         return self._t3 - self._t1
 
     def _ends(self, difference: float) -> tuple[float, float]:
-        """Return T1 and T3, N, where T4 - T2 is `difference` (N); nan where both tendons slide."""
+        """Return T1 and T3, N, for T4 - T2 = `difference` (N); nan for a tendon that slides along its whole length."""
         a, b, sigma = self._a, self._b, self._sigma
         held = b[-1] - a[-1]
         if sigma * (difference - held) < 0.0:
@@ -383,7 +385,7 @@ class Slip:
         return force + force_slope * difference, way + way_slope * difference
 
     def _line(self, sigma: float) -> tuple[float, float, float, float]:
-        """Return both of `_sliding` at T4 = T2, each with its slope by T4 - T2."""
+        """Return both results of `_sliding` at T4 = T2, each with its slope by T4 - T2."""
         shares = self._shares(sigma)
         alpha, beta, less = self._way(shares), self._way([1.0 / share for share in shares]), 1.0 / shares[-1]
         whole = beta + alpha * less * less
@@ -401,21 +403,21 @@ class Slip:
 
 
 class _Pulled:
-    """The tension of a tendon at the motor while the motor pulls it, and a slip front runs from contact to contact."""
+    """Compute the motor-side tension of a tendon that the motor pulls, while a slip front passes its contacts."""
 
     def __init__(self, old: list[float], lengths: tuple[float, ...], shares: list[float], sign: float) -> None:
-        """Find the way at which the front passes each contact.
+        """Tabulate the motor travel at which the front passes each contact.
 
         Args:
-            old: tensions of the segments before, N, motor side first.
-            lengths: of the segments, 1.
-            shares: tensions of the segments over that at the motor once they slide, 1.
-            sign: of the way.
+            old: previous tensions of the segments, N, motor side first.
+            lengths: lengths of the segments, 1.
+            shares: tensions of the segments over the motor-side tension once they slide, 1.
+            sign: sign of the travel.
         """
         self._sign = sign
-        self._old: list[float] = []  # elongation before, up to and with each segment, l/EA in N
-        self._per_tension: list[float] = []  # 1, likewise of segments that slide
-        self._passed: list[float] = []  # l/EA in N, where the front passes the contact behind each segment
+        self._old: list[float] = []  # previous elongation up to and including each segment, l/EA in N
+        self._per_tension: list[float] = []  # 1, the same for sliding segments, over the motor-side tension
+        self._passed: list[float] = []  # travel at which the front passes the contact behind each segment, l/EA in N
         elongation, per_tension, passed = 0.0, 0.0, -math.inf
         for i, length in enumerate(lengths):
             per_tension += length * shares[i]
@@ -428,6 +430,6 @@ class _Pulled:
                 self._passed.append(passed)
 
     def tension(self, way: float) -> float:
-        """Return the tension at the motor, N, after a way of the motor, l/EA in N."""
+        """Return the tension at the motor, N, after the travel `way` of the motor, l/EA in N."""
         i = bisect_left(self._passed, self._sign * way)
         return (way + self._old[i]) / self._per_tension[i]

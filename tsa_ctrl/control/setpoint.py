@@ -1,7 +1,7 @@
-"""Set-points: the desired joint torque, N*m, as a function of the time since the enable.
+"""Compute the set-point: the desired joint torque, N*m, as a function of the time since the enable.
 
-A source is a function of time, or the last value that came over the local socket. `SetPoint` scales it, limits its
-rate, and starts at 0; a file that is over and a socket that has gone quiet end at 0.
+A source is a function of time, or the last value received over the local socket. `SetPoint` scales it, limits its rate,
+and starts at 0. After the end of a file or of the socket's values, it returns to 0.
 """
 
 from __future__ import annotations
@@ -17,16 +17,17 @@ from tsa_ctrl.control.settings import MOST_TORQUE, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
 Source = Callable[[float], float]
-# Of a sum of sines: s and number of samples at most (20 ms). 40 samples per period of the fastest have 0.3 % error.
+# Limits for the samples of a sum of sines: s, and their number (20 ms). 40 samples per period of the fastest sine have
+# an error of 0.3 %.
 _SAMPLED, _MOST_SAMPLES = 60.0, 20_000
 
 
 class SetPoint:
-    """One axis' set-point; `gain` scales the source.
+    """Compute the set-point of one axis; `gain` scales the source.
 
     `value` is the desired torque now. `acting` and `ahead` are the desired torque `delay` and `horizon` later, `rate`
-    (N*m/s) is its slope `lead` later. The future of a source is known, because it is a function of time. The future of
-    a set-point that comes over the socket is not known.
+    (N*m/s) is its slope `lead` later. The future of a source is known if it is a function of time, but not for the
+    socket.
     """
 
     def __init__(
@@ -39,9 +40,17 @@ class SetPoint:
         horizon: float = 0.0,
         limit: float = math.inf,
     ) -> None:
-        """`folder` is where a relative file is looked for; times in s. UsageError for a file that cannot be played.
+        """Prepare the source; times in s.
 
-        `limit`, N*m: no gain takes the set-point beyond it.
+        Args:
+            settings: [axis.setpoint].
+            period: s.
+            folder: folder of a relative file.
+            delay, lead, horizon: times ahead, see the class.
+            limit: largest size of the set-point with any gain, N*m.
+
+        Raises:
+            UsageError: the file cannot be played.
         """
         self.gain = 1.0
         self.is_received = settings.kind == "socket"
@@ -65,14 +74,14 @@ class SetPoint:
         self._received, self._received_at = (value, t) if wanted else (0.0, -math.inf)
 
     def reset(self) -> None:
-        """Start from 0 again and forget the received set-point."""
+        """Start from 0 again, and discard the received set-point."""
         self.value = self.acting = self.ahead = self.rate = 0.0
         self.silent = False  # no current set-point from the socket
         self._received = 0.0
         self._received_at = -math.inf
-        self._known: list[float] = []  # from now on, a period between two, and how many there are at most
-        self._last = 0.0  # the newest of them
-        self._at = 0.0  # s, of the first
+        self._known: list[float] = []  # values from now on, one per period
+        self._last = 0.0  # the newest value
+        self._at = 0.0  # s, time of the first value
 
     def update(self, t: float) -> float:
         """Return the desired joint torque (N*m) at `t` s since the enable."""
@@ -103,7 +112,7 @@ class SetPoint:
         return self.value
 
     def _next(self, t: float) -> float:
-        """Return the set-point at `t`, N*m, within its limit and as near as its rate permits."""
+        """Return the set-point at `t`, N*m, limited in size and rate."""
         if self._source is not None:
             target = self.gain * self._source(t)
         elif t - self._received_at <= self._timeout:
@@ -151,7 +160,7 @@ def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:
 def largest(settings: SetPointSettings, folder: str | Path = ".") -> float:
     """Return the largest size that the set-point can reach, N*m; 0 for a socket, whose values are clamped one by one.
 
-    A sum of sines is sampled for a minute, because it rarely reaches the sum of its amplitudes.
+    A sum of sines is sampled for at most a minute, because it rarely reaches the sum of its amplitudes.
 
     Raises:
         UsageError: a file cannot be played.
@@ -186,7 +195,7 @@ def _chirp(offset: float, amplitude: float, first: float, last: float, duration:
 
 
 def _played(times: Sequence[float], values: Sequence[float], offset: float, loop: bool) -> Source:
-    """Linear interpolation of a file; after its end from the start again, or 0."""
+    """Return the linear interpolation of a file; after its end, it is repeated or 0."""
     end = times[-1]
 
     def source(t: float) -> float:

@@ -1,6 +1,6 @@
-"""Settings of the control law of an axis, as read from [axis] of the controller file.
+"""Define the settings of an axis's control law, as read from [axis] of the controller file.
 
-Settings are separate from the classes that use them: mypyc, which compiles those, ignores `frozen` and
+They are separate from the classes that use them, because mypyc, which compiles those classes, ignores `frozen` and
 `forbid_unknown_fields` of a `msgspec.Struct`.
 """
 
@@ -12,17 +12,17 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-MOST_TORQUE = 1000.0  # N*m: more is another unit
+MOST_TORQUE = 1000.0  # N*m; a larger value is in another unit
 Torque = Annotated[float, Meta(ge=-MOST_TORQUE, le=MOST_TORQUE)]  # N*m
 Frequency = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
 Seconds = Annotated[float, Meta(gt=0.0, le=86_400.0)]
 Memory = Annotated[float, Meta(gt=0.0, le=3600.0)]
 Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
-Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
+Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; a larger value is in degrees
 
 
 class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One sine of a multi-sine."""
+    """Define one sine of a multi-sine."""
 
     amplitude: Torque  # N*m
     frequency: Frequency  # Hz
@@ -30,18 +30,18 @@ class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
 
 
 class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.setpoint]."""
+    """Define the table [axis.setpoint]."""
 
     kind: Literal["constant", "sine", "multi_sine", "chirp", "step", "file", "socket"] = "constant"
     offset: Torque = 0.0  # N*m, added to every kind
     amplitude: Torque = 0.0  # N*m: of sine, chirp and step
-    frequency: Frequency = 0.5  # Hz: of sine; where a chirp starts
-    end_frequency: Frequency = 5.0  # Hz: where a chirp ends
-    duration: Seconds = 20.0  # s: of one chirp, then again
-    at: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 1.0  # s: when a step comes
+    frequency: Frequency = 0.5  # Hz: of a sine, or at the start of a chirp
+    end_frequency: Frequency = 5.0  # Hz: at the end of a chirp
+    duration: Seconds = 20.0  # s: of one chirp, which is repeated
+    at: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 1.0  # s: time of a step
     components: tuple[Component, ...] = ()  # of multi_sine
     file: str = ""  # CSV or Parquet with columns t (s) and tau_j_des (N*m), relative to the configuration file
-    loop: bool = False  # start the file again at its end; else the set-point goes to 0
+    loop: bool = False  # start the file again at its end; otherwise the set-point goes to 0
     timeout: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.2  # s: a socket set-point older than this goes to 0
     rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 50.0  # N*m/s: fastest change of the set-point
 
@@ -56,35 +56,35 @@ class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.direction]."""
+    """Define the table [axis.direction]."""
 
-    zone: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.005  # rad/s of the joint that count as 0; more with few counts
+    zone: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.005  # joint speed that counts as 0, rad/s; more for few counts
     play: Annotated[float, Meta(gt=0.0, le=1e-3)] = 1e-6  # m of tendon by which the desired torque must reverse
 
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.law]; missing keys follow from the model file, the bus and the motor's inertia, see `law_design`."""
+    """Define [axis.law]; missing keys follow from the model file, the bus and the motor inertia, see `law_design`."""
 
     compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
     fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable
-    slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10_000.0  # N*m/s, most of the friction term at the motor
-    settle: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.03  # 1, of the term, taken back while nothing is to move
+    slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10_000.0  # N*m/s, rate limit of the friction term at the motor
+    settle: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.03  # 1, share of the term that is removed at rest
     motor_inertia: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None  # kg*m^2 at the motor pulley
-    delay: Time | None = None  # s from a measurement to the torque that acts
-    turn: Time | None = None  # s of a turn of the friction term
-    lead: Annotated[float, Meta(ge=0.0, le=0.03)] | None = None  # s by which the joint's velocity is taken ahead
+    delay: Time | None = None  # s from a measurement to the acting torque
+    turn: Time | None = None  # s, duration of a friction reversal
+    lead: Annotated[float, Meta(ge=0.0, le=0.03)] | None = None  # s by which the joint velocity is extrapolated
     ringing: Annotated[float, Meta(gt=0.0, le=2000.0)] | None = None  # Hz of the motor on its tendons
-    damping: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None  # N*m*s/rad of that ringing
+    damping: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None  # N*m*s/rad, of that ringing
     feedback: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.0  # Hz, bandwidth of the torque sensor's correction; 0: none
 
 
 class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.bending]."""
+    """Define the table [axis.bending]."""
 
     source: Literal["fixed", "command", "joints", "sensor"] = "fixed"
     offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
     gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
-    range: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0  # 1, either way, by which the sheath may bend otherwise unseen
+    range: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0  # 1, largest unmeasured change of the bending, up or down
     unmeasured: dict[str, tuple[float, float]] = {}  # rad, range of each joint of [routing] that no axis measures
 
     def __post_init__(self) -> None:
@@ -102,13 +102,13 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 class TemperatureSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.temperature]."""
+    """Define the table [axis.temperature]."""
 
     source: Literal["none", "serial"] = "none"  # "serial": [[axis.serial]] of the quantity "temperature"
 
 
 class Attribution(Enum):
-    """The cause to which a change of the friction torque is attributed.
+    """List the causes to which a change of the friction torque can be attributed.
 
     FRICTION: the friction coefficient; T_p is constant. PRETENSION: the tensioner; x is constant. BENDING: the bending
     angle; x = mu Theta and T_p = T_p0 + k_t (p + d/2)(Theta - Theta_0) change together, (3.52), (3.56).
@@ -120,21 +120,22 @@ class Attribution(Enum):
 
 
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.estimator]."""
+    """Define the table [axis.estimator]."""
 
-    # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`estimator_selection`)
+    # None: "sensor" or "stretch" if the sensors and the model permit it, otherwise "fixed" (`estimator_selection`)
     kind: Literal["fixed", "map", "sensor", "motor", "stretch", "tension"] | None = None
-    # True if the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
+    # True if the law uses the estimate, which is logged in any case ("map" is always used). None: True only if `kind`
+    # is None as well.
     use: bool | None = None
-    attribute: Attribution = Attribution.BENDING  # assumed to change: "friction", "pretension", "bending"
-    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
-    # of kind "map": how much more the sheath may be bent than in the model file
-    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = (
-        0.2  # 1/s of nominal: fastest change of either parameter (kind "stretch": rise; "map": after a jump)
-    )
-    memory: Memory = 4.0  # s of admitted motion after which old data count little
-    least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
-    settle: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05  # s after a reversal that are not admitted
+    attribute: Attribution = Attribution.BENDING  # quantity that changes: "friction", "pretension", "bending"
+    # 1, largest factor of that quantity up or down, minus 1. Kind "map": largest additional bending over that of the
+    # model file.
+    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6
+    # 1/s of nominal: fastest change of either parameter (kind "stretch": rise; "map": after a jump)
+    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.2
+    memory: Memory = 4.0  # s of admitted motion after which old data have little weight
+    least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower motion is not admitted
+    settle: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05  # s after a reversal, whose data are not admitted
     residual: Annotated[float, Meta(gt=0.0, le=1000.0)] = 0.2  # N*m RMS of the fit above which it is invalid
     known_load: Annotated[float, Meta(ge=-1000.0, le=1000.0)] = 0.0  # N*m at the joint, kind "motor"; 0: unloaded
-    most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": above is not admitted
+    most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": not admitted above

@@ -7,9 +7,9 @@ observer continues while the drive is off; this estimator does not. A joint torq
 elongation (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid, because the faulty one is not identifiable.
 
 When the tendons reverse, friction changes the sign of its share of the elongation. An error of torque, zero or time
-does not, so on a joint that moves in one direction for seconds it looks like friction. An estimate above the model
+does not, so on a joint that moves in one direction for seconds, it looks like friction. An estimate above the model
 file's friction torque is therefore used only as far as recent motion in both directions confirms it (plus `ROOM`). A
-lower estimate is used at once.
+lower estimate is used immediately.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 CERTAIN = 0.1  # 1, standard deviation of ln x below which it counts as estimated; same limit as for friction torque
-BOTH_WAYS = 0.1  # s of motion in one direction, after which the estimate counts for this direction
+BOTH_WAYS = 0.1  # s of motion in one direction, after which the estimate is valid for this direction
 ROOM = 0.05  # 1, above the lower of both: the rest of a compensation of 0.95; without it, a rise of 40 % takes longer
 _EVERY = 64  # cycles between two evaluations: parameters change slowly, and the split for a bent sheath takes time
 _FORGET = 0.5  # s over which the residual is averaged
@@ -44,7 +44,7 @@ class StretchEstimator:
         period: float,
         contradicted: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`period` in s."""
+        """Prepare the estimator; `period` in s."""
         self.use = bool(settings.use)
         self._contradicted = contradicted
         self._sliding = sliding_by(model)
@@ -64,12 +64,12 @@ class StretchEstimator:
         self.state = EstimateState.UNESTIMATED
         self.residual = 0.0  # (N*m)^2 at the joint
         self._until = _EVERY
-        self._shown = [0.0, 0.0]  # N*m of half loop, one way and the other
-        self._way, self._went = 0, 0  # and for how many cycles
+        self._shown = [0.0, 0.0]  # N*m, last friction torque of each direction
+        self._way, self._went = 0, 0  # present direction, and its number of cycles
 
     @property
     def found(self) -> float:
-        """1, the more of what both ways have shown last, over the model file's half loop; nan while not both have."""
+        """Return the larger friction torque of both directions over the file's value, 1; nan until both are known."""
         known = self.state is EstimateState.ESTIMATED and min(self._shown) > 0.0
         return max(self._shown) / self._split.nominal if known else math.nan
 

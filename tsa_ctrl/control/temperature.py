@@ -1,4 +1,4 @@
-"""The temperature that the control law uses: checked, and followed no faster than a mechanism can warm up."""
+"""Provide the temperature for the control law: checked, and changed no faster than a mechanism can warm up."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ FASTEST = 2.0  # K/s; a jump of the reading must not become a jump of the torque
 
 
 class Temperature:
-    """Follow a temperature sensor; the last value stays while the sensor is silent."""
+    """Follow a temperature sensor; the last value is held while the sensor is silent."""
 
     __slots__ = ("_step", "value")
 
     def __init__(self, period: float) -> None:
-        """`period`: of the loop, s."""
+        """Start without a reading; `period` of the loop in s."""
         self._step = FASTEST * period
         self.value = math.nan  # degC; nan until the first reading
 

@@ -9,9 +9,9 @@ is therefore used, limited to the lower one plus `ROOM`, because too much compen
 identify the friction coefficient, which stays constant. A change is attributed to the tensioner ("pretension": x stays
 constant) or to the wrap angle ("bending": Theta by (3.56), x = mu Theta).
 
-The two cells check each other against the motor's torque, T3 - T1 = tau_M/r_M: one that is stuck, drifts or has a
-wrong gain makes the estimate invalid. The outputs then fall to the model file's values, and never rise. An equal drift
-of both cells is detected only at the bounds.
+The two cells are compared with the motor's torque, T3 - T1 = tau_M/r_M. A cell that is stuck, drifts or has a wrong
+gain makes the estimate invalid. The outputs then fall to the model file's values, and never rise. An equal drift of
+both cells is detected only at the bounds.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 
 
 class TensionEstimator:
-    """The outputs hold while nothing is admitted; `why` has the reason while it is invalid."""
+    """Hold the outputs while no data are admitted; `why` has the reason for an invalid estimate."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        """`period` in s."""
+        """Prepare the estimator; `period` in s."""
         self.use = bool(settings.use)
         self._model = model
         self._bare = Bare(model, period) if model.effects else None
@@ -65,8 +65,8 @@ class TensionEstimator:
         self.state = EstimateState.UNESTIMATED
         self.why = ""
         self.residual = 0.0  # N^2, of the balance
-        self._shown = [math.nan, math.nan]  # N, one way and the other
-        self._seen = [0.0, 0.0]  # s of it
+        self._shown = [math.nan, math.nan]  # N, mean pretension of each direction
+        self._seen = [0.0, 0.0]  # s, admitted motion of each direction
         self._since = self._gap = 0.0
         self._way = -1
         if self._bare is not None:
@@ -74,7 +74,7 @@ class TensionEstimator:
 
     @property
     def found(self) -> float:
-        """1, half loop over the model file's; nan while it is not estimated."""
+        """Return the friction torque over the model file's value, 1; nan while it is not estimated."""
         if self.state is not EstimateState.ESTIMATED:
             return math.nan
         return sliding(self._model, 1.0, *self._target).half_loop / self._half_loop
@@ -100,7 +100,7 @@ class TensionEstimator:
         self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _take(self, seen: Sample, tau_m: float) -> None:
-        """Take a sample in which both cells and the motor have a value."""
+        """Process a sample in which both cells and the motor have a value."""
         unbalanced = seen.t3 - seen.t1 - self._per_radius * tau_m
         self.residual += self._forget * (unbalanced * unbalanced - self.residual)
         if not self.residual <= self._worst:
@@ -155,7 +155,7 @@ class TensionEstimator:
 
 
 def why_not(attribute: Attribution, measured: Collection[str]) -> str:
-    """Return the obstacle with its remedy; `measured`: quantities that have a sensor. Empty where nothing does."""
+    """Return the obstacle with its remedy, or an empty text; `measured`: quantities that have a sensor."""
     missing = [name for name in ("t1", "t3") if name not in measured]
     if missing:
         return f"without a serial sensor of {' and '.join(missing)}; it takes both t1 and t3: give it, or another kind"

@@ -8,12 +8,13 @@ friction, ripple, an eccentric pulley. One integrator per direction removes it,
 A reversal therefore begins with the correction of the new direction. While the tendons stick, the joint torque does not
 follow the motor, and an integrator would wind up. Three rules apply to a joint at rest:
 
-* The error counts only while command and set-point are the largest since the last reversal. Below the largest command
-  nothing slides, and a set-point that has decreased leaves more torque than desired with any friction.
-* The correction decreases at most as fast as the rest of the command grows. A motor that turns back only releases
-  friction. So a fade-in with too much friction ends at the friction that is there: the correction takes the growth.
-* A reversal that delivered too much reduces the next one at once. The integral of a stroke is kept in part (`KEPT`),
-  because the inertia of the motor carries a reversal further than the same torque carries resting tendons.
+* The error is used only while command and set-point are the largest since the last reversal. Below the largest command,
+  no tendon slides. After a decrease of the set-point, more torque than desired remains, whatever the friction.
+* The correction decreases at most as fast as the rest of the command grows, because a motor that reverses only releases
+  friction. A fade-in with too large a friction term therefore ends at the actual friction: the correction absorbs the
+  growth.
+* A reversal that delivered too much torque reduces the next one directly. The integral of a stroke is kept in part
+  (`KEPT`), because the inertia of the motor carries a reversal further than the same torque carries resting tendons.
 
 The sum of friction term and correction stays within the proven friction (`compensation_limit`).
 """
@@ -22,24 +23,25 @@ from __future__ import annotations
 
 import math
 
-WAIT = 0.02  # s after a turn, in which motor and sensor settle
-# s, low-pass of the sensor. The motor swings on its tendons at 25 Hz and more. An integral of that swing lags it by a
-# quarter of a cycle, and so drives it; behind this filter a quarter of that remains at 27 Hz, and a tenth at 45.
+WAIT = 0.02  # s after a reversal, in which motor and sensor settle
+# s, low-pass of the sensor. The motor oscillates on its tendons at 25 Hz and more. The integral of this oscillation
+# lags by a quarter of a cycle, and therefore excites it. After this filter, a quarter of it remains at 27 Hz, and a
+# tenth at 45 Hz.
 MEAN = 0.01
-JUMP = 0.7  # of a reversal's excess, taken from the next one: below 1, so that noise does not swing
-KEPT = 0.3  # of the integral of a stroke at rest. On random rigs 0 costs large signals, and 0.6 small ones
-LARGEST = 0.3  # of the friction torque: a larger error is a fault or a wrong direction, and does not count
-FARTHEST = 0.002  # of the friction torque: so near to the farthest command the tendons still slide
-MORE = 0.1  # of the friction torque: limit of what the sensor may add, about the error of a calibration
-LESS = 0.25  # of it, by which the sensor may reduce the term: the usual error of a file
+JUMP = 0.7  # of a reversal's excess, subtracted from the next one; below 1, so that noise does not build up
+KEPT = 0.3  # of the integral of a stroke at rest; on random rigs, 0 is worse for large signals, and 0.6 for small ones
+LARGEST = 0.3  # of the friction torque; a larger error is a fault or a wrong direction, and is ignored
+FARTHEST = 0.002  # of the friction torque; within this distance of the largest command, the tendons still slide
+MORE = 0.1  # of the friction torque: largest increase by the sensor, about the error of a calibration
+LESS = 0.25  # of the friction torque: largest reduction by the sensor, the usual error of a file
 FORGET = 0.3  # s in which the correction fades without a sensor
 
 
 class TorqueFeedback:
-    """Corrections of the friction term, N*m at the motor, one for each direction."""
+    """Compute the corrections of the friction term, N*m at the motor, one for each direction."""
 
     def __init__(self, bandwidth: float, ratio: float, period: float) -> None:
-        """`bandwidth`: Hz, 0 for none; `ratio`: r_M/r_J; `period`: s."""
+        """Prepare the integrators; `bandwidth`: Hz, 0 for none; `ratio`: r_M/r_J; `period`: s."""
         self.used = bandwidth > 0.0
         self._step = 2.0 * math.pi * bandwidth * period
         self._ratio = ratio
@@ -49,17 +51,17 @@ class TorqueFeedback:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: a new enable."""
+        """Reset all corrections at a new enable."""
         self._corrections, self._begun = [0.0, 0.0], [0.0, 0.0]
         self._forget()
 
     def _forget(self) -> None:
-        """Forget the present stroke."""
-        self._since = 0.0  # s since the last turn
-        self._mean = self._before = math.nan  # N*m, smoothed excess, and its value before the last turn
-        self._farthest = -math.inf  # N*m, of the command in this direction since the turn
-        self._peak = -math.inf  # N*m, the same of the set-point
-        self._last = math.inf  # N*m, of the command without the correction in this direction, a cycle ago
+        """Reset the state of the present stroke."""
+        self._since = 0.0  # s since the last reversal
+        self._mean = self._before = math.nan  # N*m, smoothed excess, and its value before the last reversal
+        self._farthest = -math.inf  # N*m, largest command in this direction since the reversal
+        self._peak = -math.inf  # N*m, largest set-point in this direction since the reversal
+        self._last = math.inf  # N*m, command without the correction in this direction, a cycle ago
         self._side = -1  # direction of this stroke: 0 or 1, -1 unknown
         self._rested = True  # the joint was at rest during this whole stroke
 
@@ -68,8 +70,8 @@ class TorqueFeedback:
 
         Args:
             force: present direction of the friction term, -1 to 1.
-            half_loop: N*m at the motor, the friction torque.
-            most: N*m, by which the correction may raise the friction term.
+            half_loop: friction torque, N*m at the motor.
+            most: largest increase of the friction term by the correction, N*m.
         """
         least = -LESS * half_loop
         backward, forward = self._corrections
@@ -90,18 +92,18 @@ class TorqueFeedback:
         correction: float,
         half_loop: float,
     ) -> None:
-        """Take one cycle.
+        """Process one cycle.
 
         Args:
-            excess: N*m of the delivered joint torque beyond the desired one; nan without a measurement.
+            excess: delivered minus desired joint torque, N*m; nan without a measurement.
             force: direction of the friction term, -1 to 1.
-            turning: True while it reverses.
+            turning: True while the friction term reverses.
             moving: True if the joint moves.
             fading: True while the friction term is faded in. Then the correction is 0 or less, and a joint must have
                 rested since the last reversal.
-            ideal: N*m of the motor, the set-point without friction.
-            term, correction: N*m, the friction term of this cycle, and the part of it that `torque` returned.
-            half_loop: N*m at the motor, the friction torque.
+            ideal: motor torque for the set-point without friction, N*m.
+            term, correction: friction term of this cycle, and its part that `torque` returned, N*m.
+            half_loop: friction torque, N*m at the motor.
         """
         if excess != excess or force == 0.0:
             self._forget()

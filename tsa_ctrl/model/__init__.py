@@ -1,1 +1,1 @@
-"""The tendon-sheath: equations, model files, the catalogue of effects."""
+"""Model the tendon-sheath: equations, model files, catalogue of effects."""

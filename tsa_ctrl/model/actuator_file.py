@@ -1,4 +1,4 @@
-"""The tables of an actuator model file, with the allowed range of each value."""
+"""Define the tables of an actuator model file, with the allowed range of each value."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Share = Annotated[float, Meta(ge=0.0, le=10.0, description="1, a factor minus 1;
 
 
 class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[actuator] of a tendon-sheath model file."""
+    """Define [actuator] of a tendon-sheath model file."""
 
     kind: Literal["tendon_sheath"] = "tendon_sheath"
     motor_pulley_radius: Radius  # r_M, m
@@ -61,7 +61,7 @@ class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[actuator] of a drive without joint torque sensor."""
+    """Define [actuator] of a drive without joint torque sensor."""
 
     kind: Literal["rigid_drive"]
     inertia: NonNegative | None = None  # J, kg*m^2
@@ -71,7 +71,7 @@ class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
 
 class GearedDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[actuator] of a drive with a gear and a joint torque sensor, without tendons."""
+    """Define [actuator] of a drive with a gear and a joint torque sensor, without tendons."""
 
     kind: Literal["geared_drive"]
     ratio: Positive  # N, motor turns per joint turn
@@ -81,57 +81,57 @@ class GearedDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True
 
 
 class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[tendon]."""
+    """Define the table [tendon]."""
 
     axial_stiffness: Stiffness  # E A, N
     unstrained_length: Length  # l_us, m
     diameter: Diameter  # d, m
     series_stiffness: SeriesStiffness | None = None  # k_s, N/m, per tendon
-    series_position: Literal["motor", "joint"] | None = None  # the end of the tendon with the spring; "motor"
+    series_position: Literal["motor", "joint"] | None = None  # the end with the spring; default "motor"
 
 
 class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[sheath]."""
+    """Define the table [sheath]."""
 
     friction_coefficient: Friction  # mu, 1
     bending_angle: Angle  # Theta, rad
     contact_offset: Offset = 0.0  # p, m
     unstrained_bending_angle: SignedAngle | None = None  # Theta_us, rad (3.51)
-    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, without an effect with a profile
-    bending_course: tuple[tuple[float, float], ...] | None = None  # (of the length, of the bending) about that centre
+    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, if no effect has a profile
+    bending_course: tuple[tuple[float, float], ...] | None = None  # fractions (length, bending) about that centre
 
 
 class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[pretension]."""
+    """Define the table [pretension]."""
 
     value: Pretension | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
     length_change: LengthChange | None = None  # Delta l of (3.56), m: the tensioner
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[uncertainty]: the largest errors of the nominal values."""
+    """Define the table [uncertainty]: the largest errors of the nominal values."""
 
-    friction_angle: Share = 0.25  # factor either way, minus 1
+    friction_angle: Share = 0.25  # factor up or down, minus 1
     pretension: Share = 0.25
     axial_stiffness: Share = 0.1  # E A, series spring included
-    bending_centre: Share = 0.05  # 1, absolute: s_c, where along the sheath the bends are
+    bending_centre: Share = 0.05  # 1, absolute error of s_c, the centre of the bends along the sheath
 
 
 class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The structure of a model file of kind "tendon_sheath"."""
+    """Define a model file of kind "tendon_sheath"."""
 
     actuator: ActuatorSection
     tendon: TendonSection
     sheath: SheathSection
     pretension: PretensionSection = PretensionSection()
     uncertainty: UncertaintySection = UncertaintySection()
-    routing: RoutingSection | None = None  # joints that bend the sheaths; None: nothing does
+    routing: RoutingSection | None = None  # joints that bend the sheaths; None: no joint does
     effects: dict[str, dict[str, Any]] = {}
     provenance: dict[str, Any] = {}
 
 
 class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The structure of a model file of kind "rigid_drive"."""
+    """Define a model file of kind "rigid_drive"."""
 
     actuator: RigidDriveSection
     effects: dict[str, dict[str, Any]] = {}
@@ -139,7 +139,7 @@ class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class GearedDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The structure of a model file of kind "geared_drive"."""
+    """Define a model file of kind "geared_drive"."""
 
     actuator: GearedDriveSection
     effects: dict[str, dict[str, Any]] = {}

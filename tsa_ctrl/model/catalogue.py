@@ -1,6 +1,6 @@
-"""The catalogue of effects by name, and the check of the `[effects.NAME]` tables that model files give.
+"""List the effects by name, and check the `[effects.NAME]` tables of model files.
 
-Source: the catalogue of effects by which measured data differ from (3.55)-(3.56). The facts of one effect are on its
+Source: the catalogue of effects by which measured data differ from (3.55)-(3.56). The facts of an effect are on its
 class, in `tsa_ctrl.model.effects`.
 """
 
@@ -25,7 +25,7 @@ PARAMETER_ERROR = "parameter_error"  # not an effect: the competing hypothesis o
 
 
 def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:
-    """Return the effects that only the tendon elongation shows: those among `names`, and those not among them."""
+    """Return the effects that act only on the tendon elongation: those in `names`, and those not in `names`."""
     every = [spec.name for spec in CATALOGUE.values() if spec.stage is Stage.STRETCH]
     return [name for name in every if name in names], [name for name in every if name not in names]
 
@@ -87,9 +87,9 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
 
 
 def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
-    """Return the steps of a checked `[effects.custom]` for another stack machine: an operation, its number, two more.
+    """Return the steps of a checked `[effects.custom]` for another stack machine: operation, argument, two constants.
 
-    For a function with a memory, the number is the index of the memory, and the constants of the function follow.
+    For a function with a memory, the argument is the index of the memory. Only these functions use the constants.
     """
     program = CATALOGUE["custom"].build(parameters).program
     constants = [

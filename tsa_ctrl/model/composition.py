@@ -33,51 +33,51 @@ T = TypeVar("T")
 
 
 class MotorTorqueEffect(Protocol):
-    """An effect that converts the reported motor torque to the torque on the pulley, N*m."""
+    """Convert the reported motor torque to the torque on the pulley, N*m."""
 
     def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
     def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
 
 
 class BendingEffect(Protocol):
-    """An effect that changes the bending angle, rad."""
+    """Change the bending angle, rad."""
 
     def bending(self, theta: F, state: State[F]) -> F: ...
 
 
 class PretensionEffect(Protocol):
-    """An effect that changes the pretension, N."""
+    """Change the pretension, N."""
 
     def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F: ...
 
 
 class FrictionEffect(Protocol):
-    """An effect that multiplies the friction coefficient by a factor."""
+    """Multiply the friction coefficient by a factor."""
 
     def factor(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
 class JointEffect(Protocol):
-    """An effect that reduces the joint torque by its own torque, N*m."""
+    """Reduce the joint torque by the effect's torque, N*m."""
 
     def torque(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
 class SensorEffect(Protocol):
-    """An effect that converts the joint torque (N*m) at the times t (s) to the measured one."""
+    """Convert the joint torque (N*m) at the times t (s) to the measured torque."""
 
     def apply(self, torque: Array, t: Array) -> Array: ...
 
 
 class StretchEffect(Protocol):
-    """An effect that adds a length (m) to the elongation by T3 - T1 and T4 - T2 (`ends`, N)."""
+    """Add a length (m) to the elongation that T3 - T1 and T4 - T2 (`ends`, N) cause."""
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F: ...
 
 
 @dataclass(frozen=True)
 class Stack:
-    """The effects of one model, by stage; None or empty for a stage without an effect."""
+    """Hold the effects of one model by stage; None or empty for a stage without an effect."""
 
     velocity_lag: VelocityLag | None
     motor_torque: tuple[MotorTorqueEffect, ...]
@@ -128,7 +128,7 @@ class Stack:
         )
 
     def custom_at(self, stage: str) -> Custom | None:
-        """Return the formula of the file if it acts on this side, "motor" or "joint"."""
+        """Return the formula of the file if it acts on this side ("motor" or "joint"), otherwise None."""
         return self.custom if self.custom is not None and self.custom.stage == stage else None
 
     def transmission(self, model: TendonSheath) -> Transmission:
@@ -142,7 +142,7 @@ class Stack:
 
 @dataclass(frozen=True)
 class _Present:
-    """A model's effects by name, in the order of composition."""
+    """Hold the effects of a model by name, in the order of composition."""
 
     effects: Mapping[str, Any]
 
@@ -172,7 +172,7 @@ def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: 
     return functions.at_least(theta, 0.0), tension
 
 
-LEAST_BENT = 1e-6  # rad, smallest wrap angle in the division below; at smaller ones friction is negligible
+LEAST_BENT = 1e-6  # rad, smallest wrap angle in the division below; friction is negligible at smaller angles
 
 
 def imbalance(functions: Functions[F], state: State[F], theta: F) -> F | float:

@@ -1,4 +1,4 @@
-"""Curvature profile of a sheath, and the elongation integrals alpha and beta, (3.36) and (3.39), that follow from it.
+"""Define the curvature profile of a sheath, and its elongation integrals alpha and beta, (3.36) and (3.39).
 
     Theta(s) = integral of the curvature from the motor end, s = 0, to s;     b(u) = Theta(u l_us) / Theta
     alpha / l_us = A(+x),     beta / l_us = A(-x),     A(rho) = integral over u from 0 to 1 of exp(rho b(u))
@@ -25,8 +25,8 @@ Points: TypeAlias = tuple[tuple[float, float], ...]  # (fraction of the length, 
 NAMED: Mapping[str, Points] = MappingProxyType(
     {
         "uniform": ((0.0, 0.0), (1.0, 1.0)),  # the same curvature everywhere
-        "motor_end": ((0.0, 1.0), (1.0, 1.0)),  # all of it at s = 0: the extreme of figure 3-19
-        "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),  # all of it at s = l_us: (3.55) is exact
+        "motor_end": ((0.0, 1.0), (1.0, 1.0)),  # all bending at s = 0: the extreme of figure 3-19
+        "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),  # all bending at s = l_us: (3.55) is exact
     }
 )
 POINTS = "[[fraction of length, fraction of bending], ...] that never fall, from [0, ...] to [1, 1]"
@@ -34,7 +34,7 @@ POINTS = "[[fraction of length, fraction of bending], ...] that never fall, from
 
 @dataclass(frozen=True)
 class Profile:
-    """The curvature profile of a sheath as points that never decrease, from (0, .) to (1, 1)."""
+    """Hold the curvature profile of a sheath as points that never decrease, from (0, .) to (1, 1)."""
 
     points: Points
 
@@ -51,7 +51,7 @@ class Profile:
 
     def mean_exponential(self, functions: Functions[F], rho: F) -> F:
         """Return A(rho): alpha/l_us at rho = x, beta/l_us at rho = -x."""
-        total = 0.0 * rho  # shaped like rho
+        total = 0.0 * rho  # zeros in the shape of rho
         for width, start, rise in self._pieces:
             part = width if start == 0.0 else width * functions.exp(rho * start)
             total = total + (part if rise == 0.0 else part * functions.expm1_ratio(rho * rise))

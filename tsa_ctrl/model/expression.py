@@ -1,7 +1,8 @@
 """Parse a formula into a short program for a stack machine; it is bounded and never executed as Python.
 
-    expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument, and functions
-                 with a memory: lag(x, T), ring(x, f, d), dahl(x, w) of any x without one, and of constants (`filters`)
+    expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument
+                 lag(x, T), ring(x, f, d), dahl(x, w): functions with a memory (`filters`), whose x has no memory and
+                 whose other arguments are constants
                  inside(x, low, high): 1 in that range and 0 far outside, for a formula that was learned there
 
 The parser of Python converts the text to a tree. Only the nodes above are accepted; everything else is rejected. The
@@ -25,13 +26,13 @@ from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
 from tsa_ctrl.model.functions import BLOCK, LARGEST, Array
 
 LONGEST = 500  # characters: a formula that a person can still read
-MOST_STEPS = 120  # operations: about 20 us on the controller's machine, a fiftieth of a cycle at 1 kHz
-DEEPEST = 24  # values on the stack; the plant's machine has this capacity
-MOST_MEMORIES = 4  # each is a dimension of the grid on which the inverse is checked
+MOST_STEPS = 120  # operations; they take about 20 us on the controller's machine, a fiftieth of a cycle at 1 kHz
+DEEPEST = 24  # levels of nesting; the stack of the plant's machine is deeper
+MOST_MEMORIES = 4  # each one is a dimension of the grid on which the inverse is checked
 
 
 class Op(IntEnum):
-    """Operation of one step of a program."""
+    """List the operations of the steps of a program."""
 
     CONSTANT = 0  # push the step's number
     NAME = 1  # push the value of the step's name
@@ -48,13 +49,13 @@ class Op(IntEnum):
     ABS = 12
     SIGN = 13
     SQRT = 14
-    LAG = 15  # from here on with a memory: the argument is its index
+    LAG = 15  # from here on, functions with a memory, whose index is the argument
     RING = 16
     DAHL = 17
 
 
 INSIDE = "inside"  # inside(x, low, high) = (1 - tanh(STEEP (|x - middle|/half - FADED)))/2
-FADED, STEEP = 1.25, 12.0  # half widths at which it is 1/2, and its steepness: 0.998 at the ends, 0.002 at 1.5
+FADED, STEEP = 1.25, 12.0  # half widths at which it is 1/2, and its steepness (0.998 at the ends, 0.002 at 1.5)
 FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
 REMEMBERING = {kind: Op[kind.upper()] for kind in KINDS}
 Remember: TypeAlias = Callable[[int, Array], Array]  # returns the value of a memory from its index and its x
@@ -69,9 +70,9 @@ _BINARY: dict[type[ast.operator], Op] = {
 
 @dataclass(frozen=True)
 class Program:
-    """Steps in reverse Polish order: `operations` (k) and `arguments` (k), a constant or an index into `names`.
+    """Hold the steps in reverse Polish order: `operations` (k) and `arguments` (k).
 
-    The argument of a function with a memory is an index into `memories`.
+    An argument is a constant, an index into `names`, or for a function with a memory an index into `memories`.
     """
 
     text: str
@@ -88,9 +89,9 @@ class Program:
         )
 
     def value(self, values: Sequence[float], memories: Sequence[Live] = ()) -> float:
-        """Return the formula at one instant, `values` in the order of `names`; nan if undefined.
+        """Return the formula at one instant, with `values` in the order of `names`; nan if undefined.
 
-        `memories`: of the program, in a loop.
+        `memories`: the memories of the program in a control loop.
         """
         stack: list[float] = []
         for op, argument in zip(self.operations, self.arguments, strict=True):
@@ -108,7 +109,7 @@ class Program:
         return stack[0]
 
     def array(self, values: Sequence[Array], remember: Remember | None = None) -> Array:
-        """Return the formula over a log; `values` in the order of `names`, each (n) or 0-dimensional.
+        """Return the formula over a log, with `values` in the order of `names`, each (n) or 0-dimensional.
 
         `remember`: required if the program has memories.
         """

@@ -1,7 +1,7 @@
 """Invert the model in the control loop: compute the motor torque that delivers a desired joint torque.
 
 Source: the feedforward law of (3.55), tau_M = r_M/cosh(x) (tau_J*/r_J + 2 T_p sigma sinh(x)). The effects are inverted
-in the reverse of their order of composition. SI units, plain floats; no clock and no I/O.
+in the reverse order of composition. SI units, plain floats, no clock, no I/O.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
-MOST_PERIODS = 1000.0  # between two updates; after more the watchdogs have removed the torque
-LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which numbers only overflow
+MOST_PERIODS = 1000.0  # between two updates; after a longer gap, the watchdogs have removed the torque
+LARGEST_ANGLE = 10.0  # 1, friction angle of a tension ratio of 22000; larger values would only overflow
 
 _LINEAR = frozenset({"elongation_coupling", "sheath_asymmetry"})  # effects that only change the line of tau_J in tau_M
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
@@ -51,7 +51,7 @@ class Feedforward:
         return self._model
 
     def reset(self) -> None:
-        """Reset the friction state, the memories of a formula, the start of the time and the held measurements."""
+        """Reset the friction state, the memories of a formula, the start time and the held measurements."""
         self._state = unmoved(self._model.bending_angle)
         self._started = False
         self._last_omega = math.nan
@@ -67,9 +67,9 @@ class Feedforward:
         self.pretension = self._model.pretension
 
     def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
-        """Use another x (1) or T_p0 (N) from now on; the memories stay. Raises UsageError if x cannot be changed.
+        """Use another x (1) or T_p0 (N) from now on, without a reset. Raises UsageError if x cannot be changed.
 
-        `imbalance`: (x_a - x_b) / (x_a + x_b) of tendons that are routed differently, 1.
+        `imbalance`: (x_a - x_b) / (x_a + x_b) of tendons with different routings, 1.
         """
         self._imbalance = imbalance
         self._model = self._model.recalibrated(friction_angle, pretension)
@@ -84,8 +84,8 @@ class Feedforward:
     def domain(self) -> tuple[float, float]:
         """Return the lowest and the highest tau_M, N*m, at which both tendons pull; infinite if the model has slack.
 
-        They bound the command in the state of the last update, so motor-side effects are included. Their sizes differ:
-        while the tendons slide, friction changes the pretension by (3.54) with the torque, and drive friction adds to
+        The bounds apply to the command in the state of the last update, so motor-side effects are included. Their sizes
+        differ: in sliding tendons, friction couples the torque into the pretension (3.54), and drive friction adds to
         one side. 0 is always inside, so that a bound never moves a torque away from 0.
         """
         if self._line is not None:
@@ -102,7 +102,7 @@ class Feedforward:
         return min(low, high, 0.0), max(low, high, 0.0)
 
     def half_loop(self) -> float:
-        """Return h, N*m at the motor pulley: half the difference of tau_M between the directions at tau_J = 0."""
+        """Return the friction torque h, N*m at the motor: half the change of tau_M with the direction at tau_J = 0."""
         x, pretension, transmission = self.friction_angle, self.pretension, self._transmission
         forward = transmission.motor_torque(0.0, 1.0, x, pretension, self._imbalance)
         return 0.5 * (forward - transmission.motor_torque(0.0, -1.0, x, pretension, self._imbalance))
@@ -137,7 +137,7 @@ class Feedforward:
             return self._by_line(tau_j_des, sigma)
         state, memories = self._state, self._memories
         memories.begin(self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j))
-        stack = self._stack  # may just have changed
+        stack = self._stack  # `_measure` may have changed it
         state.sigma = self._direction(state, sigma)
         angle, pretension = bending_and_pretension(SCALARS, self._model, stack, state)
         x = min(friction_angle(SCALARS, self._model, stack, state, angle), LARGEST_ANGLE)
@@ -172,7 +172,7 @@ class Feedforward:
         return _without_friction(self._model, tau_j_des)
 
     def _by_line(self, tau_j_des: float, sigma: float) -> float:
-        """Compute `update` for a model whose effects only change the line of tau_J over tau_M, without measurements."""
+        """Return the result of `update` without measurements, for effects that only change the line of tau_J."""
         sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else self._state.sigma
         state, model = self._state, self._model
         state.sigma = sigma
@@ -206,9 +206,9 @@ class Feedforward:
         t: float,
         acceleration_j: float,
     ) -> float:
-        """Take the measured values into the state.
+        """Store the measured values in the state, and return the time since the last update, s.
 
-        Missing ones keep their last value. Returns s since the last update.
+        Missing values are held.
         """
         isfinite = math.isfinite
         first = False
@@ -262,13 +262,13 @@ class Feedforward:
         self._pulling = self._line = None
         self._line_only = self._transmission.linear and set(self._model.effects) <= _LINEAR
         presliding = self._stack.presliding
-        if presliding is not None and self._presliding is None:  # kept when another measurement comes later
+        if presliding is not None and self._presliding is None:  # kept if another measurement arrives later
             self._presliding = PreslidingState(presliding)
             self._by_motor = presliding.displacement != "joint" and "q_m" in here
 
 
 class _Line:
-    """The line tau_M = (tau_J* + loss) / slope in the direction `sigma`, between `low` and `high`, N*m."""
+    """Hold the line tau_M = (tau_J* + loss) / slope in the direction `sigma`, between `low` and `high`, N*m."""
 
     __slots__ = ("domain", "high", "loss", "low", "sigma", "slope")
 
@@ -282,7 +282,7 @@ class _Line:
 
 
 def _lacking(model: TendonSheath, effect: str, here: Collection[str]) -> tuple[str, ...]:
-    """Return the signals, one of which `effect` requires, if none of them is in `here`; otherwise an empty tuple."""
+    """Return the signals of which `effect` requires one, if none of them is in `here`; otherwise an empty tuple."""
     needed = CATALOGUE[effect].needed_live(model.effects[effect])
     return next((names for names in needed if not any(name in here for name in names)), ())
 

@@ -1,12 +1,12 @@
-"""Functions with a memory for formulas, over a log or cycle by cycle.
+"""Evaluate functions with a memory for formulas, over a log or cycle by cycle.
 
     lag(x, T)       T dy/dt + y = x
     ring(x, f, d)   y'' + 2 d w y' + w^2 y = w^2 x,  w = 2 pi f
     dahl(x, w)      dz/dx = (1 - sign(dx) z)/w,  -1 <= z <= 1
 
-Source: the two lags of any textbook of control, exact if x is linear between samples; P. R. Dahl, A solid friction
-model, The Aerospace Corporation, 1968, with exponent 1, exact over each step of x. `lag` and `ring` start at rest at
-the first x, and `dahl` starts at 0.
+`lag` and `ring` are exact if x is linear between samples. They start at rest at the first x. `dahl` is exact over each
+step of x and starts at 0. Source: the two lags are in any textbook of control; P. R. Dahl, A solid friction model, The
+Aerospace Corporation, 1968, with exponent 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tsa_ctrl.model.monotonic_segments import MonotonicSegments, dahl
 
 @dataclass(frozen=True)
 class Range:
-    """One constant of a function with a memory, and its range, both ends included."""
+    """Define one constant of a function with a memory and its range, both ends included."""
 
     name: str
     low: float
@@ -35,7 +35,7 @@ class Range:
         return f"{self.low:g} to {self.high:g}{f' {self.unit}' if self.unit else ''}"
 
 
-# The ranges are wider than those of any drive. With a damping of 1 or more nothing oscillates, and a lag describes it.
+# The ranges are wider than those of any drive. With a damping of 1 or more nothing oscillates; a lag suffices.
 KINDS: dict[str, tuple[Range, ...]] = {
     "lag": (Range("T", 1e-6, 1e6, "s"),),
     "ring": (Range("f", 1e-3, 1e5, "Hz"), Range("d", 1e-6, 1.0, "")),
@@ -50,7 +50,7 @@ def usage(kind: str) -> str:
 
 @dataclass(frozen=True)
 class Memory:
-    """One function with a memory; its constants are in the order of `KINDS`."""
+    """Define one function with a memory, with its constants in the order of `KINDS`."""
 
     kind: str
     constants: tuple[float, ...]
@@ -59,19 +59,19 @@ class Memory:
         """Return its value along a log, (n,), for x and t (s), (n,) each; the time steps may differ."""
         if self.kind == "dahl":
             return dahl(MonotonicSegments.of(x), self.constants[0], 0.0)
-        from tsa_ctrl.model.effects import kernels  # imports numba, which is slow, so import it only if needed
+        from tsa_ctrl.model.effects import kernels  # imported only if needed, because it imports numba, which is slow
 
         x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])
         return np.asarray(getattr(kernels, self.kind)(x, t, *self.constants))
 
     def live(self) -> Live:
-        """Return the same function for evaluation cycle by cycle."""
+        """Return the same function for cycle-by-cycle evaluation."""
         if self.kind == "lag":
             return Lag(*self.constants)
         return Ring(*self.constants) if self.kind == "ring" else Dahl(*self.constants)
 
     def level(self, x: Array, part: float) -> Array:
-        """Return a possible value, in the shape of x, while x is within its present range.
+        """Return a possible value, in the shape of x, for any past within the present range of x.
 
         `part`: position within the possible values, from -1 (lowest) to 1 (highest).
         """
@@ -99,7 +99,7 @@ class Memory:
 
 
 class Live:
-    """One memory, evaluated cycle by cycle: `begin` a step, call `value` as often as necessary, then `keep` one x.
+    """Evaluate one memory cycle by cycle: `begin` a step, call `value` as often as necessary, then `keep` one x.
 
     Attributes: `asked`: the x of the last call of `value`. `taken`: the x that was accepted.
     """
@@ -135,7 +135,7 @@ class Live:
 
 
 class _Linear(Live):
-    """A memory with the value free + direct x within a step; before the first `keep` the value is x."""
+    """Evaluate a memory whose value within a step is free + direct x; before the first `keep`, the value is x."""
 
     __slots__ = ("_direct", "_elapsed", "_free")
 
@@ -154,7 +154,7 @@ class _Linear(Live):
 
 
 class Lag(_Linear):
-    """`lag` cycle by cycle; the state is y and the last x."""
+    """Evaluate `lag` cycle by cycle; the state is y and the last x."""
 
     __slots__ = ("_constant", "_decay", "_mean")
 
@@ -170,7 +170,7 @@ class Lag(_Linear):
         if elapsed != self._elapsed:
             steps = elapsed / self._constant
             self._elapsed, self._decay = elapsed, math.exp(-steps)
-            self._mean = -math.expm1(-steps) / steps  # of exp(-t/T) over the step
+            self._mean = -math.expm1(-steps) / steps  # mean of exp(-t/T) over the step
         y, x = self._state
         self._direct = 1.0 - self._mean
         self._free = self._decay * y + (self._mean - self._decay) * x
@@ -187,7 +187,7 @@ class Lag(_Linear):
 
 
 class Ring(_Linear):
-    """`ring` cycle by cycle; the state is y, its derivative, and the last x."""
+    """Evaluate `ring` cycle by cycle; the state is y, its derivative, and the last x."""
 
     __slots__ = ("_damping", "_motion", "_omega", "_turn")
 
@@ -210,8 +210,8 @@ class Ring(_Linear):
             self._motion = (wave + rub, swing, -self._omega * self._omega * swing, wave - rub)
         y, rate, x = self._state
         stay, by_rate = self._motion[0], self._motion[1]
-        behind = 2.0 * self._damping / self._omega  # s that y is behind a ramp
-        # y - x + behind*slope swings freely; the slope is (x' - x)/elapsed
+        behind = 2.0 * self._damping / self._omega  # s, delay of y behind a ramp
+        # y - x + behind*slope oscillates freely; the slope is (x' - x)/elapsed
         by_slope = (-behind + stay * behind - by_rate) / elapsed
         self._direct = 1.0 + by_slope
         self._free = stay * (y - x) + by_rate * rate - by_slope * x
@@ -233,7 +233,7 @@ class Ring(_Linear):
 
 
 class Dahl(Live):
-    """`dahl` cycle by cycle; the state is z and the last x, and time has no influence."""
+    """Evaluate `dahl` cycle by cycle; the state is z and the last x, and time has no influence."""
 
     __slots__ = ("_width",)
 
@@ -264,7 +264,7 @@ class Dahl(Live):
 
 
 class Memories:
-    """The memories of one formula, cycle by cycle.
+    """Evaluate the memories of one formula cycle by cycle.
 
     `begin` first stores the values that the last cycle accepted. Until `accept`, any number of values may be computed.
     A cycle with a value that is not finite accepts nothing, and its time is added to the next cycle.

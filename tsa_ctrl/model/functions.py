@@ -1,7 +1,7 @@
-"""The functions in the formulas of the model, once for arrays (logs) and once for plain floats (the control loop).
+"""Provide the functions of the model's formulas, once for arrays (logs) and once for plain floats (the control loop).
 
-Every formula of the model is written once, generic in `F`, and receives `ARRAYS` or `SCALARS`. For single numbers numpy
-takes ten times as long as `math`, which is too slow for a loop at 1 kHz.
+Every formula of the model is written once, generic in `F`, and receives `ARRAYS` or `SCALARS`. For single numbers,
+numpy takes ten times as long as `math`, which is too slow for a loop at 1 kHz.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.float64]
 F = TypeVar("F", float, Array)
 LARGEST = 700.0  # exp(709.8) is the largest double; beyond it results saturate instead of overflowing
-BLOCK = 8192  # samples processed at a time: temporary arrays stay in the cache, which takes a third of the time
+BLOCK = 8192  # samples processed at a time, so that temporary arrays stay in the cache: a third of the time
 
 
 class Functions(Protocol[F]):
-    """Elementwise functions over numbers of kind `F`."""
+    """Define elementwise functions of numbers of type `F`."""
 
     def exp(self, x: F, /) -> F: ...
     def expm1(self, x: F, /) -> F: ...
@@ -32,7 +32,7 @@ class Functions(Protocol[F]):
 
 
 class _Arrays:
-    """`Functions` over numpy arrays; results may be 0-dimensional."""
+    """Implement `Functions` for numpy arrays; results may be 0-dimensional."""
 
     def exp(self, x: Array, /) -> Array:
         return np.asarray(np.exp(x))
@@ -56,13 +56,13 @@ class _Arrays:
         return np.maximum(x, low)
 
     def expm1_ratio(self, x: Array, /) -> Array:
-        """(exp(x) - 1)/x, 1 at x = 0."""
+        """Return (exp(x) - 1)/x, 1 at x = 0."""
         safe = np.where(x == 0.0, 1.0, x)
         return np.where(x == 0.0, 1.0, np.expm1(safe) / safe)
 
 
 class _Scalars:
-    """`Functions` over plain floats; results saturate instead of raising OverflowError."""
+    """Implement `Functions` for plain floats; results saturate instead of raising OverflowError."""
 
     def exp(self, x: float, /) -> float:
         return math.exp(x if x < LARGEST else LARGEST)
@@ -89,7 +89,7 @@ class _Scalars:
         return low if x < low else x  # nan stays nan, because a missing value must not become a number
 
     def expm1_ratio(self, x: float, /) -> float:
-        """(exp(x) - 1)/x, 1 at x = 0."""
+        """Return (exp(x) - 1)/x, 1 at x = 0."""
         return 1.0 if x == 0.0 else self.expm1(x) / x
 
 

@@ -2,8 +2,8 @@
 
 A state that depends on its last value normally requires a loop over the samples. Within one segment ("leg"), however,
 each of these states has a closed form. Only the values at the ends of the legs depend on each other, by maps that can
-be composed in blocks. A few operations on whole arrays therefore suffice. A compiled loop takes as long for a log, and
-in addition half a second for loading.
+be composed in blocks. A few operations on whole arrays therefore suffice. A compiled loop takes as long per log, plus
+half a second for loading.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tsa_ctrl.model.functions import Array
 
 @dataclass(frozen=True)
 class MonotonicSegments:
-    """A path (n,) in m legs, each with one direction of motion.
+    """Hold a path (n,) in m legs, each with one direction of motion.
 
     `first` (m,) is the first sample of each leg, and `way` (m,) its direction, +1 or -1. `leg` (n,) is the number of
     the leg in which a sample is reached.
@@ -58,7 +58,7 @@ class MonotonicSegments:
 
     @property
     def nbytes(self) -> int:
-        """Return the memory that it takes, with its cached results."""
+        """Return the size in memory with the cached results, bytes."""
         return self.leg.nbytes + 8 * len(self.path)
 
 
@@ -88,7 +88,7 @@ def maxwell_slip(legs: MonotonicSegments, distance: float, elements: int, start:
     gone = legs.gone * legs.way.take(legs.leg)
     total, state, moved = np.zeros(len(gone)), np.empty(len(gone)), np.empty(len(gone))
     for each, from_ in zip(stiffness, begin, strict=True):
-        from_.take(legs.leg, out=state, mode="clip")  # all numbers are legs: any other mode takes a copy
+        from_.take(legs.leg, out=state, mode="clip")  # all indices are valid, and any other mode makes a copy
         state += np.multiply(gone, each, out=moved)
         np.maximum(state, -1.0, out=state)
         total += np.minimum(state, 1.0, out=state)
@@ -126,9 +126,13 @@ def last_reversal(legs: MonotonicSegments, threshold: float) -> Array:
 def _after_each(
     start: float, maps: Array, after: Callable[[Array, Array], Array], apply: Callable[[Array, Array], Array]
 ) -> Array:
-    """Return `start`, and the values after the first of m maps, after the second and so on: (..., m + 1).
+    """Return `start` and the value after each of m maps, shape (..., m + 1).
 
-    maps: the numbers of each, (k, ..., m). `after` composes one with the one before it.
+    Args:
+        start: value before the first map.
+        maps: coefficients of the maps, shape (k, ..., m).
+        after: composes a map with its predecessor.
+        apply: applies a map to a value.
     """
     count = maps.shape[-1]
     begin = np.full((*maps.shape[1:-1], 1), start)
@@ -156,7 +160,7 @@ def _affine_after(second: Array, first: Array) -> Array:
 
 
 def _clipped(maps: Array, z: Array) -> Array:
-    """z + a between b and c."""
+    """Return z + a, limited to b and c."""
     return np.asarray(np.minimum(np.maximum(z + maps[0], maps[1]), maps[2]))
 
 

@@ -1,7 +1,7 @@
 """Read and write actuator model files; writing keeps the comments and states the provenance.
 
-Symbols and units as in the source, section 3.2: r_M, r_J, E A, l_us, d, k_s, mu, Theta, p, T_p0. Only the product
-x = mu Theta (`friction_angle`) and T_p0 (`pretension`) are identifiable; see `TendonSheath.recalibrated`.
+Symbols and units are those of the source, section 3.2: r_M, r_J, E A, l_us, d, k_s, mu, Theta, p, T_p0. Only the
+product x = mu Theta (`friction_angle`) and T_p0 (`pretension`) are identifiable; see `TendonSheath.recalibrated`.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from tsa_ctrl.model.effects.specification import Kind
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 from tsa_ctrl.model.routing import Routing
 
-ROUTING_BY_JOINT = "routing_by_joint"  # the effect whose place in a file is [routing]
-Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
+ROUTING_BY_JOINT = "routing_by_joint"  # the effect that a file contains as [routing]
+Effects = Mapping[str, Mapping[str, Any]]  # the checked parameters of each effect, by its name
 
 
 @dataclass(frozen=True)
 class TendonSheath:
-    """A pair of tendon-sheaths between a motor and a joint pulley; all SI.
+    """Describe a pair of tendon-sheaths between a motor and a joint pulley, in SI units.
 
-    `pretension` is T_p0 in N at `bending_angle` without motor torque and friction, already resolved from
-    `unstrained_bending_angle` by (3.51), (3.56) where the file gives that instead.
+    `pretension` is T_p0 in N at `bending_angle` without motor torque and friction. If the file has
+    `unstrained_bending_angle` instead, T_p0 is computed from it by (3.51), (3.56).
     """
 
     motor_pulley_radius: float
@@ -52,7 +52,7 @@ class TendonSheath:
     contact_offset: float = 0.0
     series_stiffness: float | None = None
     series_at_joint: bool = False
-    bending_centre: float | None = None  # of the length from the motor; None: evenly bent, or by elongation_coupling
+    bending_centre: float | None = None  # of the length from the motor; None: even bend, or by elongation_coupling
     bending_course: Points | None = None  # distribution of the bends; None: even. It changes only the elongation
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
@@ -141,7 +141,7 @@ class TendonSheath:
 
 @dataclass(frozen=True)
 class RigidDrive:
-    """A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c; None for a value that the file omits."""
+    """Describe a plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c; None: the file omits the value."""
 
     inertia: float | None = None
     coulomb_friction: float | None = None
@@ -156,7 +156,7 @@ class RigidDrive:
 
 @dataclass(frozen=True)
 class GearedDrive:
-    """A gear with a joint torque sensor, without tendons: tau_J = eta^s N tau_M - tau_c sigma - b omega_J.
+    """Describe a gear with a joint torque sensor, without tendons: tau_J = eta^s N tau_M - tau_c sigma - b omega_J.
 
     s is the sign of the power tau_M omega_J. None means that the file omits the value; the loss is then 0.
     """
@@ -247,7 +247,7 @@ def _effects_of(given: Mapping[str, Mapping[str, Any]], kind: Kind, where: str) 
 
 
 def _with_routing_of_effects(model: TendonSheath) -> TendonSheath:
-    """Return the model with its [effects.routing_by_joint], which a diagnosis finds, as part of its [routing]."""
+    """Return the model with [effects.routing_by_joint], the result of a diagnosis, added to its [routing]."""
     if ROUTING_BY_JOINT not in model.effects:
         return model
     effects = {name: values for name, values in model.effects.items() if name != ROUTING_BY_JOINT}
@@ -327,7 +327,7 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
     known = ("friction_angle", "pretension")
     uncertainty: dict[str, float | None] = {name: getattr(model, f"{name}_uncertainty") for name in known}
     place, usual, course = "joint" if model.series_at_joint else "motor", UncertaintySection(), model.bending_course
-    for name in ("axial_stiffness", "bending_centre"):  # only if they were found
+    for name in ("axial_stiffness", "bending_centre"):  # written only if they were identified
         value = getattr(model, f"{name}_uncertainty")
         uncertainty[name] = None if value == getattr(usual, name) else value
     return {

@@ -4,15 +4,15 @@ A wrong unit is wrong by a factor of 10 to 1000. The limits below are limits of 
 
     E = EA / (pi d^2 / 4)       modulus of the tendon: soft polymer to carbon fibre
     sigma = T_p0 / (pi d^2 / 4) stress at the pretension: the strongest wire
-    epsilon = T_p0 / EA         strain at the pretension: the fibre that bears most
+    epsilon = T_p0 / EA         strain at the pretension: the most extensible strong fibre
     R = l_us / Theta            mean radius of the bends: more than the tendon's own diameter
-    h < the motor's torque      else the motor cannot move the tendons, and nothing can be controlled
+    h < the motor's torque      otherwise the motor cannot move the tendons, and control is impossible
     tau / K                     twist of the motor against its tendons
     sqrt(K/J) / 2 pi            ringing of the motor on its tendons
-    r_J / r_M                   of two pulleys that share tendons
+    r_J / r_M                   ratio of two pulleys that share tendons
     2 T_p0 r_M                  torque at which a tendon goes slack: steps of the drive's torque, and the set-point
     h                           friction torque to compensate: a step of the drive's torque
-    travel r_J                  tendon that the joint winds: no more than there is
+    travel r_J                  length of tendon that the joint winds: no more than the whole tendon
     omega r                     speed of the tendons in their sheaths
 """
 
@@ -27,19 +27,19 @@ from tsa_ctrl.model.actuator_file import TURNS
 
 MODULUS = (0.3e9, 1000e9)  # Pa; a soft polymer has 0.5 GPa, the stiffest carbon fibre 900 GPa
 STRENGTH = 3e9  # Pa, of the strongest steel wire; fibres are stronger, but fill only a part of a tendon's diameter
-STRAIN = 0.04  # 1, at which the fibres break that bear most (polyethylene, aramid)
-SPRING_TRAVEL = 0.2  # 1, of the tendon's length, that pretension may lengthen tendon and series spring by
-MOST_FRICTION_ANGLE = 3.0  # 1; exp(3) = 20: a twentieth of the tension arrives
+STRAIN = 0.04  # 1, breaking strain of the most extensible strong fibres (polyethylene, aramid)
+SPRING_TRAVEL = 0.2  # 1, largest elongation of tendon and series spring by the pretension, over the tendon's length
+MOST_FRICTION_ANGLE = 3.0  # 1; exp(3) = 20, so a twentieth of the tension reaches the joint
 TWIST = 2.0 * math.pi  # rad of the motor pulley against its tendons at full torque
-RINGING = (2.0, 5000.0)  # Hz, of the motor on its tendons; slower than 2 Hz no torque loop could follow gait
-RATIO = 10.0  # 1, r_J/r_M or r_M/r_J: the tendon bends once around both pulleys, so a larger step takes a gear
-STEPS = 10.0  # steps of the drive's torque command; with fewer before a tendon goes slack no torque can be followed
-LEAST_FRICTION = 0.01  # 1; a polymer liner with lubricant has 0.03, only a film of oil at speed has less than this
-TENDON_SPEED = 5.0  # m/s in a sheath; polymer liners are rated for 2 m/s at most, and wear within minutes above
+RINGING = (2.0, 5000.0)  # Hz, of the motor on its tendons; below 2 Hz, no torque loop could follow gait
+RATIO = 10.0  # 1, r_J/r_M or r_M/r_J; one tendon runs over both pulleys, so a larger ratio needs a gear
+STEPS = 10.0  # least steps of the drive's torque command before a tendon goes slack; fewer allow no torque control
+LEAST_FRICTION = 0.01  # 1; a polymer liner with lubricant has 0.03, and only an oil film at speed has less than this
+TENDON_SPEED = 5.0  # m/s in a sheath; polymer liners are rated for 2 m/s at most, and wear out within minutes above
 
 
 class Tendons(Protocol):
-    """The numbers of a `TendonSheath` that are compared; SI units."""
+    """Define the numbers of a `TendonSheath` that are compared, in SI units."""
 
     @property
     def source(self) -> str: ...
@@ -231,11 +231,11 @@ def check_motion(
     Args:
         model: the tendons and their sheaths.
         travel: rad of the joint; None without a limit.
-        speeds: by key of [axis.limits]: rad/s, and the radius of the pulley that turns so fast, m.
+        speeds: by key of [axis.limits], the speed (rad/s) and the radius (m) of the pulley with this speed.
         where: place of the configuration, for the message.
 
     Raises:
-        UsageError: the travel winds more tendon than there is, or a tendon would run faster than any in a sheath.
+        UsageError: the travel winds more tendon than exists, or a tendon would run too fast for any sheath.
     """
     if travel is not None:
         most = model.unstrained_length / model.joint_pulley_radius

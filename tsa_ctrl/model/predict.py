@@ -24,8 +24,8 @@ from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, TendonShea
 from tsa_ctrl.model.signals import Signals, hold_direction
 from tsa_ctrl.model.stretch import compliances
 
-# Cached friction states and exponentials of one log, and their largest size in bytes: a search requests the same states
-# with every fit, and an hour at 1 kHz must need less than a gigabyte.
+# Number of cached friction states and exponentials of one log, their largest size in bytes, and their least number. A
+# search requests the same states with every fit. An hour at 1 kHz must need less than a gigabyte.
 KEPT, KEPT_BYTES, FEWEST_KEPT = 128, 24_000_000, 2
 _ABSENT: Array = np.asarray(np.nan)
 
@@ -116,9 +116,9 @@ def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
 def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
     """Return twice the change of tendon b's tension at motor and joint, which elongates the tendons, N, (n,) each.
 
-    They are T3 - T1 and T4 - T2 while both tendons pull. For a tendon that pulls alone they are twice the difference of
-    its tension and the pretension. Effects behind the tendons (joint, load-dependent friction, backlash, delay) are not
-    included. Raises as `predict`.
+    They are T3 - T1 and T4 - T2 while both tendons pull. For a tendon that pulls alone, they are twice the difference
+    of its tension and the pretension. Effects behind the tendons (joint, load-dependent friction, backlash, delay) are
+    not included. Raises UsageError as `predict` does.
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -128,7 +128,7 @@ def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
 def stretch(model: TendonSheath, signals: Signals) -> Array:
     """Return s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), without the zero of the encoders.
 
-    Different path lengths of tendons with different routings are included (3.52). Raises as `predict`.
+    Different path lengths of tendons with different routings are included (3.52). Raises UsageError as `predict` does.
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
@@ -171,7 +171,7 @@ def beyond_slack(model: Model, signals: Signals) -> float:
 
 
 def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
-    """Return for each effect that cannot be computed for this log the columns, one of which is required.
+    """Return each effect that cannot be computed for this log, with the columns of which one is required.
 
     Effects that only change the elongation are not included.
     """
@@ -187,7 +187,7 @@ def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]
 def missing_for(
     effect: str, signals: Signals, *, rigid: bool = False, parameters: Mapping[str, Any] | None = None
 ) -> tuple[str, ...]:
-    """Return the columns, one of which `effect` requires, if the log has none of them; empty if it can be computed.
+    """Return the columns of which `effect` requires one, if the log has none of them; empty if it can be computed.
 
     In a plain drive (`rigid`) the motion of the motor, which is always present, replaces that of the joint. The columns
     of a formula depend on its `parameters`.
@@ -259,9 +259,9 @@ def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -
 def _growth(
     model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals, state: State[Array]
 ) -> Array | None:
-    """Return exp(sigma x), (n,), if no effect changes x, else None.
+    """Return exp(sigma x), (n,), if no effect changes x, otherwise None.
 
-    Its computation is slow, and most candidates of a search share it.
+    The result is cached, because it takes long to compute and most candidates of a search share it.
     """
     plain = isinstance(transmission, FourTensions) and transmission.symmetric
     if not plain or stack.bending or stack.friction or signals.theta_difference is not None:

@@ -1,4 +1,4 @@
-"""The `[provenance]` table of a model file: the source of its numbers, and the joint that they were measured on."""
+"""Read and write the `[provenance]` table of a model file: the source of its numbers, and the measured joint."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NODES = ("drive", "encoder")  # the nodes that identify a joint, by their tables
 
 
 class NodeIdentity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One node of a joint. A node without a serial number is identified by its node id."""
+    """Identify one node of a joint by its serial number, or by its node id if it has no serial number."""
 
     serial_number: Annotated[int, Meta(ge=0, le=0xFFFFFFFF)] = 0  # 0x1018:4; 0: the node has none
     node_id: Annotated[int, Meta(ge=1, le=127)]
@@ -39,7 +39,7 @@ class NodeIdentity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 @dataclass(frozen=True)
 class Origin:
-    """The source of a model file's numbers, and the nodes of the joint that it belongs to."""
+    """Hold the source of a model file's numbers, and the nodes of the joint that it describes."""
 
     source: Source = ""  # "": not stated, as in a file that a person wrote
     nodes: Mapping[str, NodeIdentity] = field(default_factory=dict)  # by NODES
@@ -78,7 +78,7 @@ def with_origin(text: str, origin: Origin) -> str:
 
 
 def origin_table(origin: Origin) -> dict[str, Any]:
-    """Return an origin as plain values for `[provenance]`; an empty one has none."""
+    """Return an origin as plain values for `[provenance]`; an empty origin has no values."""
     stated = {"source": origin.source} if origin.source else {}
     return {**stated, **nodes_table(origin.nodes)}
 

@@ -1,4 +1,4 @@
-"""Wrap angles of sheaths that cross joints: `[routing]` of an actuator model file, as data and as functions of it.
+"""Compute the wrap angles of sheaths that cross joints, from `[routing]` of an actuator model file.
 
     Theta_i(q) = Theta_0 + sum over joints of g_ij q_j, or of a table of that joint        (rad; i: tendon a or b)
     Delta l_i(q) = (p + d/2) (Theta_i(q) - Theta_0)                                        (m; (3.52))
@@ -28,7 +28,7 @@ Span = tuple[float, float]  # rad, lowest and highest angle of a joint
 
 
 class RouteSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[routing.tendon_b]: one tendon's sheath."""
+    """Define the table [routing.tendon_b]: the sheath of one tendon."""
 
     joints: dict[str, float] = {}  # rad/rad by axis name
     table: dict[str, tuple[tuple[float, float], ...]] = {}  # [[q, theta], ...] in rad by axis name
@@ -52,14 +52,14 @@ class RouteSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class RoutingSection(RouteSection, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[routing]: both tendons, or tendon a where `tendon_b` is given."""
+    """Define the table [routing]: both tendons, or only tendon a if `tendon_b` is given."""
 
-    tendon_b: RouteSection | None = None  # of the tendon with T3 and T4; a joint that is not named does not bend it
+    tendon_b: RouteSection | None = None  # the tendon with T3 and T4; a joint that is not listed does not bend it
 
 
 @dataclass(frozen=True)
 class Route:
-    """The contribution of the joints to the wrap angle of one tendon."""
+    """Compute the contribution of the joints to the wrap angle of one tendon."""
 
     gains: Mapping[str, float]  # rad/rad
     tables: Mapping[str, Points]
@@ -85,7 +85,7 @@ class Route:
         return Route(sums, tables)
 
     def added(self, angles: Mapping[str, float]) -> float:
-        """Return the wrap angle (rad) minus that with all joints at 0; `angles`: rad by joint, of all joints."""
+        """Return the wrap angle (rad) minus its value with all joints at 0; `angles`: rad of all joints, by name."""
         bent = 0.0
         for name, gain in self.gains.items():
             bent += gain * angles[name]
@@ -94,7 +94,7 @@ class Route:
         return bent
 
     def added_over(self, angles: Mapping[str, Array]) -> Array:
-        """Return `added` over a log, rad, (n,); `angles`: rad by joint, (n,) each, of all joints."""
+        """Return `added` over a log, rad, (n,); `angles`: rad of all joints, by name, (n,) each."""
         bent = np.zeros(len(next(iter(angles.values()))))
         for name, gain in self.gains.items():
             bent += gain * angles[name]
@@ -108,7 +108,7 @@ class Route:
         return self.gains.get(joint, 0.0) * angle if points is None else _between(points, angle)
 
     def slope_by(self, joint: str, angle: float) -> float:
-        """Return d Theta / d q of one joint at `angle` (rad), rad/rad; 0 beyond a table and where it bends nothing."""
+        """Return d Theta / d q of one joint at `angle` (rad), rad/rad; 0 beyond a table or for a joint not crossed."""
         points = self.tables.get(joint)
         return self.gains.get(joint, 0.0) if points is None else _slope(points, angle)
 
@@ -121,8 +121,8 @@ class Route:
     def extremes(self, travel: Mapping[str, Span]) -> Span:
         """Return the smallest and the largest angle that joints within `travel` add, rad.
 
-        The terms of the joints are independent, so their extremes are added. A joint without travel counts over the
-        range of its table, or at 0 if it has a gain.
+        The terms of the joints are independent, so their extremes are added. A joint without travel contributes over
+        the range of its table, or at 0 if it has a gain.
         """
         spans = {name: travel.get(name, (0.0, 0.0)) for name in self.gains}
         spans |= {name: travel.get(name, (points[0][0], points[-1][0])) for name, points in self.tables.items()}
@@ -132,7 +132,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Routing:
-    """Both tendons of a pair: a has the tensions T1 and T2, b has T3 and T4."""
+    """Hold the routes of both tendons of a pair: a has the tensions T1 and T2, b has T3 and T4."""
 
     a: Route
     b: Route
@@ -161,7 +161,7 @@ class Routing:
         return self.a == self.b
 
     def wrap_angles(self, angles: Mapping[str, Array]) -> tuple[Array, Array]:
-        """Return the wrap angles of a and b beyond Theta_0 over a log, rad, (n,) each; `angles`: (n,) by joint."""
+        """Return the wrap angles of a and b minus Theta_0 over a log, rad, (n,) each; `angles`: (n,) by joint."""
         return self.a.added_over(angles), self.b.added_over(angles)
 
     def section(self) -> dict[str, Any]:

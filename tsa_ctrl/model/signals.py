@@ -1,6 +1,6 @@
-"""The signals of one log as input of the model: columns of one length, in SI units.
+"""Hold the signals of one log as input of the model: columns of equal length, in SI units.
 
-Derivatives have zero phase. A causal filter would shift them relative to the torque, and the identification would then
+Derivatives have zero phase. A causal filter would shift them relative to the torque. The identification would then
 find a delay or a velocity lag that the machine does not have.
 """
 
@@ -21,17 +21,17 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.monotonic_segments import MonotonicSegments
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
-_RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; the remaining transient is below 1e-5
+_RUN_IN = 3.0  # periods of the cutoff by which both ends are extended; the remaining transient is below 1e-5
 _LARGEST = 8_000_000  # bytes, largest cached segments of a path: an hour at 1 kHz must need less than a gigabyte
 _SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
 
 
 @dataclass(frozen=True, kw_only=True)
 class Signals:
-    """Columns of a log, float64, shape (n,); None where the log has no such column.
+    """Hold the columns of a log, float64, shape (n,); None for a column that the log does not have.
 
     t in s, strictly increasing; tau_m in N*m; omega in rad/s; q and theta in rad; temperature in °C;
-    accelerations in rad/s^2. Raises UsageError when a column has another shape than t.
+    accelerations in rad/s^2. Raises UsageError if a column differs from t in its shape.
     """
 
     t: Array
@@ -44,7 +44,7 @@ class Signals:
     temperature: Array | None = None
     acceleration_j: Array | None = None
     acceleration_m: Array | None = None
-    theta_difference: Array | None = None  # rad, half of Theta_a - Theta_b, of tendons that are routed differently
+    theta_difference: Array | None = None  # rad, half of Theta_a - Theta_b, for tendons with different routings
     joints: Mapping[str, Array] = field(default_factory=dict)  # rad, q_j.NAME of joints that may bend the sheath
 
     def __post_init__(self) -> None:

@@ -1,16 +1,16 @@
-"""The transmission while the tendons slide in one direction, as a line over the motor torque, and the friction torque.
+"""Compute the transmission while the tendons slide in one direction, as a line over the motor torque.
 
     tau_J = a(sigma) tau_M - sigma b(sigma)                                                    (3.53), (3.55)
     a = r_J/r_M (alpha exp(-sigma x) + beta exp(sigma x)) / (alpha + beta)                     slope
-    b = 4 r_J EA Delta l sinh(x) / (alpha + beta)                                              half loop at the joint
-    h = b/a = 2 T_p0 r_M f(x)                                                                  half loop at the motor
+    b = 4 r_J EA Delta l sinh(x) / (alpha + beta)                                         friction torque at the joint
+    h = b/a = 2 T_p0 r_M f(x)                                                             friction torque at the motor
     K = 2 k_t r_M^2,  k_t = 1 / (l_us/EA + 1/k_s)                                              (3.31)-(3.41), (3.56)
 
 x = mu Theta; alpha and beta by (3.36), (3.39); EA Delta l = T_p0 (l_us + EA/k_s). A series spring at the motor adds
 EA/k_s to both. A series spring at the joint carries T2 and T4 and adds exp(+-sigma x) times EA/k_s. f depends on the
 curvature profile: tanh x (all bends at the joint, and (3.55)), x (uniform) or sinh x (all bends at the motor). K is the
-stiffness at the motor with a locked joint, without friction. Only the effects of the transmission are included. SI
-units.
+stiffness at the motor with a locked joint, without friction. A friction torque is half the width of the hysteresis.
+Only the effects of the transmission are included. SI units.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 
 class Sliding(NamedTuple):
-    """The line tau_J = slope tau_M - sigma half_loop."""
+    """Hold the line tau_J = slope tau_M - sigma half_loop."""
 
     slope: float  # a, 1
-    half_loop: float  # b, N*m at the joint
+    half_loop: float  # b, friction torque, N*m at the joint
 
     @property
     def motor_half_loop(self) -> float:
-        """Return h = b/a, N*m at the motor: the torque in addition to the load that keeps the tendons sliding."""
+        """Return h = b/a, N*m at the motor: the torque that keeps the tendons sliding, in addition to the load."""
         return self.half_loop / self.slope
 
 
@@ -42,8 +42,8 @@ def sliding(
 ) -> Sliding:
     """Return the line in direction `sigma` (1 or -1), at the model's own x (1) and T_p0 (N) unless given.
 
-    With `sheath_asymmetry`, slope and half loop depend on the direction. With `tension_dependent_friction`, the result
-    is the tangent at tau_M = 0. `tendon_slack` changes the line only beyond 2 T_p r_M.
+    With `sheath_asymmetry`, slope and friction torque depend on the direction. With `tension_dependent_friction`, the
+    result is the tangent at tau_M = 0. `tendon_slack` changes the line only beyond 2 T_p r_M.
     """
     x = model.friction_angle if friction_angle is None else friction_angle
     tension = model.pretension if pretension is None else pretension
@@ -51,7 +51,7 @@ def sliding(
 
 
 class SlidingBy(Protocol):
-    """The type of `sliding` as a function of parameters that change while the loop runs."""
+    """Define the type of `sliding` as a function of parameters that change while the loop runs."""
 
     def __call__(self, sigma: float, friction_angle: float, pretension: float, imbalance: float = 0.0) -> Sliding: ...
 

@@ -8,7 +8,7 @@ spring):
 
     T3 beta = T_p0 + k_t s,    T1 alpha = T_p0 - k_t s,    tau_M = r_M (T3 - T1),    tau_J = r_J (T3 e^-rho - T1 e^rho)
 
-T_p0 cancels, and the same line results for both directions:
+T_p0 cancels, and both directions have the same line:
 
     tau_J = P s - Q tau_M
     Q = r_J/r_M (e^rho/alpha - e^-rho/beta) / (1/beta - 1/alpha)
@@ -34,13 +34,13 @@ from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_side_compliance
 
-MOST_CENTRE = 0.7  # 1, largest s_c; there an error of 0.05 in s_c is a sixth of tau_J, and it grows with 1/(1 - s_c)
-_SMALL = 1e-4  # 1, friction angle below which its own effect on P and Q is below 1e-8
+MOST_CENTRE = 0.7  # 1, largest s_c; there, 0.05 of error in s_c is a sixth of tau_J, and this grows with 1/(1 - s_c)
+_SMALL = 1e-4  # 1; the effect of a smaller friction angle on P and Q is below 1e-8
 
 
 @dataclass(frozen=True)
 class StretchLine:
-    """The line tau_J = per_stretch (s - zero) - per_torque tau_M; s in m, torques in N*m.
+    """Hold the line tau_J = per_stretch (s - zero) - per_torque tau_M; s in m, torques in N*m.
 
     The caller must determine the zero.
     """
@@ -61,7 +61,7 @@ class StretchLine:
 
 
 def stretch_line(model: TendonSheath) -> StretchLine:
-    """Return the line of a model; raises UsageError if the elongation does not show the joint torque of this model."""
+    """Return the line of a model; raises UsageError if the elongation does not determine its joint torque."""
     reason = unsupported_reason(model)
     if reason:
         raise UsageError(f"{model.source or 'model'}: {reason}")
@@ -88,7 +88,7 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
 
 
 def unsupported_reason(model: TendonSheath) -> str:
-    """Return the reason why the elongation does not show the joint torque of this model; empty if it does."""
+    """Return the reason why the elongation does not determine the joint torque of this model; empty if it does."""
     beside, _ = of_the_stretch(model.effects)
     if beside:
         cure = (
@@ -114,8 +114,8 @@ def unsupported_reason(model: TendonSheath) -> str:
 def profile_of(model: TendonSheath) -> Profile:
     """Return the curvature profile of a model's sheath.
 
-    It is that of the effect elongation_coupling, if present. Otherwise it is the file's bending_course, or an even bend
-    without one, shifted to the file's bending_centre if there is one.
+    The effect elongation_coupling has priority. Without it, the profile is the file's bending_course, or an even bend
+    if there is none, shifted to the file's bending_centre if there is one.
     """
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if isinstance(transmission, Elongating):

@@ -17,9 +17,9 @@ from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, Str
 # tau_J = 2 k_t r_J (s - s_0) - s_c z h_J,        -1 <= z <= 1
 #
 # h_J is the friction torque at the joint (half the hysteresis width), and s_c the centre of the bending. z is the
-# direction of motion once both ends of the tendons have moved the same way far enough, and unknown otherwise. The zero
-# s_0 is known within two bounds: while the commanded motor torque is about 0, s - s_0 contains only friction. The band
-# is wide, but an error of the torque constant or of 0x6077 does not change it.
+# direction of motion once both ends of the tendons have moved far enough in one direction. Otherwise it is unknown. The
+# zero s_0 is known within two bounds: while the commanded motor torque is about 0, s - s_0 contains only friction. The
+# band is wide, but an error of the torque constant or of 0x6077 does not change it.
 
 IDLE = 0.05  # N*m of commanded torque that counts as about 0
 SMOOTH = 0.003  # s, low-pass of both positions
@@ -27,11 +27,11 @@ SETTLED = 0.03  # s, memory of the commanded torque
 STRANGE = 2.0  # 1, largest assumed ratio of the true motor torque to the commanded one
 NOISE = 0.02  # N*m of the motor, cogging and offset of its current
 CREEP = 2e-6  # m/s, fastest drift of the zero
-GEARING = 2e-3  # 1, of the joint pulley's travel: error of the radii at which the tendons lie
+GEARING = 2e-3  # 1, of the joint pulley's travel: error of the effective pulley radii
 
 
 class ElongationTorque:
-    """Bounds of the joint torque that do not depend on the reported motor torque; about a microsecond per cycle.
+    """Compute bounds of the joint torque without the reported motor torque; a cycle takes about a microsecond.
 
     Attributes: `low`, `high`: N*m at the joint, nan before the first measurement.
     """
@@ -60,15 +60,15 @@ class ElongationTorque:
         self.low = self.high = self._motor = math.nan
         self._joint = 0.0
         self._zero_low, self._zero_high = -math.inf, math.inf  # m
-        self._slid = 0.0  # m, signed, that both ends have moved the same way
-        self._command = 0.0  # N*m, maximum of the last 30 ms
+        self._slid = 0.0  # m, signed motion of both ends in one direction
+        self._command = 0.0  # N*m, largest command of the last 30 ms
 
     def update(self, q_m: float, q_j: float, command: float) -> None:
-        """Take the measurements of one cycle; skip them if a value is not finite.
+        """Process the measurements of one cycle; ignore them if a value is not finite.
 
         Args:
-            q_m, q_j: rad of motor and joint.
-            command: N*m, commanded motor torque.
+            q_m, q_j: angles of motor and joint, rad.
+            command: commanded motor torque, N*m.
         """
         motor, joint = self._r_m * q_m, self._r_j * q_j
         if not math.isfinite(motor + joint + command):
@@ -94,7 +94,7 @@ class ElongationTorque:
         # Bounds of z, multiplied by the ratio of the true friction to the file's.
         forward, backward = self._most_friction, -self._most_friction
         if slid > self._way:
-            backward = 0.0  # friction may be lost at any time, so the file gives no lower bound of it
+            backward = 0.0  # friction may be lost at any time, so the file provides no lower bound
         elif slid < -self._way:
             forward = 0.0
         stretch = self._motor - self._joint
@@ -114,22 +114,29 @@ class ElongationTorque:
         self.high = most + self._doubt * abs(most) - self._at_joint * backward
 
 
-STILL = 0.02  # rad/s of the joint, below which it may be at rest: a motor's oscillation moves a resting joint so fast
+STILL = 0.02  # rad/s of the joint, below which it may be at rest: a motor oscillation moves a resting joint this fast
 
 
 class ModelTorque:
-    """Estimate the joint torque from motor torque, joint direction and model alone; about a microsecond per cycle.
+    """Estimate the joint torque from motor torque, joint direction and model alone, in about a microsecond per cycle.
 
     While the joint moves, the tendons slide: tau_J = a(sigma) (tau_M - J_M alpha_M) - sigma b(sigma),
     see `model.steady_sliding`. At rest, the friction holds any torque between the two lines. The estimate is then their
-    middle, and the band includes both.
+    mean, and the band includes both.
 
     Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan before the first measurement.
     `slopes`: a(1) and a(-1), 1.
     """
 
     def __init__(self, model: TendonSheath, period: float, motor_inertia: float = 0.0, still: float = STILL) -> None:
-        """Prepare the model; `period` in s; `motor_inertia` in kg*m^2, 0 if not known; `still`: fastest rest, rad/s."""
+        """Prepare the estimate.
+
+        Args:
+            model: the tendons and their sheaths.
+            period: s.
+            motor_inertia: kg*m^2, 0 if unknown.
+            still: joint speed below which the joint may be at rest, rad/s.
+        """
         self._sliding = sliding_by(model)
         self._period = period
         self._inertia = motor_inertia
@@ -140,7 +147,7 @@ class ModelTorque:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last velocity."""
+        """Reset the estimate and the last velocity."""
         self.torque = self.low = self.high = self._omega = math.nan
 
     def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
@@ -151,7 +158,7 @@ class ModelTorque:
         self._doubts = self._share * abs(forward.half_loop), self._share * abs(backward.half_loop)
 
     def update(self, tau_m: float, omega_m: float, omega_j: float, fresh: bool = True) -> None:
-        """Take the measurements of one cycle, N*m, rad/s and rad/s; without `fresh` ones the last estimate stays."""
+        """Process the measurements of one cycle (N*m, rad/s, rad/s); hold the last estimate if they are not `fresh`."""
         if not fresh or not math.isfinite(tau_m + omega_m + omega_j):
             self._omega = math.nan
             return
@@ -171,15 +178,15 @@ class ModelTorque:
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
 
-MEMORY = 2.0  # s over which sensor and elongation are compared: one or two reversals, so that none decides alone
-SENSOR = 0.03  # 1, of its torque: error of a correct joint torque sensor, in addition to the band
+MEMORY = 2.0  # s over which sensor and elongation are compared: one or two reversals, so that no single one decides
+SENSOR = 0.03  # 1, error of a correct joint torque sensor over its torque, in addition to the band
 SOFT = 0.1  # s for which the stiffness must be at its lower bound before a contradiction is reported
-LEAST_FRICTION = 0.5  # 1, of the file's friction. A motor of twice the reported torque halves the apparent friction
-OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: a contradiction above the first, cleared below the second
+LEAST_FRICTION = 0.5  # 1, of the file's friction; a motor with twice the reported torque halves the apparent friction
+OFTEN, SELDOM = 0.5, 0.2  # share of samples outside the band above which a contradiction is set, and below it cleared
 
 
 class Measured(Protocol):
-    """The measurements of an axis that this module uses, in SI units; nan for a missing one."""
+    """Define the measurements of an axis that this module uses, in SI units; a missing one is nan."""
 
     @property
     def tau_m(self) -> float: ...
@@ -198,7 +205,7 @@ class Measured(Protocol):
 
 
 class JointTorque:
-    """Joint torque of one axis by the tendon elongation, and a comparison with the joint torque sensor.
+    """Estimate the joint torque of one axis by the tendon elongation, and compare the joint torque sensor with it.
 
     Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan without an estimate. `model`: the
     estimate from the model alone. `stretch`: the observer, or None on a rig that cannot have one (`why_not`).
@@ -218,7 +225,7 @@ class JointTorque:
         Args:
             model: the estimate from the model alone.
             stretch: the observer, None on a rig that cannot have it.
-            why_not: the reason for that.
+            why_not: the reason why the rig cannot have it.
             period: s.
             elongation: the estimate that does not use the reported torque.
             shape_known: True if the model file states where the sheath bends. Otherwise a wrong shape looks like a
@@ -244,9 +251,9 @@ class JointTorque:
     def _combine(self) -> None:
         """Set the joint torque by the tendon elongation and its 95 % band; nan without an estimate.
 
-        The narrow band of the observer holds while the elongation is as the reported motor torque predicts. Afterwards
-        the band is extended by the one that does not use the reported torque, because the motor may deliver another
-        torque than it reports.
+        The narrow band of the observer is valid while the elongation confirms the reported motor torque. After that, it
+        is extended to the band of `elongation`, which does not use the reported torque, because the motor may deliver
+        another torque than it reports.
         """
         stretch, wide = self.stretch, self.elongation
         if stretch is None or self._faulty:
@@ -283,7 +290,7 @@ class JointTorque:
         )
 
     def reset(self) -> None:
-        """Forget everything learned from the encoders, because their zero may have changed."""
+        """Reset everything that was learned from the encoders, because their zero may have changed."""
         self.model.reset()
         if self.stretch is not None:
             self.stretch.reset()
@@ -298,8 +305,11 @@ class JointTorque:
         """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons.
 
         Args:
-            bent: True if the wrap angle changed both. The observer of the elongation then keeps its ratio to the
-                model. Otherwise it takes the pretension, and finds its own friction angle.
+            friction_angle: 1.
+            pretension: N.
+            imbalance: 1.
+            bent: True if the wrap angle changed both. The elongation observer then keeps its ratio to the model.
+                Otherwise it uses the pretension, and estimates its own friction angle.
         """
         self.model.set_parameters(friction_angle, pretension, imbalance)
         if self.stretch is None:
@@ -310,7 +320,7 @@ class JointTorque:
             self.stretch.set_pretension(pretension)
 
     def pass_over(self, periods: int) -> None:
-        """Take account of `periods` without a cycle."""
+        """Account for `periods` without a cycle."""
         if self.stretch is not None:
             self.stretch.pass_over(periods)
             self._combine()
@@ -324,15 +334,15 @@ class JointTorque:
         enabled: bool = True,
         routed: float = 0.0,
     ) -> None:
-        """Take one cycle.
+        """Process one cycle.
 
         Args:
             image: the measurements of drive and encoder.
-            omega_j: rad/s of the joint.
-            tau_j: N*m of the joint torque sensor, or nan.
-            command: N*m that the motor is commanded.
-            enabled: torque is permitted.
-            routed: rad of the motor that different path lengths of the tendons add to its angle.
+            omega_j: joint velocity, rad/s.
+            tau_j: torque of the joint torque sensor, N*m, or nan.
+            command: commanded motor torque, N*m.
+            enabled: True if torque is permitted.
+            routed: part of the motor angle that different path lengths of the tendons cause, rad.
         """
         if enabled and not self._enabled:
             self._faulty = False

@@ -1,4 +1,4 @@
-"""Measure the friction torque at the motor that the sensors of an axis prove now, with its 95 % bounds.
+"""Measure the present friction torque at the motor from the sensors of an axis, with 95 % bounds.
 
 While the tendons slide in the direction sigma, the friction torque h (half the hysteresis width) is the part of the
 motor torque that does not reach the joint:
@@ -11,20 +11,20 @@ motor torque that does not reach the joint:
 
 `tsa_ctrl.model.stretch` defines P and Q. The zero s_0, the error of the radii kappa, the error of the compliance
 gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
-sigma m g. m is the model's friction torque at the present wrap angle over that at the nominal one. The fit therefore
-determines the ratio of the true friction to the modelled one, also while other joints bend the sheath. One direction
-alone determines only s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite. Once a fit of
-whole strokes is certain enough, it changes only between two strokes, so that a loss of friction is detected within a
-stroke.
-One stroke in each direction gives the sum of two frictions: a friction g in both, or h in the first and 2 g - h in the
-second. Until a third stroke agrees, h may be the most that the model file permits, and 2 g - h is the lower bound.
+sigma m g. m is the model's friction torque at the present wrap angle over its value at the nominal wrap angle. The fit
+therefore determines the ratio of the true friction to the modelled one, also while other joints bend the sheath. One
+direction alone determines only s_0 - g. The covariance then makes the lower bound 0 and the upper bound infinite. Once
+a fit of whole strokes is certain enough, it changes only between two strokes, so that a loss of friction is detected
+within a stroke.
+One stroke in each direction determines only the sum of two frictions: g in both, or h in the first and 2 g - h in the
+second. Until a third stroke agrees, h may be as large as the model file permits, and 2 g - h is the lower bound.
 A third stroke that disagrees replaces the first one.
 
-A reading is kept as a share of the model's friction torque at that moment, so that it holds at another wrap angle.
+A reading is stored relative to the model's friction torque at that time, so that it is valid at other wrap angles.
 
-Samples count by joint travel, not by time: the work of a wrong torque grows with the travel, as does the evidence of
-a stroke. After a reversal the friction front has to run through the whole sheath first; until then, at rest, and
-while the law turns its friction term, the last values of both directions hold.
+Samples are weighted by joint travel, not by time: the work of a wrong torque grows with the travel, as does the
+evidence of a stroke. After a reversal, the friction front must first run through the whole sheath. Until then, at rest,
+and while the law reverses its friction term, the last values of both directions remain valid.
 """
 
 from __future__ import annotations
@@ -42,41 +42,41 @@ from tsa_ctrl.model.stretch import compliance_centre, stretch_line
 from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 
 SLIDES = 0.05  # rad/s of the joint above which it slides: three times the noise of a 16 bit encoder's velocity
-GATE = 1.0  # of the joint travel in which a reversal runs through the sheath; samples count only after it
+GATE = 1.0  # of the joint travel in which a reversal runs through the sheath; samples are used only after it
 SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
-# s over which a reading is averaged as well where the motor's inertia is unknown. The motor's swing on its tendons, at
-# 40 Hz and more, then looks like friction that oscillates, and a limit that follows it drives the swing. 0.025 s is too
-# short: on a rig that rings at 42 Hz the motor still reached its speed limit.
+# s over which a reading is also averaged if the motor inertia is unknown. The motor's oscillation on its tendons, at
+# 40 Hz and more, then looks like oscillating friction, and a limit that follows it excites the oscillation. 0.025 s is
+# too short: on a rig that rings at 42 Hz, the motor still reached its speed limit.
 RINGS = 0.1
 SAMPLE = 0.05  # rad of the joint that count as one independent sample
-NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
-MEMORY = 1.5  # rad of the joint after which older strokes count 1/e
-RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: the radii at which the tendons lie are known within 1 %
+NOISE = 0.03  # of the elongation that friction causes: standard deviation of a sample by creep, ripple, counts
+MEMORY = 1.5  # rad of the joint after which older strokes have the weight 1/e
+RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: the effective pulley radii are known within 1 %
 # 1, error of the radii (95 %) up to which the stiffness of the elongation observer is used, because larger errors may
 # mislead that observer
 RIGHT_RADII = 0.001
 LEARNED = 0.02  # 1, least standard deviation of that stiffness, because of an unknown curvature profile in reversals
 SURE = 1.65  # standard deviations of a one-sided 95 % bound
 CERTAIN = 0.1  # of the friction torque: standard deviation below which the fit of whole strokes is kept within a stroke
-UNLIKE = 2.0  # times the variance of a sample: the friction changed in a stroke that adds more than this to the misfit
+UNLIKE = 2.0  # times the variance of a sample: friction has changed in a stroke that adds more than this to the misfit
 MOST_SKIPPED = 4  # successive strokes without a fit, after which the zero must have moved: a tendon or encoder slipped
 REPEATED = 2  # strokes before the third one, which repeats a direction
 AGREES = 3.0  # standard deviations by which the third stroke may differ from the first two
 AVERAGED = 3.0 * SMOOTH  # rad of the joint after which 95 % of a reading come from the present stroke
 FIT_EVERY = 32  # cycles between two fits within a stroke, which limits the computing time
-ALIKE = 1.25  # most friction of one direction over the other's: both use the same sheaths; more is a wrong zero
-LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath gives no scale for a reading
-SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1: of the joint torque, and of the friction torque, from a data sheet
+ALIKE = 1.25  # largest ratio of the frictions in both directions: they use the same sheaths, so more is a wrong zero
+LEAST = 0.05  # of the nominal friction torque: least scale of a reading, because a straight sheath has no friction
+SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1, sensor errors by data sheet: of the joint torque, and of the friction torque
 
 
 class ProvenFriction:
-    """Measure the friction torque from a joint torque sensor, else from the elongation, while the tendons slide.
+    """Measure the friction torque from a joint torque sensor, or without one from the elongation, in sliding tendons.
 
     Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
     `reads`: True if this cycle has a reading, False if the bounds come from earlier cycles.
     `modelled`: friction torque of the model file at the present wrap angle, N*m at the motor.
     `slopes`: d tau_J / d tau_M of the model with a joint that moves forward and backward, 1.
-    `trusted`: True if a tuning of this joint wrote the model file, so that the interval of its calibration counts.
+    `trusted`: True if a tuning of this joint wrote the model file, so that the interval of its calibration is used.
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class ProvenFriction:
         Args:
             model: its radii, stiffness and curvature profile are used, not its friction.
             period: s, of the loop.
-            inertia: kg*m^2 of the motor, 0 where it is not known.
+            inertia: kg*m^2 of the motor, 0 if unknown.
             has_sensor: True if the joint torque is measured.
-            observer: of the elongation, None without a joint encoder. It estimates the stiffness, which the strokes
-                alone determine only while the set-point varies.
+            observer: the elongation observer, None without a joint encoder. It estimates the stiffness, which the
+                strokes alone determine only while the set-point varies.
         """
         self._period = period
         self._inertia = inertia
@@ -120,7 +120,7 @@ class ProvenFriction:
             self._compliance = (self._ratio + line.per_torque) / line.per_stretch  # m per N*m
             self._whole = self._ratio + line.per_torque
             self._shape = model.bending_centre_uncertainty / 1.96 / (1.0 - compliance_centre(model))
-            gap = max(self._expected, 1e-6) * self._ratio / line.per_stretch  # m, half of it that friction makes
+            gap = max(self._expected, 1e-6) * self._ratio / line.per_stretch  # m by friction, half the hysteresis
             self._noise = NOISE * gap
             self._stiffness = model.axial_stiffness_uncertainty
             error = max(self._stiffness / 1.96, 1e-6) * self._compliance
@@ -135,15 +135,15 @@ class ProvenFriction:
         self._variance = 0.0  # m^2, variance of a sample by the last fit
         self._skipped = 0  # successive strokes that no fit explains
         self._strokes = 0  # finished strokes; successive strokes in one direction count once
-        self._counted = 0  # direction of the last of them
-        self._is_repeated = self._has_sensor  # the third stroke has been read
-        self._repeated = 0.0  # rad of the joint over which it was read
+        self._counted = 0  # direction of the last finished stroke
+        self._is_repeated = self._has_sensor  # True once the third stroke has been read
+        self._repeated = 0.0  # rad, joint travel over which the third stroke was read
         self._last = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)  # the last finished stroke
         self._mean = math.nan  # 1, friction torque of both directions by the fit, over the file's value
         self._fit, self._scale = (0.0, 0.0, 0.0), 0.0
         self._covariance: tuple[float, ...] = ()  # upper triangle of the fit's covariance; empty before the first fit
         self._settled = False
-        self._read = [math.nan, math.nan]  # 1, of the model's friction torque, by direction
+        self._read = [math.nan, math.nan]  # 1, readings over the model's friction torque, by direction
         self._spread = [math.inf, math.inf]
         self._held = math.nan  # N*m, `modelled` of bounds that come from earlier readings; nan after a reading
         self.low, self.high, self.reads = 0.0, math.inf, False
@@ -177,14 +177,14 @@ class ProvenFriction:
         turning: bool,
         modelled: float,
     ) -> None:
-        """Take the measurements of one cycle.
+        """Process the measurements of one cycle.
 
         Args:
-            tau_m, omega_m, q_m: N*m, rad/s, rad of the motor.
-            q_j, velocity: rad, rad/s of the joint.
-            tau_j: N*m of the joint torque sensor, nan without.
-            turning: True while the law turns its friction term.
-            modelled: N*m, the friction torque of the model at the present wrap angle.
+            tau_m, omega_m, q_m: torque, speed and angle of the motor, N*m, rad/s, rad.
+            q_j, velocity: angle and velocity of the joint, rad, rad/s.
+            tau_j: torque of the joint torque sensor, N*m; nan without one.
+            turning: True while the law reverses its friction term.
+            modelled: friction torque of the model at the present wrap angle, N*m.
         """
         if not self.usable:
             return
@@ -253,7 +253,7 @@ class ProvenFriction:
             friction: N*m at the motor.
             way: rad, joint travel in this cycle.
             tau_j: N*m of the joint torque sensor; used only for the default deviation.
-            deviation: N*m, standard deviation of the reading; below 0 for that of the sensor.
+            deviation: N*m, standard deviation of the reading; a negative value selects that of the sensor.
         """
         if not math.isfinite(friction):
             return
@@ -281,7 +281,7 @@ class ProvenFriction:
             most = self._calibrated if self.trusted else self._uncertain
             doubt += max(0.0, most - share)
         low, high = share - doubt, share + doubt
-        if low > 0.0:  # nan while a direction has no reading
+        if low > 0.0:  # a direction without a reading is nan and does not limit the bound
             for read in self._read:
                 if low > ALIKE * read:
                     low = ALIKE * read
@@ -303,7 +303,7 @@ class ProvenFriction:
         if not self._is_repeated:
             both = self._kept.faded(math.exp(-n * SAMPLE / MEMORY)).plus(stroke)
             changed = self._misfit(both) - self._misfit(self._kept) >= UNLIKE * max(n, 1.0)
-            if changed and self._strokes >= REPEATED and not again:  # friction changed: the last two strokes count
+            if changed and self._strokes >= REPEATED and not again:  # friction changed: use the last two strokes only
                 both, self._settled = last.plus(stroke), False
             self._strokes += not again
             self._repeated = 0.0
@@ -333,7 +333,7 @@ class ProvenFriction:
         return _Sums(np.array(normal), np.array([y, yq, yt, sigma * my]), yy)
 
     def _misfit(self, sums: _Sums) -> float:
-        """Return the residual sum of squares of a fit, including that of the prior, over the variance of a sample."""
+        """Return the residual sum of squares of a fit, prior included, over the variance of a sample."""
         found = np.linalg.solve(sums.normal + np.diag(self._prior), sums.target)
         return (sums.left(found) + float(found @ (self._prior * found))) / max(self._noise**2, self._variance)
 
@@ -383,9 +383,9 @@ class ProvenFriction:
 
 
 def _most_friction(model: TendonSheath) -> tuple[float, float]:
-    """Return the most friction torque by [uncertainty], and by the calibration's interval, over the file's value (1).
+    """Return the largest friction torque by [uncertainty] and by the calibration's interval, over the file's value (1).
 
-    The interval is taken as symmetric. Without one, the second value is the first.
+    The interval is assumed to be symmetric. Without an interval, both values are equal.
     """
     uncertain = model.most_friction
     half_loop = abs(sliding(model).half_loop)
@@ -395,7 +395,7 @@ def _most_friction(model: TendonSheath) -> tuple[float, float]:
 
 
 class _Sums(NamedTuple):
-    """The normal equations of a fit: matrix, right-hand side, and the sum of squares of y."""
+    """Hold the normal equations of a fit: matrix, right-hand side, and the sum of squares of y."""
 
     normal: Array
     target: Array

@@ -65,7 +65,7 @@ class Confirmation:
         """Compare the innovation (m) with its standard deviation, and the stiffness (1) with the bounds of the file.
 
         Args:
-            innovation, stiff, slid: of `tendons.observe`.
+            innovation, stiff, slid: results of `tendons.observe`.
             memory: the state of `tendons`, which includes the uncertainty of its states.
         """
         self._innovation += self._share * (innovation - self._innovation)
@@ -93,15 +93,16 @@ PASSING, PASSING_TIME = 0.015, 0.05  # share of x and s: temporary friction; a l
 ZERO_WALK = 0.3e-6  # m/sqrt(s), random walk of the zero by creep and temperature: 20 um in 75 minutes
 FACTOR = 4.0  # x stays within the file's value divided and multiplied by this factor
 STIFF_WALK = 1e-4  # 1/sqrt(s), random walk of ln k: a tendon that softens by 1 % in an hour
-# Times the elongation that friction can hide. The model's tendons begin with equal tensions along their length. When
-# they slide, real tendons that were loaded the other way and have 1.5 times the friction still need twice that
+# Multiple of the elongation that friction can hide. The model's tendons start with equal tensions along their length.
+# When they slide, real tendons with the opposite previous load and 1.5 times the friction still need twice that
 # elongation. After a reversal, half that elongation is enough for friction that is a quarter higher.
 SURELY = 2.0
 NEARLY = 0.99  # share of a bound that counts as reached, because the filter stops close to it
-STIFF_FACTOR = 1.5  # bound of the stiffness over the file's value, and of the inverse; more is another tendon
-TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of the reported torque; that of the simulated drive
+STIFF_FACTOR = 1.5  # bound of the stiffness over the file's value, and of the inverse; beyond it, the tendon is another
+TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of the reported torque, as of the simulated drive
 # s, uncertainty of the delay between torque and angles while the elongation changes: half of a current loop's delay.
-# A trembling hand makes only reversals, and without this term the filter learns a wrong stiffness from them.
+# The motion of a trembling hand consists only of reversals. Without this term, the filter would learn a wrong stiffness
+# from them.
 TIME_DOUBT = 0.3e-3
 COUNTS = 6.0  # times the variance of a count: during slow motion its error is the same in successive cycles
 # Factor of the variance of a measured elongation, because errors of the tendon model are correlated in time. With 100,
@@ -134,9 +135,9 @@ MISLED, MISLED_FOR = 0.05, 1.0
 
 
 class StretchState(Enum):
-    """The state of the estimate; the values are the codes in the log."""
+    """List the states of the estimate; the values are the codes in the log."""
 
-    NONE = 0  # no two encoders, or a profile for which the elongation determines nothing
+    NONE = 0  # fewer than two encoders, or a profile for which the elongation determines nothing
     UNSLID = 1  # the tendons have not slid along their whole length yet: the band includes the possible friction
     TOLD = 2
     SLACK = 3  # a tendon is slack, or the motor torque is outside the model's domain: no torque is reported
@@ -193,7 +194,7 @@ class StretchObserver:
         self.confirmation = Confirmation(model, self._settings[tendons.NOISE] / ALIKE, period)
         self.pretension = model.pretension  # N, at which x is reported
         self.modelled = model.friction_angle  # 1, x of the model at the present wrap angle
-        self._modelled_pretension = model.pretension  # N, of the model there
+        self._modelled_pretension = model.pretension  # N, of the model at that wrap angle
         self.most_friction_angle = model.most_friction * model.friction_angle  # 1, at the file's pretension
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
@@ -216,12 +217,12 @@ class StretchObserver:
         """Discard the positions of the slip fronts; keep the estimates of friction, stiffness and zero."""
         self.state = StretchState.UNSLID
         self.torque = self.low = self.high = math.nan
-        self._last = math.nan  # m, position of the joint's pulley
+        self._last = math.nan  # m, last position of the joint pulley
         self._omega = self._stretch = math.nan
         self._misfit = self._misled_by = 0.0  # m, the largest recent innovation; m^2, see `_misleads`
 
     def _begin(self, stretch: float) -> None:
-        """Set equal tensions along each tendon that match the measured elongation `stretch` (m)."""
+        """Set tensions that are equal along each tendon and match the measured elongation `stretch` (m)."""
         if self._origin != self._origin:
             self._origin = stretch
         memory = self._memory
@@ -257,7 +258,7 @@ class StretchObserver:
 
     @property
     def at_bound(self) -> bool:
-        """Return True if stiffness or friction has reached a bound: these are probably not the tendons of the file."""
+        """Return True if stiffness or friction has reached a bound; the tendons then probably differ from the file."""
         memory, told = self._memory, self._settings
         stiff, x, most = memory[tendons.STIFF], memory[tendons.ANGLE], told[tendons.MOST_STIFF]
         inside = 1.0 / most < NEARLY * stiff and stiff < NEARLY * most
@@ -269,7 +270,7 @@ class StretchObserver:
         return self._origin + float(self._memory[tendons.ZERO])
 
     def set_pretension(self, value: float) -> None:
-        """Continue with another T_p0 (N) and scale the friction angle so that their product stays the same."""
+        """Continue with another T_p0 (N), and scale the friction angle so that their product stays the same."""
         if not value > SLACK * self._model.pretension or value == self.pretension:
             return
         memory = self._memory
@@ -284,8 +285,8 @@ class StretchObserver:
     def bend(self, friction_angle: float, pretension: float) -> None:
         """Continue at another wrap angle.
 
-        The ratio of the estimated friction coefficient to the modelled one stays, so the estimated x follows the
-        modelled one.
+        The ratio of the estimated to the modelled friction coefficient stays constant, so the estimated x follows the
+        modelled x.
 
         Args:
             friction_angle: x of the model at the new wrap angle, 1.
@@ -307,7 +308,7 @@ class StretchObserver:
         tendons.spread(self._pairs, float(self._memory[tendons.ANGLE]), 1.0)
 
     def pass_over(self, periods: int) -> None:
-        """Take account of `periods` without a cycle; the next acceleration is averaged over that time as well."""
+        """Account for `periods` without a cycle; the next acceleration is averaged over that time as well."""
         self._wait(periods * self._period)
 
     def _wait(self, seconds: float) -> None:
@@ -318,7 +319,7 @@ class StretchObserver:
             self._lose()
 
     def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
-        """Take the measurements of one cycle (N*m, rad/s, rad); skip those that are not `fresh` or not finite."""
+        """Process the measurements of one cycle (N*m, rad/s, rad); ignore those that are not `fresh` or not finite."""
         way = self._r_j * q_j
         stretch = self._r_m * q_m - way
         if not fresh or not math.isfinite(stretch + tau_m + omega_m):
@@ -346,7 +347,8 @@ class StretchObserver:
             self.state = StretchState.SLACK
             return
         self.confirmation.update(innovation, stiffness, slid, self._memory)
-        # 1 - z^2, with the friction state z: 0 while the whole tendon slides one way, 1 in the middle of a reversal
+        # 1 - z^2 with the friction state z: 0 while the whole tendon slides in one direction, 1 in the middle of a
+        # reversal
         z = math.log(far / near) / self._memory.item(tendons.ANGLE)
         turning = 1.0 - z * z
         if turning < 0.0:
@@ -379,7 +381,7 @@ class StretchObserver:
 def pairs_of(model: TendonSheath) -> Array:
     """Return `tendons.PAIRS` equal pairs of tendons at their pretension, (PAIRS, 2, ROWS, N + 1); GRIP is not set."""
     points = np.array(profile_of(model).points, dtype=np.float64)
-    rising = points[:, 1] + 1e-12 * np.arange(len(points))  # increases strictly, for the interpolation
+    rising = points[:, 1] + 1e-12 * np.arange(len(points))  # strictly increasing, as the interpolation requires
     shares = (np.arange(CONTACTS) + 0.5) / CONTACTS
     places: list[float] = []
     weights: list[float] = []
@@ -405,13 +407,13 @@ def pairs_of(model: TendonSheath) -> Array:
 def _hidden(model: TendonSheath, centre: float) -> float:
     """Return the elongation (m) that friction can hide in either direction without motor torque.
 
-    `centre`: of the bends, 1.
+    `centre`: centre of the bends, 1.
     """
     return centre * model.friction_angle * (model.pretension / model.tendon_stiffness)
 
 
 def _settings(model: TendonSheath, period: float, counts: tuple[float, float], centre: float) -> Array:
-    """Return the constants of the filter; `counts` in m of the two pulleys, `centre` of the bends, 1."""
+    """Return the constants of the filter; `counts`: m at the two pulleys; `centre`: centre of the bends, 1."""
     x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
     told = np.zeros(tendons.SETTINGS)
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x

@@ -7,10 +7,10 @@ limits,
     T_i e^-x_i <= T_{i+1} <= T_i e^x_i,     |T_i - T_{i+1}| <= g_i (T_i + T_{i+1}),  g_i = tanh(x_i / 2)
 
 and slips by delta_i (positive to the motor) when it reaches a limit. A step moves the joint ends by -+dv and both motor
-ends by -+du. du follows from T3 - T1 = tau_M/r_M: the inputs are the torque of the motor and the angle of the joint.
-(With both angles as inputs, tensions near a reversal would follow single counts of the motor encoder.) Newton's method
-finds the set of slipping contacts; each iteration solves one tridiagonal system. The state consists of the tensions
-only. They contain partial reversals and their return points.
+ends by -+du. du follows from T3 - T1 = tau_M/r_M, because the inputs are the motor torque and the joint angle. (With
+both angles as inputs, tensions near a reversal would follow single counts of the motor encoder.) Newton's method finds
+the set of slipping contacts, and each iteration solves one tridiagonal system. The state consists of the tensions only.
+They contain partial reversals and their return points.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _sort(c: Array, motor: float, joint: float) -> bool:
 def _try(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
     """Solve for the modes of both tendons by Newton's method and apply the new tensions if the modes converge.
 
-    Returns the motion of the motor's pulley (m) and True, or 0 and False without convergence.
+    Returns the motion of the motor pulley (m) and True, or 0 and False without convergence.
     """
     a, b = pair[0], pair[1]
     for _ in range(ROUNDS):
@@ -129,9 +129,9 @@ def _try(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
 
 @njit(cache=True, error_model="numpy")
 def move(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
-    """Advance tendons a and b to T3 - T1 = `difference` (N), with the joint's pulley moved by `joint` (m).
+    """Advance tendons a and b to T3 - T1 = `difference` (N) while the joint pulley moves by `joint` (m).
 
-    Returns the motion of the motor's pulley (m), and True if the set of slipping contacts was found.
+    Returns the motion of the motor pulley (m), and True if the set of slipping contacts was found.
     """
     motor, settled = _try(pair, difference, joint)
     if settled:
@@ -150,10 +150,10 @@ def move(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
 
 @njit(cache=True, error_model="numpy")
 def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, Array]:
-    """Simulate a whole log from T3 - T1 (N) and the motion of the joint's pulley in each step (m), (n,) each.
+    """Simulate a whole log from T3 - T1 (N) and the motion of the joint pulley in each step (m), (n,) each.
 
-    Returns (n,) each: the elongation since the start (m), T4 - T2 (N; nan where the modes were not found), and 1 from
-    the first sample at which all contacts of both tendons slip, 0 before.
+    Returns (n,) each: the elongation since the start (m), T4 - T2 (N; nan if the modes were not found), and 0 until all
+    contacts of both tendons slip for the first time, then 1.
     """
     n = difference.size
     stretch, end, slid = np.zeros(n), np.zeros(n), np.zeros(n)
@@ -183,8 +183,8 @@ INNOVATION = 5  # m
 REST = 6  # 1, weight of the tensions at the time at which the joint end came to rest; 0 again once all contacts slide
 KNOWN = 7  # 1, share of the held tensions that counts as known
 HELD_V = 8  # N^2, variance of T4 - T2 when the joint end came to rest
-JOINT_WAY = 9  # m, motion of the joint's pulley so far
-WAY = 10  # three entries: m, motion of the motor's pulley so far, by each pair
+JOINT_WAY = 9  # m, motion of the joint pulley so far
+WAY = 10  # three entries: m, motion of the motor pulley so far, by each pair
 GAIN_S, GAIN_T = 13, 15  # two each: sensitivities of elongation (m) and T4 - T2 (N) to ln x and ln STIFF
 HELD_S, HELD_T = 17, 19  # the same sensitivities when the joint end of both tendons came to rest
 SLIDING = 21  # m, motion of motor and joint while both tendons slid along their whole length in one direction
@@ -299,12 +299,22 @@ def spread(pairs: Array, x: float, stiffer: float) -> None:
 def observe(
     pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float, doubt: float = 0.0
 ) -> tuple[int, float, float, float, float, float, float, bool]:
-    """Advance all pairs, which differ by `MORE`, by a cycle: predict the elongation and correct it by the measured one.
+    """Advance all pairs, which differ by `MORE`, by a cycle: predict the elongation, and correct it by the measurement.
 
-    `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m, motion of the joint's pulley
-    since the last cycle; `doubt`: m^2, variance of the prediction in addition to NOISE. The prediction is not corrected
-    before SLID, because the state of the tendons is unknown. Returns a code, T4 - T2 (N), its standard deviation by the
-    tendons (N), the tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and True if SLID is 1.
+    The prediction is not corrected before SLID, because the state of the tendons is unknown.
+
+    Args:
+        pairs: shape (3, 2, ROWS, N + 1).
+        memory: state of the filter, shape (MEMORY,).
+        settings: constants of the filter, shape (SETTINGS,).
+        difference: T3 - T1, N.
+        stretch: measured elongation s, m.
+        joint: motion of the joint pulley since the last cycle, m.
+        doubt: variance of the prediction in addition to NOISE, m^2.
+
+    Returns:
+        A code, T4 - T2 (N), its standard deviation by the tendons (N), the tensions of tendon b at motor and joint (N),
+        the innovation (m), STIFF, and True if SLID is 1.
     """
     n, w = pairs.shape[3] - 1, memory
     all_settled = True
@@ -351,7 +361,7 @@ def observe(
 def _learn(w: Array, settings: Array, keep: float, error: float, doubt: float) -> tuple[float, float]:
     """Apply the prediction and the correction step of the filter; return the changes of ln x and ln STIFF.
 
-    In the prediction step FAST decays, and the variances grow slowly, at most to those of the prior.
+    In the prediction step, FAST decays and the variances grow slowly, at most to those of the prior.
 
     Args:
         keep: share of FAST that remains after a step.

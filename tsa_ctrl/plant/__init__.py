@@ -1,4 +1,4 @@
-"""Simulated drives, joints and sensors as CANopen nodes: the truth that the controller is tried against.
+"""Simulate drives, joints and sensors as CANopen nodes: the reference plant for tests of the controller.
 
-Shares no physics with `tsa_ctrl.model`; reads an actuator model file for its geometry and goes its own way from there.
+The package takes parameters and routing from an actuator model file. It shares no equations with `tsa_ctrl.model`.
 """

@@ -1,4 +1,4 @@
-"""Simulate one axis: parameters from the actuator file and the settings, the compiled mechanics, the sensors."""
+"""Simulate one axis: derive its parameters from actuator file and settings, run the mechanics, update the readings."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Rows:
         self._due = -1.0
 
     def due(self, t: float) -> bool:
-        """Return True if a row is due at plant time t (s); periods that were missed are skipped."""
+        """Return True if a row is due at plant time t (s). Missed periods are skipped."""
         if t < self._due:
             return False
         self._due = max(self._due + self.period, t + 0.5 * self.period)
@@ -76,7 +76,7 @@ class Rows:
 
 
 class Recorder(Rows):
-    """Append rows to a CSV file and flush it every 0.25 s, so that a killed process loses only the newest rows."""
+    """Write rows to a CSV file and flush it every 0.25 s, so that a killed process loses only the newest rows."""
 
     def __init__(self, path: str | Path, period: float) -> None:
         super().__init__(period)
@@ -120,7 +120,8 @@ _KINDS = {
     "limb": Load.WEIGHT,
     "wearer": Load.WEIGHT,
 }
-# s, N*m/rad, N*m*s/rad, rad of the hand: hold, lift, hold, release the limb, grasp it, pull it back, hold.
+# Script of the hand in s, N*m/rad, N*m*s/rad, rad. It holds, lifts, holds, releases, grasps, pulls back and holds the
+# limb.
 WEARER: tuple[HandRow, ...] = (
     (0.0, 15.0, 1.0, 0.0),
     (1.5, 15.0, 1.0, 0.0),
@@ -152,7 +153,7 @@ def load_parameters(joint: JointSettings) -> dict[str, float]:
 
 
 def hand_table(joint: JointSettings) -> NDArray[np.float64]:
-    """Return the hand's script, shape (4, n): s, N*m/rad, N*m*s/rad, rad; n = 0 without a hand."""
+    """Return the hand's script with the rows s, N*m/rad, N*m*s/rad and rad, shape (4, n); n = 0 without a hand."""
     rows = joint.hand or (WEARER if joint.load == "wearer" else ())
     return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
@@ -164,7 +165,7 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "s_bent": ((0.0, 0.0), (0.1, 0.0), (0.35, 0.5), (0.65, 0.5), (0.9, 1.0), (1.0, 1.0)),  # two bends, straight between
 }
 _MIN_PRESLIDING = 1e-6  # m
-_LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
+_LEAST_ADVANCE = 1e-9  # s; a smaller difference is the rounding error of the sub-steps
 
 _TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_TORQUE, _TEMPERATURE, _SPEED_LIMITED = (
     (STATE.names or ()).index(name)
@@ -182,10 +183,10 @@ _TRUTH = operator.itemgetter(*((STATE.names or ()).index(name) for name, _ in CO
 
 
 class Axis:
-    """Mechanics of one axis in its own time, s since the plant's start."""
+    """Simulate the mechanics of one axis; its time is in s since the plant's start."""
 
     def __init__(self, settings: AxisSettings, physics: PhysicsSettings, *, on_limb: bool = False) -> None:
-        """Put the axis at rest; `on_limb`: its joint is one of a mechanism that moves it by `carry`."""
+        """Set the axis at rest; with `on_limb`, a limb moves its joint through `carry`."""
         self.settings = settings
         self.name = settings.name
         self.readings = Readings()
@@ -206,7 +207,7 @@ class Axis:
             motion_repeat=int(motion.repeat),
             motion_ramp=motion.ramp,
         )
-        self.friction = float(self.parameters["friction"][0])  # mu at the start
+        self.friction = float(self.parameters["friction"][0])  # initial mu
         self._start_at_once = physics.start == "power_on"
         curve = np.ascontiguousarray(np.array(_profile(settings), dtype=np.float64).T)
         _set(self.parameters, centre=_centre(curve, self.parameters[0]))
@@ -238,7 +239,7 @@ class Axis:
         self._rest(motion.angle[0] if prescribed else joint.initial_angle)
 
     def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the chains of both tendons element by element; a single unused element if the full model is chosen."""
+        """Return the chains of both tendons; for the full model they are unused and have a single element."""
         p, tendon = self.parameters[0], self.settings.tendon
         distributed = tendon.kind == "distributed"
         bristle = tendon.bristle_stiffness
@@ -258,7 +259,7 @@ class Axis:
         return np.ascontiguousarray(np.stack((chain, chain)))
 
     def _rest(self, angle: float) -> None:
-        """Set the state at rest, with the tendons at their pretension and the motor balancing them."""
+        """Set the state to rest, with both tendons at the pretension and the motor at the matching angle."""
         p = self.parameters[0]
         on_pulley = float(wound(p, angle))
         for chain, side in zip(self._arrays.chains, (-1.0, 1.0), strict=True):
@@ -282,7 +283,7 @@ class Axis:
         self._read()
 
     def advance(self, until: float) -> None:
-        """Bring mechanics and readings to time `until`, s since the plant's start; the past is left alone."""
+        """Advance mechanics and readings to time `until` (s since the plant's start); ignore a time in the past."""
         if until - self.time < _LEAST_ADVANCE:
             return
         command = self.command
@@ -293,7 +294,7 @@ class Axis:
         self._read()
 
     def see(self, angles: Mapping[str, float], speeds: Mapping[str, float]) -> None:
-        """Take angles (rad) and speeds (rad/s) by axis of the joints that bend the sheaths, as they are at `time`."""
+        """Store the present angles (rad) and speeds (rad/s), by axis name, of the joints that bend the sheaths."""
         assert self.routing is not None
         self.state["exchanged"] = self.time
         joints = self._arrays.joints
@@ -301,14 +302,14 @@ class Axis:
             joints[0, place], joints[1, place] = angles[name], speeds[name]
 
     def carry(self, angle: float, speed: float, acceleration: float) -> None:
-        """Take the joint's angle and its derivatives at `time` from the limb; until the next ones its speed stays."""
+        """Store the joint's present angle and its derivatives from the limb. The speed is held until the next call."""
         record = self.state[0]
         record["exchanged"] = self.time
         record["limb_angle"], record["limb_speed"], record["limb_acceleration"] = angle, speed, acceleration
 
     @property
     def bending_angle(self) -> float:
-        """Return Theta_0 of both sheaths, rad: all joints at 0."""
+        """Return the wrap angle Theta_0 of both sheaths with all joints at 0, rad."""
         return float(self.parameters[0]["theta"])
 
     @property
@@ -318,7 +319,7 @@ class Axis:
 
     @property
     def load_torque(self) -> float:
-        """Return the torque on the load, N*m: of the tendons, a hand and a push."""
+        """Return the torque of the tendons, the hand and a push on the load, N*m."""
         return float(self._values[_DELIVERED] + self._values[_OUTSIDE])
 
     def _read(self) -> None:
@@ -377,7 +378,7 @@ def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:
 
 
 def _centre(curve: NDArray[np.float64], p: Any) -> float:
-    """Return the share of a tendon's compliance, with series springs, between motor and centre of the bending."""
+    """Return the share of a tendon's compliance, series spring included, between motor and centre of the bending."""
     place = 1.0 - float(np.trapezoid(curve[1], curve[0]))  # mean of the fraction of length over the bending
     before = 0.0 if p["series_at_joint"] else p["series_length"]
     return float((before + place * p["length"]) / (p["series_length"] + p["length"]))
@@ -390,7 +391,7 @@ def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, floa
     pretension = model.pretension * factor.pretension
     mu, theta = model.friction_coefficient * factor.friction_coefficient, model.bending_angle * factor.bending_angle
     tendon_stiffness = stiffness / (model.unstrained_length + series)
-    natural = pretension * mu * theta / (4.0 * tendon_stiffness)  # half a tendon stretches by the friction it holds
+    natural = pretension * mu * theta / (4.0 * tendon_stiffness)  # elongation of half a tendon by friction
     return {
         "r_m": model.motor_pulley_radius * factor.motor_pulley_radius,
         "r_j": model.joint_pulley_radius * factor.joint_pulley_radius,

@@ -1,15 +1,16 @@
-"""A tendon in its sheath as a chain: springs between contacts that stick or slide by Coulomb (capstan) friction.
+"""Model a tendon in its sheath as a chain of springs and contacts that stick or slide with Coulomb (capstan) friction.
 
 Contact i represents the bend of element i. It is pulled to the motor by T_{i-1}, to the joint by T_i, and held by
 
     F_i = clip(F_i,old + k_b (y_i - y_i,old), -B_i, B_i),     B_i = tanh(x_i / 2) (T_{i-1} + T_i)
 
-so that at a bound T_{i-1} / T_i = exp(+-x_i), exactly the capstan. Strings have no mass: every sub-step is an
-equilibrium T_{i-1} - T_i = F_i of all contacts, found by Newton's method on the set of sticking and sliding contacts
-(each step one tridiagonal system, an M-matrix). Slip fronts travel along the chain by themselves. y counts to the
-motor. The return to the bound is always along F, so friction never creates energy; its friction is summed.
+The displacement y is positive toward the motor. At a bound, T_{i-1} / T_i = exp(+-x_i), which is exactly the capstan
+equation. Springs have no mass, so every sub-step is an equilibrium T_{i-1} - T_i = F_i of all contacts. Newton's method
+finds the set of sticking and sliding contacts. Each of its steps solves one tridiagonal system with an M-matrix. Slip
+fronts along the chain result without further equations. A contact always slips along F, so friction never creates
+energy. The dissipated energy is summed.
 
-With capstan friction a tendon is slack everywhere or nowhere: where T is 0 the neighbours cannot hold any.
+With capstan friction a tendon is slack everywhere or nowhere, because a contact next to T = 0 cannot hold any tension.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.plant.compiled import compiled
 
-# How a tendon becomes a chain: what its rows hold, and where a sheath's bends put contacts and springs.
+# This part builds the chain of a tendon: the meaning of its rows, and the contacts and springs of the sheath's bends.
 
 RIGID = 1e10  # N/m, contact without bristle
-_MIN_LENGTH = 2e-5  # of the tendon, shortest spring: a bend at the very end of a sheath has nothing in between
+_MIN_LENGTH = 2e-5  # of the tendon's length: shortest spring, if a bend is at the very end of a sheath
 
 
 class Row(IntEnum):
-    """Rows of a chain, an array of shape (rows, contacts + 1); there is one spring more than contacts.
+    """Number the rows of a chain, an array of shape (rows, contacts + 1) with one spring more than contacts.
 
-    The last column of a row of contacts has no contact and keeps: GRIP x of the whole tendon, PLACE and PLACE_OLD the
-    joint end, FORCE and FORCE_OLD the motor end, MODE whether the solution was found in pieces, BRISTLE the energy
-    that friction took on that way.
+    The rows of contacts hold other values in the last column. GRIP: x of the whole tendon. PLACE and PLACE_OLD:
+    displacement of the joint end. FORCE and FORCE_OLD: displacement of the motor end. MODE: 1 if the solution was found
+    in pieces. BRISTLE: the energy (J) that friction dissipated in these pieces.
     """
 
     STIFFNESS = 0  # of springs, N/m
     LENGTH_SHARE = 1  # of springs, 1
-    BEND_SHARE = 2  # of springs, 1: path length that bending adds
+    BEND_SHARE = 2  # of springs, 1: share of the path length that bending adds
     BEND = 3  # of contacts, 1: share of the bending angle
     BRISTLE = 4  # of contacts, N/m
     PRELOAD = 5  # of springs, m: elongation at equal ends
@@ -67,8 +68,14 @@ def build_chain(
 ) -> NDArray[np.float64]:
     """Return the chain of one tendon at rest, shape (rows, elements + 1).
 
-    curve (2, n): fraction of length, fraction of bending; stiffness E A in N; length, series_length (E A / k_s) in m,
-    before the first or behind the last contact; bristle: N/m of the whole tendon on its liner, 0 for rigid.
+    Args:
+        curve: fractions of length and of bending, shape (2, n).
+        elements: number of contacts.
+        stiffness: E A, N.
+        length: length of the tendon, m.
+        series_length: E A / k_s, m, of the series spring.
+        bristle: stiffness of the whole tendon on its liner, N/m; 0 for a rigid liner.
+        series_at_joint: put the series spring behind the last contact, not before the first.
     """
     chain = np.zeros((len(Row), elements + 1))
     edges = np.linspace(0.0, 1.0, elements + 1)
@@ -91,7 +98,7 @@ def build_chain(
 
 
 def _bending(curve: NDArray[np.float64], start: float, end: float, last: bool) -> tuple[float, float]:
-    """Return the bending up to both ends of an element; a point bend on a border belongs to the next element."""
+    """Return the fraction of bending up to each end of an element. A point bend on a border is in the next element."""
 
     def before(place: float) -> float:
         i = int(np.searchsorted(curve[0], place, side="left"))
@@ -105,7 +112,7 @@ def _bending(curve: NDArray[np.float64], start: float, end: float, last: bool) -
 
 
 def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> float:
-    """Return the share of the length at which this share of the bending is reached."""
+    """Return the fraction of length at which this fraction of the bending is reached, at least `otherwise`."""
     i = int(np.searchsorted(curve[1], bending, side="left"))
     if i == 0:
         return max(otherwise, float(curve[0, 0]))
@@ -115,14 +122,14 @@ def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> floa
     return max(otherwise, float(place))
 
 
-_ITERATIONS = 10  # besides one for every second contact: a slip front passes one or more per iteration
-_FINER, _MOST_PIECES = 8, 512  # of a movement whose modes were not found at once
-_TOLERANCE = 1e-6  # N, between a trial force and its bound; above the rounding of RIGID times a place
-_MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
+_ITERATIONS = 10  # plus one for every second contact: a slip front passes at least one contact per iteration
+_FINER, _MOST_PIECES = 8, 512  # refinement factor and most pieces of a movement whose modes were not found at once
+_TOLERANCE = 1e-6  # N, between a trial force and its bound; larger than the rounding error of RIGID times a place
+_MIN_TENSION = 0.05  # of the reference tension: lower bound in tension_dependent_friction
 
 
-Pair = tuple[float, float]  # of tendon a, with T1 and T2, and of tendon b, with T3 and T4
-Slopes = tuple[float, float, float, float]  # of the first and the last place by motor_end, of both by joint_end
+Pair = tuple[float, float]  # values of tendon a (T1, T2) and of tendon b (T3, T4)
+Slopes = tuple[float, float, float, float]  # derivatives of first and last place by motor_end, then by joint_end
 
 
 _STIFFNESS, _LENGTH_SHARE, _BEND_SHARE = int(Row.STIFFNESS), int(Row.LENGTH_SHARE), int(Row.BEND_SHARE)
@@ -133,7 +140,7 @@ _UPPER, _RIGHT, _BY_MOTOR = int(Row.UPPER), int(Row.RIGHT), int(Row.BY_MOTOR)
 
 
 def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, pretension: float) -> None:
-    """Set the whole tendon to one tension without friction; the displacements of both ends stay, m."""
+    """Set the whole tendon to one tension (N) without friction, with its ends at these displacements (m)."""
     count = chain.shape[1] - 1
     share = np.cumsum(chain[Row.LENGTH_SHARE])[:count]
     chain[Row.PLACE_OLD, :count] = chain[Row.PLACE, :count] = motor_end + share * (joint_end - motor_end)
@@ -144,10 +151,12 @@ def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, prete
 
 @compiled
 def prepare_chains(p: Any, pretensions: Pair, thetas: Pair, x: Pair, chains: Any) -> Pair:
-    """Write bending, pretension and friction of this sub-step of both tendons to chains (2, rows, contacts + 1).
+    """Write bending, pretension and friction of both tendons in this sub-step to chains (2, rows, contacts + 1).
 
-    Returns the elongation (m) of tendons a and b at equal angles of motor and joint. A bend lengthens the path at its
-    own place (3.50); the rest of the pretension is distributed along the tendon.
+    A bend lengthens the path at its own place (3.50). The rest of the pretension is distributed along the tendon.
+
+    Returns:
+        The elongation (m) of tendons a and b at equal displacements of motor and joint pulley.
     """
     length = p.length + p.series_length
     total_a, total_b = pretensions[0] * length / p.stiffness, pretensions[1] * length / p.stiffness
@@ -173,10 +182,18 @@ def prepare_chains(p: Any, pretensions: Pair, thetas: Pair, x: Pair, chains: Any
 
 @compiled
 def chain_tensions(p: Any, totals: Pair, chains: Any, u: float, v: float, f: Any) -> bool:
-    """Fill f[0:4] with T1..T4 and f[4:12] with their derivatives by u and v in turn.
+    """Write T1..T4 to f[0:4], and the derivatives of each by u and v to f[4:12].
 
-    totals: from `prepare_chains`; u, v: displacements in m of motor and joint pulley. Returns whether the set of
-    sticking and sliding contacts was found.
+    Args:
+        p: parameter record.
+        totals: elongations from `prepare_chains`, m.
+        chains: shape (2, rows, contacts + 1).
+        u: displacement of the motor pulley, m.
+        v: displacement of the joint pulley, m.
+        f: receives the tensions and derivatives.
+
+    Returns:
+        True if the set of sticking and sliding contacts was found.
     """
     settled = True
     for tendon in range(2):
@@ -233,7 +250,7 @@ def _equilibrium(chain: Any, motor_end: float, joint_end: float, place: int, sid
 
 @compiled
 def _find_modes(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, Slopes]:
-    """Newton's method on the modes, from those that are there."""
+    """Find the modes of all contacts by Newton's method, from the present modes; return True if it converged."""
     slopes = (0.0, 0.0, 0.0, 0.0)
     for _ in range((chain.shape[1] - 1) // 2 + _ITERATIONS):
         slopes = _solve(chain, motor_end, joint_end)
@@ -244,9 +261,9 @@ def _find_modes(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, S
 
 @compiled
 def _follow(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, Slopes]:
-    """Move the ends in pieces, when the modes were not found in one: slip fronts that meet, a tendon near slack.
+    """Move the ends in pieces if the modes were not found at once: slip fronts meet, or a tendon is nearly slack.
 
-    The energy that friction takes on the way is left in the spare column; the old state stays.
+    The dissipated energy is stored in the last column. The old state is not changed.
     """
     n = chain.shape[1] - 1
     old_place, old_force = chain[_PLACE_OLD].copy(), chain[_FORCE_OLD].copy()
@@ -350,10 +367,11 @@ def _taken(chain: Any) -> float:
 
 @compiled
 def commit_chains(chains: Any) -> tuple[float, float]:
-    """Make the solution the state that the next sub-step starts from.
+    """Store the solution as the initial state of the next sub-step.
 
-    Returns the energy in J that friction took, and how much of the friction is used, from -1 to 1: the mean over the
-    bending of both tendons, positive while they slide with a joint that moves forward.
+    Returns:
+        The energy that friction dissipated (J), and the used share of the friction, -1 to 1. The share is the mean over
+        the bending of both tendons. It is positive while they slide and the joint moves forward.
     """
     taken = used = 0.0
     for tendon in range(chains.shape[0]):

@@ -1,8 +1,8 @@
-"""Communication services of a simulated node (CiA 301): SYNC, heartbeat consumers, node guarding and EMCY.
+"""Simulate communication services of a node (CiA 301): SYNC, heartbeat consumers, node guarding and EMCY.
 
 SYNC: COB-ID 0x1005, period 0x1006, window 0x1007, counter 0x1019. Supervision: 0x1016, 0x100C, 0x100D. EMCY: error
 register 0x1001, history 0x1003, COB-ID 0x1014, inhibit time 0x1015. The plant has its own definitions, so that it
-checks those of the controller."""
+can check those of the controller."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from enum import Enum, IntEnum
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type, is_restricted
 
 PRODUCES = 0x40000000  # bit 30 of 0x1005
-OWN_PERIOD = 10_000  # us, of a node that produces SYNC at power-on
-_LATE = 1.5  # periods without a SYNC that are an error
+OWN_PERIOD = 10_000  # us, SYNC period of a node that produces SYNC at power-on
+_LATE = 1.5  # periods without a SYNC after which it is overdue
 
 
 class Heard(Enum):
-    """Define the effect of a SYNC frame on the node."""
+    """List the results of the check of a SYNC frame."""
 
     GOOD = "good"
     WRONG_LENGTH = "wrong length"
 
 
 def sync_entries(producer: bool) -> list[Entry]:
-    """Return the objects of SYNC; those of a `producer` have a period."""
+    """Return the objects of SYNC; a `producer` has its own period at power-on."""
     return [
         Entry(0x1005, 0, Type.U32, default=0x80 | (PRODUCES if producer else 0)),
         Entry(0x1006, 0, Type.U32, default=OWN_PERIOD if producer else 0),  # us
@@ -37,7 +37,7 @@ def sync_entries(producer: bool) -> list[Entry]:
 
 
 class SyncPort:
-    """See the module; times in s."""
+    """Receive, supervise and produce the SYNC of one node; times are in s."""
 
     def __init__(self, dictionary: ObjectDictionary, changed: Callable[[], None]) -> None:
         self._values = dictionary.values
@@ -55,19 +55,19 @@ class SyncPort:
         self._last, self._due = None, now
 
     def hear(self, data: bytes, now: float) -> Heard:
-        """Receive a SYNC, which has one byte if a counter is configured and otherwise none."""
+        """Receive a SYNC, which must have one byte if a counter is configured, and otherwise none."""
         if (self._values.get((0x1019, 0), 0) != 0) != (len(data) == 1):
             return Heard.WRONG_LENGTH
         self._last = now
         return Heard.GOOD
 
     def closed(self, now: float) -> bool:
-        """Return True if synchronous PDOs come too late after the last SYNC."""
+        """Return True if the window for synchronous PDOs after the last SYNC has closed."""
         window = self._values.get((0x1007, 0), 0) * 1e-6
         return window > 0.0 and self._last is not None and now - self._last > window
 
     def overdue(self, now: float) -> bool:
-        """Return True if a SYNC is missed; reported once."""
+        """Return True, once, if a SYNC is overdue."""
         period = self._values.get((0x1006, 0), 0) * 1e-6
         if period <= 0.0 or self._last is None or now - self._last <= _LATE * period or self._produces:
             return False
@@ -104,9 +104,9 @@ class SyncPort:
 
 
 class NmtState(IntEnum):
-    """List the NMT states (CiA 301), with the values in the heartbeat.
+    """List the NMT states (CiA 301) with their values in the heartbeat.
 
-    The plant does not use the controller's definitions, so that it checks them.
+    The plant has its own definitions, so that it can check those of the controller.
     """
 
     BOOT_UP = 0
@@ -130,7 +130,7 @@ _TOGGLE = 0x80
 
 @dataclass(slots=True)
 class _Consumer:
-    """One entry of 0x1016: supervision begins with the first heartbeat seen."""
+    """Hold one entry of 0x1016. Supervision begins with the first received heartbeat."""
 
     node_id: int = 0
     timeout: float = 0.0  # s
@@ -138,7 +138,7 @@ class _Consumer:
 
 
 class Consumers:
-    """Heartbeats of others; `overdue` reports once that one is missed."""
+    """Supervise the heartbeats of other nodes; `overdue` reports each missing heartbeat once."""
 
     def __init__(self, dictionary: ObjectDictionary, count: int, changed: Callable[[], None]) -> None:
         self._values = dictionary.values
@@ -155,7 +155,7 @@ class Consumers:
         ]
 
     def restore(self) -> None:
-        """Take the values of the dictionary."""
+        """Read the entries from the dictionary."""
         self._entries = [
             _consumer(self._values.get((0x1016, place + 1), 0)) or _Consumer() for place in range(len(self._entries))
         ]
@@ -200,7 +200,7 @@ def _consumer(value: int) -> _Consumer | None:
 
 
 class Guarding:
-    """Answers remote frames, and notices when they stop: guard time 0x100C (ms) times life time factor 0x100D."""
+    """Answer remote frames, and detect if none arrives for guard time 0x100C (ms) times life time factor 0x100D."""
 
     def __init__(self, dictionary: ObjectDictionary, toggles: bool = True) -> None:
         self._values = dictionary.values
@@ -238,10 +238,10 @@ _INVALID = 0x80000000
 
 
 class EmcyCode(IntEnum):
-    """Emergency error codes of CiA 301 and 402 that the simulated nodes raise by themselves."""
+    """List the error codes of CiA 301 and 402 that a simulated node sends without an injected fault."""
 
     NO_ERROR = 0x0000
-    COMMUNICATION = 0x8100  # a SYNC that is overdue
+    COMMUNICATION = 0x8100  # SYNC overdue
     HEARTBEAT = 0x8130  # life guard or heartbeat error
     PDO_TOO_SHORT = 0x8210
     PDO_TOO_LONG = 0x8220
@@ -261,25 +261,25 @@ def emcy_entries() -> list[Entry]:
 
 
 class ErrorLog:
-    """Hold the errors of one node; `report` sends one error, `clear_*` forget."""
+    """Hold the errors of one node, and send them as EMCY frames."""
 
     def __init__(self, dictionary: ObjectDictionary, send: Callable[[int, bytes], bool]) -> None:
         self._dictionary = dictionary
         self._values = dictionary.values
         self._send = send
         self._waiting: deque[tuple[int, bytes]] = deque()
-        self._next = 0.0  # s, before which none is sent
+        self._next = 0.0  # s, earliest time of the next frame
         dictionary.on_write[0x1003, 0] = self._write_history
         dictionary.on_write[0x1014, 0] = self._write_identifier
 
     def report(self, code: int, register: int, vendor: bytes, heard: bool, now: float) -> None:
-        """Keep an error in 0x1001 and 0x1003, and send it if it can be heard.
+        """Store an error in 0x1001 and 0x1003, and send it if the node's state permits this.
 
         Args:
             code: error code; 0 reports that all errors are gone.
             register: bits of the error register.
-            vendor: five bytes of the maker.
-            heard: whether the node may send emergencies in its present state.
+            vendor: five manufacturer-specific bytes.
+            heard: True if the node may send emergencies in its present state.
             now: time, s.
         """
         values = self._values
@@ -297,13 +297,13 @@ class ErrorLog:
             self.release(now)
 
     def release(self, now: float) -> None:
-        """Send what waits, one frame in each inhibit time 0x1015 (100 us)."""
+        """Send the waiting frames, one per inhibit time 0x1015 (unit 100 us)."""
         while self._waiting and now >= self._next:
             self._send(*self._waiting.popleft())
             self._next = now + 1e-4 * self._values.get((0x1015, 0), 0)
 
     def clear(self) -> None:
-        """Power-on: nothing is remembered."""
+        """Delete the errors, the history and the waiting frames, as at power-on."""
         self._values[0x1001, 0] = 0
         self._waiting.clear()
         self._next = 0.0

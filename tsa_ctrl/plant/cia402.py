@@ -1,4 +1,4 @@
-"""The CiA 402 power state machine as a table: states, commands of the controlword, transitions 2 to 16."""
+"""Define the CiA 402 power state machine by a table: states, commands of the controlword, transitions 2 to 16."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ FAULT_RESET = 0x80  # controlword bit 7, on its rising edge
 
 
 class PowerState(IntEnum):
-    """Drive states with the bits 0-3, 5 and 6 of the statusword."""
+    """List the drive states with bits 0-3, 5 and 6 of the statusword."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -22,12 +22,10 @@ class PowerState(IntEnum):
 
 
 class Command(Enum):
-    """Commands of the controlword: bits that count, and their value. Fault reset is an edge and is handled
-    separately.
-    """
+    """List the commands of the controlword by bit mask and value; fault reset is an edge and is not among them."""
 
     SHUTDOWN = (0x87, 0x06)
-    SWITCH_ON = (0x8F, 0x07)  # in operation enabled this is disable operation
+    SWITCH_ON = (0x8F, 0x07)  # in operation enabled, this command is disable operation
     ENABLE_OPERATION = (0x8F, 0x0F)
     DISABLE_VOLTAGE = (0x82, 0x00)
     QUICK_STOP = (0x86, 0x02)
@@ -39,7 +37,7 @@ _C = Command
 TRANSITIONS: dict[tuple[PowerState, Command], tuple[int, PowerState]] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): (2, _S.READY_TO_SWITCH_ON),
     (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): (3, _S.SWITCHED_ON),
-    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): (3, _S.SWITCHED_ON),  # then 4, by the same controlword
+    (_S.READY_TO_SWITCH_ON, _C.ENABLE_OPERATION): (3, _S.SWITCHED_ON),  # then 4, with the same controlword
     (_S.SWITCHED_ON, _C.ENABLE_OPERATION): (4, _S.OPERATION_ENABLED),
     (_S.OPERATION_ENABLED, _C.SWITCH_ON): (5, _S.SWITCHED_ON),
     (_S.SWITCHED_ON, _C.SHUTDOWN): (6, _S.READY_TO_SWITCH_ON),
@@ -51,11 +49,11 @@ TRANSITIONS: dict[tuple[PowerState, Command], tuple[int, PowerState]] = {
     (_S.SWITCHED_ON, _C.DISABLE_VOLTAGE): (10, _S.SWITCH_ON_DISABLED),
     (_S.OPERATION_ENABLED, _C.QUICK_STOP): (11, _S.QUICK_STOP_ACTIVE),
     (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): (12, _S.SWITCH_ON_DISABLED),
-    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): (16, _S.OPERATION_ENABLED),  # only while it stays, 0x605A >= 5
+    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): (16, _S.OPERATION_ENABLED),  # only if 0x605A >= 5
 }
 
 
-@lru_cache(maxsize=256)  # a controlword comes again each cycle
+@lru_cache(maxsize=256)  # each cycle repeats the same controlword
 def command_of(controlword: int) -> Command | None:
     """Return the command in a controlword; None if the bits encode none (a fault reset, for example)."""
     for command in Command:
@@ -66,7 +64,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 class PowerStateMachine:
-    """Follows controlwords; `transition` is the number of the last transition taken."""
+    """Run the state machine on controlwords; `transition` is the number of the last transition."""
 
     def __init__(self) -> None:
         self.state = PowerState.NOT_READY_TO_SWITCH_ON
@@ -74,7 +72,7 @@ class PowerStateMachine:
         self._last_controlword = 0
 
     def power_on(self) -> None:
-        """Make transitions 0 and 1, as after a passed self-test."""
+        """Take transitions 0 and 1, as after a passed self-test."""
         self.state = PowerState.SWITCH_ON_DISABLED
         self.transition = 1
         self._last_controlword = 0
@@ -82,8 +80,10 @@ class PowerStateMachine:
     def control(self, controlword: int, quick_stop_stays: bool, fault_gone: bool) -> None:
         """Apply one controlword.
 
-        quick_stop_stays: the quick stop option code (0x605A) is 5 or more, so that transition 16 is there.
-        fault_gone: the cause of a fault is no longer there, so that a reset (transition 15) succeeds.
+        Args:
+            controlword: value of 0x6040.
+            quick_stop_stays: True if the quick stop option code (0x605A) is 5 or more, which permits transition 16.
+            fault_gone: True if the cause of a fault is gone, so that a reset (transition 15) succeeds.
         """
         edge = controlword & ~self._last_controlword & FAULT_RESET
         self._last_controlword = controlword
@@ -102,22 +102,22 @@ class PowerStateMachine:
             self._take(4, PowerState.OPERATION_ENABLED)
 
     def fault(self) -> None:
-        """Transition 13: an error occurred."""
+        """Take transition 13, because an error occurred."""
         if self.state not in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
             self._take(13, PowerState.FAULT_REACTION_ACTIVE)
 
     def reaction_done(self) -> None:
-        """Transition 14: the fault reaction is complete."""
+        """Take transition 14, because the fault reaction is complete."""
         if self.state is PowerState.FAULT_REACTION_ACTIVE:
             self._take(14, PowerState.FAULT)
 
     def quick_stop(self) -> None:
-        """Transition 11 by an option code and not by a controlword."""
+        """Take transition 11 because of an option code, without a controlword."""
         if self.state is PowerState.OPERATION_ENABLED:
             self._take(11, PowerState.QUICK_STOP_ACTIVE)
 
     def voltage_off(self) -> None:
-        """Transition 9, 10 or 12 by the drive itself: quick stop complete, or connection lost."""
+        """Take transition 7, 9, 10 or 12 without a controlword: quick stop complete, connection lost, or power off."""
         numbers = {
             PowerState.OPERATION_ENABLED: 9,
             PowerState.SWITCHED_ON: 10,

@@ -1,7 +1,7 @@
-"""The one decorator of the inner loop: compiled by numba, kept in a cache, IEEE division.
+"""Provide the decorator that compiles the inner loop with numba, with a cache and IEEE division.
 
-numba looks at a function's own file only when it decides whether a cached version is still good, not at the files of
-the called functions. So the compiled code of these sources is in a separate folder, named by their digest.
+numba checks only a function's own file, not those of called functions, to decide if its cached code is still valid. The
+compiled code of these sources is therefore in a separate folder, named by their common digest.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ _KERNELS = (
     "chain.py",
     "mechanics.py",
 )
-_KEPT = 14 * 86_400.0  # s; compiled code of other versions is thrown away when it is older: two weeks of going back
+_KEPT = 14 * 86_400.0  # s; older code of other versions is deleted; within two weeks, going back needs no compilation
 
 
 def _cache_of(folder: Path) -> str:
-    """Return the folder below numba's cache for these sources; "" if numba selects one."""
+    """Return the folder for these sources in numba's cache folder; "" if no cache folder is configured."""
     if not config.CACHE_DIR:
         return ""
     digest = hashlib.blake2b(b"".join((folder / name).read_bytes() for name in _KERNELS), digest_size=8).hexdigest()
@@ -52,7 +52,7 @@ _CACHE = _cache_of(Path(__file__).parent)
 
 
 def compiled(function: F) -> F:
-    """Compile on first use; later processes load the result."""
+    """Compile the function at its first call; later processes load the compiled code."""
     before, config.CACHE_DIR = config.CACHE_DIR, _CACHE or config.CACHE_DIR
     try:
         return cast(F, njit(cache=True, error_model="numpy")(function))

@@ -1,7 +1,7 @@
-"""Object dictionary of a simulated node (CiA 301), and its EDS (CiA 306).
+"""Simulate the object dictionary of a node (CiA 301), and write its EDS (CiA 306).
 
 The dictionary has typed entries, access rights, bounds and SDO abort codes. The EDS has every section and key that
-CANopenEditor requires; the same node gives the same file."""
+CANopenEditor requires, and identical nodes have identical files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class AbortCode(IntEnum):
     DEVICE_STATE = 0x08000022
 
 
-_RESTRICTED = (  # first and last identifier that no communication object may be given (CiA 301, 7.3.5)
+_RESTRICTED = (  # first and last identifiers of ranges that no communication object may use (CiA 301, 7.3.5)
     (0x000, 0x07F),
     (0x101, 0x180),
     (0x581, 0x5FF),
@@ -52,7 +52,7 @@ def is_restricted(can_id: int) -> bool:
 
 
 class SdoAbort(Exception):  # noqa: N818, the standard's word
-    """An SDO request that the node refuses, with its code."""
+    """Report that the node rejects an SDO request, with the abort code."""
 
     def __init__(self, code: AbortCode) -> None:
         super().__init__(f"{code.name} 0x{code:08X}")
@@ -60,9 +60,9 @@ class SdoAbort(Exception):  # noqa: N818, the standard's word
 
 
 class Type(Enum):
-    """Basic data types: CiA 301 number, struct format, bytes, bounds. TEXT is VISIBLE_STRING.
+    """List the basic data types: CiA 301 number, struct format, size in bytes, bounds. TEXT is VISIBLE_STRING.
 
-    Reals are held as their bits. Types without a struct format cannot be mapped into a PDO.
+    Real numbers are stored as their bit patterns. Types without a struct format cannot be mapped into a PDO.
     """
 
     BOOL = (0x01, "B", 1, 0, 1)
@@ -105,9 +105,10 @@ class Access(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line of the dictionary; `low`/`high` narrow the type, `mappable` allows it in a PDO.
+    """Define one object of the dictionary.
 
-    `plus_node`: the node id is added to the default, as to the identifiers of the predefined connection set.
+    `low` and `high` narrow the bounds of the type. `mappable` allows the object in a PDO. With `plus_node`, the node id
+    is added to the default, as for the identifiers of the predefined connection set.
     """
 
     index: int
@@ -126,10 +127,11 @@ class Entry:
 
 
 class ObjectDictionary:
-    """Values by (index, sub-index). `values` holds the numbers; the node itself writes there without checks.
+    """Hold the values of a node by (index, sub-index).
 
-    A hook of `on_write` is called with the new value after all checks and before it is stored; it may raise SdoAbort.
-    `stored`: values kept through a power cycle, in place of the defaults.
+    The node itself writes the numbers in `values` without checks. A hook in `on_write` is called with the new value,
+    after all checks and before the value is stored. It may raise SdoAbort. `stored` holds values that survive a power
+    cycle and replace the defaults.
     """
 
     def __init__(self, entries: Iterable[Entry], node_id: int = 0) -> None:
@@ -155,8 +157,8 @@ class ObjectDictionary:
         return self.stored.get(entry.key, entry.default + (self.node_id if entry.plus_node else 0))
 
     def remove(self, index: int, sub: int | None = None) -> None:
-        """Take an object away, or one sub-index of it, as on a drive that does not have it."""
-        if sub is not None:  # the node itself may still look at its value
+        """Remove an object or one of its sub-indices, as on a drive that does not have it."""
+        if sub is not None:  # the node itself may still read the value
             self.entries.pop((index, sub), None)
             return
         for key in [key for key in self.entries if key[0] == index]:
@@ -177,7 +179,7 @@ class ObjectDictionary:
         return entry
 
     def read(self, key: Key) -> bytes:
-        """SDO upload: little-endian bytes; raises SdoAbort."""
+        """Return the little-endian bytes of an object for an SDO upload; raises SdoAbort."""
         entry = self.find(key)
         if entry.access is Access.WO:
             raise SdoAbort(AbortCode.WRITE_ONLY)
@@ -186,7 +188,7 @@ class ObjectDictionary:
         return self.values[key].to_bytes(entry.type.size, "little", signed=entry.type.low < 0)
 
     def write(self, key: Key, data: bytes) -> None:
-        """SDO download with access, length and bounds checked; raises SdoAbort and changes nothing."""
+        """Write an object by SDO download if access, length and bounds are correct; otherwise raises SdoAbort."""
         entry = self.find(key)
         if entry.access in (Access.RO, Access.CONST):
             raise SdoAbort(AbortCode.READ_ONLY)
@@ -229,7 +231,7 @@ _ARRAYS = frozenset({0x1003, 0x1010, 0x1011, 0x1016})
 _VARIABLE, _ARRAY, _RECORD = 7, 8, 9
 _MANDATORY = (0x1000, 0x1001, 0x1018)
 _RECEIVED, _SENT = range(0x1400, 0x1600), range(0x1800, 0x1A00)
-_DATE, _TIME = "01-01-2000", "12:00AM"  # of no meaning: the same node gives the same file
+_DATE, _TIME = "01-01-2000", "12:00AM"  # constant, so that identical nodes have identical files
 _AXIS_OFFSET = 0x800
 
 
@@ -239,7 +241,7 @@ def eds(dictionary: ObjectDictionary, file_name: str) -> str:
 
 
 def file_names(path: Path, node_ids: Iterable[int]) -> dict[int, Path]:
-    """Return the path of the EDS of each node: `path`, or with the node id if there are several."""
+    """Return the path of each node's EDS by node id: `path`, with the node id appended if there are several nodes."""
     ids = list(node_ids)
     if len(ids) == 1:
         return {ids[0]: path}

@@ -1,7 +1,7 @@
-"""A CiA 402 drive in cyclic synchronous torque mode: limits, reactions, units of the wire. One axis of a `DriveNode`.
+"""Simulate a CiA 402 drive in cyclic synchronous torque mode: limits, reactions, units. It is an axis of a `DriveNode`.
 
-The power stage and the motor are elsewhere: the drive writes its command to a `MotorCommand` and reads `Readings`;
-`before_change` brings the mechanics up to now before a command changes.
+The power stage and the motor are not part of this module. The drive writes its command to a `MotorCommand` and reads
+`Readings`. `before_change` advances the mechanics to the present before a command changes.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class DriveFaults:
     torque_sign: int = 1  # -1: motor wired the wrong way round
     torque_gain: float = 1.0  # motor torque over the torque that the drive assumes
     clock_drift: float | None = None  # relative; the drive samples by its internal clock, not at the SYNC
-    most_torque: float | None = None  # of rated torque, limit of an overheated drive: bit 11
-    dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, the state machine goes on
-    torque_off: bool = False  # the input of safe torque off is open
-    turned: int = 1  # -1: position and velocity count the other way
+    most_torque: float | None = None  # of rated torque, limit of an overheated drive, reported by bit 11
+    dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, but the state machine continues
+    torque_off: bool = False  # the safe torque off input is open
+    turned: int = 1  # -1: position and velocity count in the opposite direction
     inputs: int = 0  # 0x60FD
-    distortions: dict[Key, Callable[[int], int]] = field(default_factory=dict)  # of the reported values
+    distortions: dict[Key, Callable[[int], int]] = field(default_factory=dict)  # functions on the reported values
 
 
 CST = 10  # cyclic synchronous torque mode
@@ -47,16 +47,16 @@ _VOLTAGE_ENABLED, _WARNING, _REMOTE = 1 << 4, 1 << 7, 1 << 9
 _INTERNAL_LIMIT, _FOLLOWS_COMMAND = 1 << 11, 1 << 12
 _ERROR_REGISTER_PROFILE = 0x20
 _POSITION_TURNED, _VELOCITY_TURNED, _TORQUE_TURNED = 0x80, 0x40, 0x20  # bits of 0x607E
-_OWN_CYCLE = 1e-3  # s, of a drive that does not follow the SYNC
+_OWN_CYCLE = 1e-3  # s, cycle of a drive that does not follow the SYNC
 _ENABLED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _FAULTED = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
 _UPWARDS = (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION)
-_NO_CLAMP, _NO_SPEED_CLAMP = 0x7FFF, 0x7FFFFFFF  # per mille, rpm: of a drive without the object
-_RESTING = 0.01  # of rated torque: below it a quick stop or a fault reaction is complete
+_NO_CLAMP, _NO_SPEED_CLAMP = 0x7FFF, 0x7FFFFFFF  # per mille, rpm: values of a drive without the object
+_RESTING = 0.01  # of rated torque; a quick stop or a fault reaction is complete below it
 
 
 class ConnectionLoss(IntEnum):
-    """0x6007: the reaction of the drive to a lost connection."""
+    """List the reactions of the drive to a lost connection (0x6007)."""
 
     NOTHING = 0
     FAULT = 1
@@ -65,9 +65,9 @@ class ConnectionLoss(IntEnum):
 
 
 class Drive:
-    """See the module; `readings` is what its own sensors measure, `command` what its power stage does.
+    """Simulate one drive. `readings` has the measurements of its sensors, `command` the command to its power stage.
 
-    `attach` makes it an axis of a node; its `values` are the objects as the first axis of a device has them.
+    `attach` makes the drive an axis of a node. Its `values` have the object indices of the first axis of a device.
     """
 
     def __init__(
@@ -88,20 +88,20 @@ class Drive:
         self.command = command
         self.machine = PowerStateMachine()
         self.faults = DriveFaults()
-        self.error_cause = False  # the cause of the fault is still there
+        self.error_cause = False  # True while the cause of the fault persists
         self.limited = False
         self._own_cycle = 0
-        self._unit_code = unit_code(settings)  # of a drive that does not have 0x60A9
+        self._unit_code = unit_code(settings)  # used by a drive without 0x60A9
         self._modes = mode_numbers(settings)
         self._scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / emulation.torque_digits
-        self._ramp, self._ramped_at = 0.0, 0.0  # digits of 0x6071 in the profile torque mode, and when it moved, s
-        self._next_step = 0.0  # s, when a slow drive takes the next step
-        self._waiting: int | None = None  # a controlword that it has not obeyed yet
+        self._ramp, self._ramped_at = 0.0, 0.0  # profile torque mode: digits of 0x6071, s of the last update
+        self._next_step = 0.0  # s, earliest time of a slow drive's next step
+        self._waiting: int | None = None  # controlword that a slow drive has not processed yet
         self.before_change: Callable[[float], None] = lambda now: None
         self.values: MutableMapping[Key, int]
 
     def attach(self, node: Node) -> None:
-        """Become an axis of this node."""
+        """Make this drive an axis of the node."""
         self.node = node
         offset = (self.settings.slot - 1) * AXIS_OFFSET
         self.values = AxisValues(node.values, offset) if offset else node.values
@@ -122,7 +122,7 @@ class Drive:
             raise SdoAbort(AbortCode.INVALID_VALUE)
 
     def written(self, controlword: bool) -> None:
-        """Process data came for this axis, a controlword among them or not."""
+        """Apply received process data; `controlword` is True if they contain the controlword of this axis."""
         if controlword:
             self._take(self.values[0x6040, 0])
         self._obey()
@@ -162,7 +162,7 @@ class Drive:
         self._obey()
 
     def communication_error(self, code: EmcyCode) -> bool:
-        """Return True if this axis reports it as its own fault."""
+        """Raise a fault if the RPDOs of an enabled drive with watchdogs have timed out; return True if raised."""
         if code is not EmcyCode.RPDO_TIMEOUT or self.machine.state not in _ENABLED or not self.settings.watchdogs:
             return False
         self.fault(code)
@@ -191,7 +191,7 @@ class Drive:
     # power stage
 
     def tick(self) -> None:
-        """Let reactions and slow steps go on."""
+        """Continue reactions and slow steps."""
         if self._waiting is not None and self.node.now >= self._next_step:
             waiting, self._waiting = self._waiting, None
             self._control(waiting)
@@ -199,7 +199,7 @@ class Drive:
         self._obey()
 
     def _settle(self) -> None:
-        """Complete what waits for the torque to be gone."""
+        """Complete a quick stop or a fault reaction as soon as the torque has decayed."""
         state = self.machine.state
         if state not in (PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE):
             return
@@ -210,7 +210,7 @@ class Drive:
             self.machine.voltage_off()
 
     def _obey(self) -> None:
-        """State and objects to the power stage. Outside of operation enabled, the torque is zero."""
+        """Derive the power stage's command from state and objects. Outside operation enabled, the torque is zero."""
         values, settings, command = self.values, self.settings, self.command
         enabled = self.node.powered and self.machine.state is PowerState.OPERATION_ENABLED
         target = 0
@@ -234,7 +234,7 @@ class Drive:
             command.torque, command.enabled, command.max_speed = wanted_command
 
     def _demand(self) -> int:
-        """Return the torque before any limit, in digits of 0x6071: with the offset 0x60B2, or on the ramp of 0x6087.
+        """Return the torque before any limit, in digits of 0x6071: with the offset 0x60B2, or with the ramp 0x6087.
 
         Source: CiA 402-2, cyclic synchronous torque mode and profile torque mode.
         """
@@ -261,13 +261,13 @@ class Drive:
         return min(most, backward), min(most, forward)
 
     def _clamp(self) -> int:
-        """Return the largest torque in digits of 0x6071."""
+        """Return the torque limit of the objects and of an overheated drive, in digits of 0x6071."""
         share = self.faults.most_torque
         most = self._written_clamp()
         return most if share is None else min(most, round(share * self.emulation.torque_digits))
 
     def _written_clamp(self) -> int:
-        """Return the limit that the objects alone determine."""
+        """Return the torque limit of the objects alone, in digits of 0x6071."""
         values = self.values
         clamp = self.emulation.clamp
         if clamp is not None:

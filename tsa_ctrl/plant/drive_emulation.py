@@ -1,19 +1,20 @@
-"""The objects of a simulated CiA 402 drive, its PDOs after power-on, and how the drives of several makers deviate.
+"""Define the objects of a simulated CiA 402 drive, its PDOs at power-on, and the deviations of several makers' drives.
 
-Identity, units and deviations are from the makers' public documentation. They are stated here independently of the
+Identity, units and deviations come from the makers' public documentation. They are written here independently of the
 controller's profiles, so that each can be tested against the other.
 
 epos4      maxon EPOS4 Firmware Specification (rel8234): 0x6076 in uN*m, computed from the nominal current 0x3001:1 and
-           read-only; no 0x6072, the output current limit 0x3001:2 (mA) limits the torque instead; 0x60A9 takes
-           the prefixes of rpm only, and only while the power stage is off; 0x60C2:2 is -3; 0x605A is 6; no RPDO event
-           timer. Vendor 0xFB; product code of an EPOS4 Micro 24/5 as in its published device descriptions.
+           read-only; no 0x6072, the output current limit 0x3001:2 (mA) limits the torque instead; 0x60A9 accepts only
+           prefixes of rpm, and only while the power stage is off; 0x60C2:2 is -3; 0x605A is 6; no RPDO event
+           timer. Vendor 0xFB; product code of an EPOS4 Micro 24/5 from its published device descriptions.
 elmo_gold  Elmo DSP 402 Implementation Guide MAN-CAN402IG: 0x6076 in mN*m; velocities in counts/s, no 0x60A9; 0x605E is
-           0; 0x6502 is 0x3ED. Vendor 0x9A, product code 0x30924 as its drives report it.
+           0; 0x6502 is 0x3ED. Vendor 0x9A, product code 0x30924 as reported by its drives.
 technosoft_ipos  Technosoft iPOS CANopen Programming User Manual P091.063.iPOS.STO.UM: velocities and torques in
-           internal units (2^-16 counts per loop; 65520/2 at the peak current, here twice the rated one), the mode shows
-           once it is enabled. Its EDS iPOS.D.v1.04 (github.com/ros-industrial/ros_canopen, canopen_402_driver): vendor
-           0x1A3; 0x100C and 0x100D, no 0x1016 and no RPDO timer; no 0x603F, 0x6072, 0x6076, 0x6080, 0x60A9. The current
-           limit 0x207F is 32767 less the current (github.com/roboticslab-uc3m/yarp-devices).
+           internal units (2^-16 counts per loop; 65520/2 at the peak current, here twice the rated current); 0x6061
+           shows the mode only while enabled. Its EDS iPOS.D.v1.04 (github.com/ros-industrial/ros_canopen,
+           canopen_402_driver): vendor 0x1A3; 0x100C and 0x100D, no 0x1016 and no RPDO timer; no 0x603F, 0x6072, 0x6076,
+           0x6080, 0x60A9. The current limit 0x207F is 32767 minus the current
+           (github.com/roboticslab-uc3m/yarp-devices).
 ingenia    The EDS of the EVE-XCR-C 1.8.1 (github.com/ingeniamc/ingenialink-python): vendor 0x29C, product 46342145;
            0x100C, 0x100D and 0x1400:5, no 0x1016; 0x6073 = 40, no 0x6072, 0x603F, 0x6080, 0x60A9, 0x605B, 0x605C,
            0x605E; 0x6502 is 0x301A5, without cyclic synchronous torque.
@@ -22,7 +23,7 @@ nanotec    Nanotec PD4-E CANopen manual: 0x60C2:2 is -3; the rated current 0x203
            and there is no 0x6076.
 copley     Copley CANopen Programmer's Manual 16-01195: velocities in 0.1 counts/s, no 0x60A9.
 Elmo's EDS "CANeds Gold V002" (github.com/ipa320/cob_robots): no RPDO event timer, no 0x1007, no 0x1019.
-kinco, nanotec and copley keep the vendor and product of the settings: no document at hand states theirs.
+kinco, nanotec and copley use the vendor and product of the settings, because no available document states theirs.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ _RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0x
 
 @dataclass(frozen=True)
 class Clamp:
-    """An object that limits the torque: `rated` is the rated torque, `zero` none; or another object defines it."""
+    """Define an object that limits the torque: the value `zero` permits none, `rated` permits the rated torque.
+
+    `rated` may also be the key of an object that holds this value.
+    """
 
     key: Key
     rated: int | Key
@@ -52,20 +56,21 @@ class Clamp:
 
 @dataclass(frozen=True)
 class DriveEmulation:
-    """`vendor` and `product`: None means the values of the settings. `mode_shows` has the meaning of the quirk.
+    """Describe the deviations of one make of drive.
 
-    `fixed`: objects that accept only one value or a few. `added`: manufacturer-specific objects. `read_only`: objects
-    that cannot be written. `off_only`: objects that can be written only while the power stage is off. `clamp`: object
-    that limits the torque instead of 0x6072.
+    `vendor` and `product`: None keeps the values of the settings. `mode_shows` has the meaning of the quirk. `fixed`:
+    objects that accept only one value or a few. `added`: manufacturer-specific objects. `read_only`: objects that
+    cannot be written. `off_only`: objects that can be written only while the power stage is off. `clamp`: object that
+    limits the torque instead of 0x6072.
     """
 
     name: str
     vendor: int | None = None
     product: int | None = None
-    rated_torque_unit: float | None = None  # N*m per digit of 0x6076; None: that of the settings
-    velocity_digits: float | None = None  # of 0x606C per count/s; None: by 0x60A9
-    torque_digits: float = 1000.0  # of 0x6071 and 0x6077 at rated torque
-    mode_shows: str | None = None  # as the quirk; None: that of the settings
+    rated_torque_unit: float | None = None  # N*m per digit of 0x6076; None: value of the settings
+    velocity_digits: float | None = None  # digits of 0x606C per count/s; None: defined by 0x60A9
+    torque_digits: float = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
+    mode_shows: str | None = None  # None: value of the settings
     clamp: Clamp | None = None  # None: 0x6072
     guarded: bool = False  # the quirk node_guarding
     absent: tuple[tuple[int, int | None], ...] = ()  # index and sub-index, None for all
@@ -175,7 +180,7 @@ AXIS_OFFSET = 0x800  # between the objects of two axes of one device (CiA 301, 7
 PDO_OFFSET = 0x40  # between their PDOs
 _PROFILE = range(0x6000, 0xA000)
 _MODES = {"pp": 1, "pv": 3, "tq": 4, "csp": 8, "csv": 9, "cst": 10}  # values of 0x6060
-# The layout that this controller maps: for drives whose mapping cannot be written.
+# The PDO layout that this controller requires, for drives whose mapping cannot be written.
 _COMMAND: tuple[Key, ...] = ((0x6040, 0), (0x6071, 0))
 _MOTION: tuple[Key, ...] = ((0x6041, 0), (0x6077, 0), (0x606C, 0))
 _POSITION: tuple[Key, ...] = ((0x6064, 0), (0x6061, 0), (0x603F, 0))
@@ -187,12 +192,12 @@ def mode_numbers(settings: DriveSettings) -> frozenset[int]:
 
 
 def shifted(key: Key, offset: int) -> Key:
-    """Return the key of an object of the first axis for an axis `offset` further."""
+    """Return the key that an object of the first axis has on the axis at this offset."""
     return (key[0] + offset, key[1]) if key[0] in _PROFILE else key
 
 
 class AxisValues(MutableMapping[Key, int]):
-    """The values of a node as one of its further axes calls them."""
+    """Give access to the values of a further axis of a node by the keys of the first axis."""
 
     def __init__(self, values: MutableMapping[Key, int], offset: int) -> None:
         self._values = values
@@ -215,7 +220,7 @@ class AxisValues(MutableMapping[Key, int]):
 
 
 def unit_code(settings: DriveSettings) -> int:
-    """0x60A9: 10^exponent revolutions per minute."""
+    """Return the value of 0x60A9 for 10^exponent revolutions per minute."""
     return (settings.velocity_exponent & 0xFF) << 24 | RPM
 
 
@@ -270,7 +275,7 @@ def objects(settings: DriveSettings) -> list[Entry]:
 
 
 def pdos(settings: DriveSettings) -> tuple[list[tuple[int, PdoDefault]], list[tuple[int, PdoDefault]]]:
-    """Return TPDOs and RPDOs, each with its number. Only the first axis has identifiers of the predefined set."""
+    """Return TPDOs and RPDOs with their numbers. Only the first axis has identifiers of the predefined set."""
     place = settings.slot - 1
     offset = place * AXIS_OFFSET
 

@@ -1,13 +1,13 @@
-"""The catalogue of effects in the simulated joint, in the plant's own equations: numbers, names and formulas.
+"""Define the effects of the simulated joint by the plant's own equations: parameters, names and functions.
 
-The compiled functions return pretension, friction coefficient, backlash and joint-side torque once per sub-step. Where
+The compiled functions compute pretension, friction coefficient, backlash and joint-side torque once per sub-step. Where
 a definition uses sign(omega), the plant uses a sign that builds up over a milliradian, so that standstill is possible.
-Motor friction, ripple, load-dependent friction and the direction are in the mechanics.
+Motor friction, ripple, load-dependent friction and the friction direction are in `mechanics` and `full`.
 
-The formula of a plant file (effect `custom`) is read by the parser of the model files, and evaluated by the plant's own
-stack machine once per sub-step. A step is an operation and numbers: a constant; the index of a signal (omega_j, q_j,
-q_m, tau, sigma, t, temperature); or the index and the constants of a memory. A memory holds four numbers: a flag that
-it is initialised, its value, the rate of a lag, and the last input.
+The parser of the model files reads the formula of a plant file (effect `custom`). The plant's own stack machine
+evaluates it once per sub-step. A step is an operation with numbers: a constant, the index of a signal (omega_j, q_j,
+q_m, tau, sigma, t, temperature), or the index and the constants of a memory. A memory holds four numbers: a flag that
+it is initialised, its value, the rate of a second-order lag, and the last input.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from tsa_ctrl.model.catalogue import formula_of
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.plant.compiled import compiled
 
-CROSSING = 0.02  # s, in which a joint of 0.01 kg*m^2 crosses its play under 0.1 N*m or so
+CROSSING = 0.02  # s, in which a joint of 0.01 kg*m^2 crosses its backlash under about 0.1 N*m
 MICRO = 1e-3  # rad over which Coulomb friction of motor and joint builds up
 MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
-_MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
+_MIN_TENSION = 0.05  # of the reference tension: lower bound in tension_dependent_friction
 _F = np.float64
 _I = np.int64
 
 
 class Presliding(IntEnum):
-    """The displacement over which friction builds up after a reversal."""
+    """List the displacements over which friction can build up after a reversal."""
 
-    ELASTIC = 0  # displacement of the tendon in the bends, over its elastic elongation
+    ELASTIC = 0  # displacement of the tendon in the bends, over the distance of its elastic elongation
     MOTOR = 1  # effect presliding_hysteresis over the motor's angle
     JOINT = 2  # effect presliding_hysteresis over the joint's angle
 
 
-EFFECT_FIELDS = [  # of the record of parameters
+EFFECT_FIELDS = [  # of the parameter record
     # motor
     ("motor_coulomb", _F),  # N*m
     ("saturation", _F),  # N*m
@@ -57,7 +57,7 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("spring", _F),  # N*m/rad
     ("spring_rest", _F),  # rad
     ("offset", _F),  # N*m
-    ("formula_at_motor", _I),  # which side the formula of the plant file takes from
+    ("formula_at_motor", _I),  # 1: the plant file's formula reduces the motor torque, 0: the joint torque
     ("load_friction", _F),
     ("backlash", _F),  # rad
     ("backlash_threshold", _F),  # rad: two encoder counts
@@ -81,7 +81,7 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("hysteresis", _I),  # Presliding
     ("hysteresis_distance", _F),  # rad
     ("hysteresis_elements", _I),
-    # effects that only the angles of motor and joint show
+    # effects that appear only in the measured angles of motor and joint
     ("softness_at_motor", _F),  # m per N of T3 - T1
     ("softness_at_joint", _F),  # m per N of T4 - T2
     ("creep", _F),  # m
@@ -95,7 +95,7 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("velocity_lag", _F),  # s
 ]
 
-_NEUTRAL = {  # values of absent effects that are not zero
+_NEUTRAL = {  # neutral values of absent effects, where they are not zero
     "saturation": math.inf,
     "torque_gain": 1.0,
     "stribeck_velocity": 1.0,
@@ -144,11 +144,11 @@ _NAMES: dict[str, dict[str, str]] = {
     "tendon_creep": {"length": "creep", "time_constant": "creep_time"},
     "pulley_slip": {"length": "slipped", "time": "slip_time"},
     "joint_play": {"gap": "play"},
-}  # tendon_slack is always there; torque_constant_error and elongation_coupling are not a plain number
+}  # tendon_slack is always active; torque_constant_error and elongation_coupling are not a plain number
 
 
 def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath) -> dict[str, float]:
-    """Return the numbers of the record for these effects, and for the absent ones."""
+    """Return the fields of the parameter record for these effects, with neutral values for absent effects."""
     values: dict[str, float] = {**_NEUTRAL, "reference_tension": max(model.pretension, 1e-6)}
     for name, parameters in effects.items():
         for key, target in _NAMES.get(name, {}).items():
@@ -172,7 +172,7 @@ def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath)
 
 @compiled
 def pretension(p: Any, theta: float, time: float) -> float:
-    """Return T_p0 of a tendon that is bent by `theta`, stiffened and relaxed; time in s since the start."""
+    """Return T_p0 (N) of a tendon at wrap angle `theta` (rad), stiffened, and relaxed at `time` (s since the start)."""
     base = p.pretension * p.pretension_factor
     tension = max(0.0, base + p.tendon_stiffness * p.bending_arm * (theta - p.theta))
     tension *= 1.0 + p.stiffening * tension / p.stiffness
@@ -187,7 +187,7 @@ def pretension(p: Any, theta: float, time: float) -> float:
 
 @compiled
 def friction_coefficient(s: Any, p: Any) -> float:
-    """Return mu with the effects that change it."""
+    """Return mu at the present speed and temperature."""
     mu = p.friction
     if p.static_excess != 0.0:
         mu *= 1.0 + p.static_excess * math.exp(-(abs(s.omega_j / p.stribeck_velocity) ** p.stribeck_shape))
@@ -198,7 +198,7 @@ def friction_coefficient(s: Any, p: Any) -> float:
 
 @compiled
 def tension_factor(p: Any, tension: float) -> float:
-    """Return the factor on the friction at this tension (tension_dependent_friction)."""
+    """Return the factor on the friction angle at this tension (tension_dependent_friction)."""
     if p.tension_exponent == 0.0:
         return 1.0
     ratio = max(tension, _MIN_TENSION * p.reference_tension) / p.reference_tension
@@ -207,7 +207,7 @@ def tension_factor(p: Any, tension: float) -> float:
 
 @compiled
 def track_backlash(s: Any, p: Any) -> None:
-    """Track reversals of the joint; within the gap after one the tendons do not reach it."""
+    """Track reversals of the joint. Within the gap after a reversal, the tendons do not act on it."""
     if s.direction == 0.0:
         s.direction = 1.0 if s.omega_j >= 0.0 else -1.0
         s.extreme = s.q_j
@@ -223,7 +223,7 @@ def track_backlash(s: Any, p: Any) -> None:
 
 @compiled
 def lengths_beside(s: Any, p: Any, h: float) -> tuple[float, float]:
-    """m that the motor's angle has beside the tendons, and rad that the joint's is behind its pulley."""
+    """Return the lead of the motor encoder over the tendons (m), and the lag of the joint behind its pulley (rad)."""
     since = s.t - s.started if s.started >= 0.0 else 0.0
     length = p.softness_at_motor * (s.t3 - s.t1)
     if p.creep != 0.0:
@@ -239,7 +239,7 @@ def lengths_beside(s: Any, p: Any, h: float) -> tuple[float, float]:
 
 @compiled
 def wound(p: Any, q_j: float) -> float:
-    """m of tendon on the joint's pulley at angle q_j, 0 at 0: the integral of `arm`."""
+    """Return the length (m) of tendon on the joint pulley at angle q_j (rad), 0 at 0: the integral of `arm`."""
     if p.eccentricity == 0.0:
         return float(p.r_j * q_j)
     turned = math.cos(p.eccentricity_phase) - math.cos(q_j + p.eccentricity_phase)
@@ -248,7 +248,7 @@ def wound(p: Any, q_j: float) -> float:
 
 @compiled
 def arm(p: Any, q_j: float) -> tuple[float, float]:
-    """m from the joint's axis to its tendons at angle q_j, and the derivative, m/rad."""
+    """Return the distance (m) of the tendons from the joint axis at angle q_j (rad), and its derivative (m/rad)."""
     if p.eccentricity == 0.0:
         return float(p.r_j), 0.0
     angle = q_j + p.eccentricity_phase
@@ -257,7 +257,7 @@ def arm(p: Any, q_j: float) -> tuple[float, float]:
 
 @compiled
 def joint_losses(p: Any, q: float, omega: float, acceleration: float) -> float:
-    """Return the torque of the effects between the joint pulley and the load."""
+    """Return the torque of the effects between the joint pulley and the load, N*m."""
     return float(
         p.viscous * omega
         + p.viscous_difference * abs(omega)
@@ -270,24 +270,24 @@ def joint_losses(p: Any, q: float, omega: float, acceleration: float) -> float:
 
 _DEEPEST = 32  # values on the stack; the parser allows fewer
 _SATURATED = 700.0  # exp(709.8) is the largest double
-_LAG, _RING = 15, 16  # operations; above them Dahl's hysteresis
+_LAG, _RING = 15, 16  # operations; higher numbers are Dahl's hysteresis
 
 
 def steps_of(effects: Mapping[str, Mapping[str, Any]]) -> NDArray[np.float64]:
-    """(4, n) operations and numbers of the plant file's formula; n = 0 without one."""
+    """Return operations and numbers of the plant file's formula, shape (4, n); n = 0 without a formula."""
     if "custom" not in effects:
         return np.zeros((4, 0))
     return np.ascontiguousarray(np.array(formula_of(effects["custom"]), dtype=np.float64).T)
 
 
 def memory_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the initial state of these steps, (memories, 4)."""
+    """Return the initial memories of these steps, shape (memories, 4)."""
     return np.zeros((int(np.sum(steps[0] >= _LAG)), 4))
 
 
 @compiled
 def formula(s: Any, steps: Any, memory: Any, tau: float, sigma: float, since: float, h: float) -> float:
-    """Return the value of the formula, N*m; 0 without one or if it is not finite. Once per sub-step of h s."""
+    """Return the formula's value for a sub-step of h s, N*m; 0 without a formula or if the value is not finite."""
     count = steps.shape[1]
     if count == 0:
         return 0.0
@@ -362,7 +362,7 @@ def _one(op: int, x: float) -> float:
 
 @compiled
 def _remembered(own: Any, op: int, first: float, second: float, x: float, h: float) -> float:
-    """Return the memory's value at x, h s after the last; nan, without a change, if x is not finite."""
+    """Return the memory's value for the input x, h s after the last input; nan without a change if x is not finite."""
     if not math.isfinite(x):
         return math.nan
     if own[0] == 0.0:
@@ -375,7 +375,7 @@ def _remembered(own: Any, op: int, first: float, second: float, x: float, h: flo
     elif op == _RING:
         w, slope = 2.0 * math.pi * first, move / h
         late = 2.0 * second * slope / w
-        a, b = own[1] - own[3] + late, own[2] - slope  # swings freely about a ramp that is late
+        a, b = own[1] - own[3] + late, own[2] - slope  # free oscillation about a delayed ramp
         turn = w * math.sqrt(max(0.0, 1.0 - second * second))
         sine = math.sin(turn * h) / turn if turn > 0.0 else h
         cosine, decay = math.cos(turn * h), math.exp(-second * w * h)

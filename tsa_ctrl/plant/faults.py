@@ -1,4 +1,7 @@
-"""Faults of the simulated machine, by configuration or at run time: one table, each with its reversal."""
+"""Define the faults of the simulated machine in one table, each with its undo function.
+
+Faults are injected by configuration or at run time.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ from tsa_ctrl.plant.sensors import Encoder, EncoderFaults, TorqueSensor
 from tsa_ctrl.plant.settings import FaultSettings
 
 _HEARTBEAT = 0x700
-_HISTORY = 4096  # frames that a replay can reach back
+_HISTORY = 4096  # most frames that a replay can repeat
 
 
 @dataclass
@@ -40,7 +43,7 @@ class TransmitFaults:
     copies: int = 1  # of each TPDO
     delay: float = 0.0  # s, of each TPDO
     loss: float = 0.0  # probability that a TPDO is not sent
-    lost_in_a_row: int = 0  # of each TPDO, before one is sent again
+    lost_in_a_row: int = 0  # lost frames of each TPDO before one is sent
     length: int | None = None  # bytes of each TPDO
     mute: bool = False  # no heartbeat
     history: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=_HISTORY))
@@ -109,7 +112,7 @@ class Rig(Protocol):
         """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
 
     def replay_commands(self, since: float, now: float) -> None:
-        """Receive the master's frames since the time `since` (s) again."""
+        """Process the master's frames since the time `since` (s) again."""
 
     def later(self, at: float, action: Callable[[float], None]) -> None:
         """Call `action(now)` in the first tick at or after `at`."""
@@ -168,9 +171,9 @@ def parameter(target: Target, name: str, value: float) -> Undo:
     return undo
 
 
-FLAP = 0.1  # s, of which a stage that flaps is off for half
-_FRAYED = 0.05  # of the pretension: the last wires hold so much
-_STEP = 1e-3  # s between two steps of what changes slowly
+FLAP = 0.1  # s, period of a flapping power stage, which is off for half of it
+_FRAYED = 0.05  # of the pretension: lower bound, held by the last wires
+_STEP = 1e-3  # s between two steps of a gradual fault
 
 
 def _all(*undos: Undo) -> Undo:
@@ -276,7 +279,7 @@ def _object(target: Target, distorted: Callable[[int], int], index: int) -> Undo
 
 
 def _scaled(target: Target, index: int) -> Undo:
-    """Multiply an object by the fault's value, a position from its present value on."""
+    """Multiply an object by the fault's value; of a position, multiply only the change since the fault began."""
     start = target.drive.values[index, 0] if index == 0x6064 else 0
     return _object(target, lambda value: start + round(target.value * (value - start)), index)
 
@@ -295,7 +298,7 @@ def _reported_offset(target: Target) -> Undo:
 
 
 def _motor_encoder_stuck(target: Target) -> Undo:
-    """Hold the position; the velocity that the drive derives of it is 0."""
+    """Hold the position; the velocity that the drive derives from it is 0."""
     return _all(_stuck(target, 0x6064), _object(target, lambda _: 0, 0x606C))
 
 
@@ -316,7 +319,7 @@ def _encoder_bit(target: Target) -> Undo:
 
 
 def _forged(target: Target) -> Undo:
-    """Send a TPDO of the node once more, every millisecond, with the content of another moment."""
+    """Send the node's TPDOs every `value` s with the data that they had when the fault began."""
     identifiers = [tpdo.cob_id for tpdo in target.node.tpdos if tpdo.valid]
     last = {tpdo.cob_id: tpdo.last for tpdo in target.node.tpdos if tpdo.valid}
 
@@ -421,7 +424,7 @@ def _error_frame(target: Target) -> Undo:
 
 
 def _foreign_sdo(target: Target) -> Undo:
-    """Entry 1 of 0x1016 is written to 0: no node is monitored any longer."""
+    """Write 0 to entry 1 of 0x1016, so that the node no longer monitors this heartbeat."""
     can_id, request = 0x600 + target.node.node_id, bytes((0x23, 0x16, 0x10, 0x01, 0, 0, 0, 0))
     target.rig.inject(can_id, request, target.place)
     target.node.receive(can_id, request, target.now)
@@ -429,7 +432,7 @@ def _foreign_sdo(target: Target) -> Undo:
 
 
 def _torque_offset(target: Target) -> Undo:
-    """Write 0x60B2 out of sight of the bus, as a tool on another port does."""
+    """Write 0x60B2 without a frame on the bus, as a tool on another port would do."""
     values = target.drive.values
     before, values[0x60B2, 0] = values[0x60B2, 0], int(target.value)
 
@@ -550,12 +553,12 @@ CHANGES: Mapping[str, FaultKind] = {
 
 
 def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> FaultKind:
-    """Return the kind that a fault names; raise UsageError for an unknown name or a value out of range.
+    """Return the kind of a fault; raises UsageError for an unknown name or a value out of range.
 
     Args:
         fault: the fault.
-        where: its place, for the message.
-        others: kinds in addition to the plant's.
+        where: its place in the file, for the message.
+        others: kinds in addition to those of the plant.
     """
     kinds = {**FAULTS, **CHANGES, **others}
     kind = kinds.get(fault.name)
@@ -577,7 +580,7 @@ def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind
 
 
 def parse_fault(text: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> tuple[str | None, FaultSettings]:
-    """Parse `torn_tendon axis=knee value=1 duration=0.5` as on the control socket; axis None is the first one."""
+    """Parse a line like `torn_tendon axis=knee value=1 duration=0.5` of the control socket; axis None is the first."""
     name, *pairs = text.split()
     values: dict[str, Any] = {"name": name}
     for pair in pairs:
@@ -595,7 +598,7 @@ def parse_fault(text: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> tuple
 
 
 class FaultPlan:
-    """Faults to come and faults to end, by time; `active` counts those that are on."""
+    """Schedule the start and the end of faults by time; `active` is the number of active faults."""
 
     def __init__(self) -> None:
         self.active = 0
@@ -607,7 +610,7 @@ class FaultPlan:
         heapq.heappush(self._queue, (at, next(self._number), action))
 
     def start(self, kind: FaultKind, target: Target) -> None:
-        """Begin a fault now; it ends after its duration, or stays."""
+        """Start a fault now. It ends after its duration; with duration 0 it stays active."""
         undo = kind.start(target)
         if undo is nothing:
             return
@@ -624,7 +627,7 @@ class FaultPlan:
         self.active = len(self._undo)
 
     def clear(self, now: float) -> int:
-        """End all faults, the last one first; how many."""
+        """End all faults, the last one first, and return their number."""
         count = len(self._undo)
         for number in sorted(self._undo, reverse=True):
             self._end(number, now)

@@ -1,14 +1,14 @@
-"""Tensions of the pair of tendons by the elongation equilibrium of the full model, (3.31)-(3.54), any curvature.
+"""Compute the tendon tensions by the elongation equilibrium of the full model, (3.31)-(3.54), for any curvature.
 
     EA (T_p0 (l + lambda) / EA -+ e) = T (l A(+-z x) + lambda),     e = r_M q_M - r_J q_J,     lambda = EA / k_s
     T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
 
-A series spring at the joint stretches by T2, T4: lambda exp(+-z x) there. z is the sign of motion while sliding. At
-standstill it lies between. It follows the displacement of the tendon where
-the bending has its centre (with any other place a closed small cycle could create energy), like the slip front that
-runs into an evenly bent sheath: mean of elements that slip at D (i/N)^2, where D is how far the friction stretches half
-a tendon; or effect `presliding_hysteresis` says how.
-Both tensions are >= 0: a tendon cannot push.
+A series spring at the joint is stretched by T2 and T4, so its term is lambda exp(+-z x). While the tendons slide, z is
+the sign of motion. At standstill, z is between -1 and 1 and follows the tendon displacement at the centre of bending,
+because with any other place a small closed cycle could create energy. z is the mean of elements that slip at D (i/N)^2,
+like the slip front that runs into a uniformly bent sheath. D is the elongation of half a tendon by friction. The effect
+`presliding_hysteresis` replaces this rule.
+Both tensions are >= 0, because a tendon cannot push.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, fl
 
 @compiled
 def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float, u: float, v: float, f: Any) -> bool:
-    """Fill f[0:4] with T1..T4 and f[4:12] with their derivatives by u and v in turn; f[12] is z. Always settles."""
+    """Write T1..T4 to f[0:4], the derivatives of each by u and v to f[4:12], and z to f[12]. Always returns True."""
     z, z_u, z_v = _direction(s, p, slip, u, v)
     f[12] = z
     stretch = p.stiffness * (u - v)
@@ -120,7 +120,7 @@ def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float,
 
 @compiled
 def commit_full(s: Any, p: Any, slip: Any, q_m: float, q_j: float, z: float) -> None:
-    """Make the friction's state that belongs to the solution the one that the next sub-step starts from."""
+    """Store the friction state of the solution as the initial state of the next sub-step."""
     s.z = z
     if p.hysteresis == _ELASTIC:
         turned = wound(p, q_j) - wound(p, s.q_j)

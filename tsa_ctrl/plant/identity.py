@@ -26,7 +26,7 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     `read_only` imitate further deviations.
     """
 
-    # its dictionary
+    # object dictionary
     objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
     absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
     read_only: list[ObjectName] = []  # objects that cannot be written, "0x6007"
@@ -34,7 +34,7 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # entries of 0x1016
     modes: tuple[ModeName, ...] = ("cst",)  # modes that 0x6502 reports and 0x6060 accepts
 
-    # its start
+    # startup
     boot_time: NonNegative = 0.0  # s from reset or power-on to the boot-up message
     starts_itself: bool = False  # operational at once after the boot-up
     emcy_at_boot: Code = 0  # error code of an EMCY right after the boot-up; 0: none
@@ -42,17 +42,17 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     node_id_unset: bool = False  # it has no node id until LSS gives it one
     sync_producer: bool = False  # 0x1005 has bit 30 at power-on: it sends SYNC itself, every 10 ms
 
-    # its watchdogs
+    # watchdogs
     watchdogs: bool = True  # false: it takes its time-outs, reports them, and does nothing else
     watches_always: bool = False  # 0x6007 = 1 taken literally: a lost heartbeat is a fault, enabled or not
     rpdo_timer_on_sync: bool = False  # the RPDO event timer is looked at only when a SYNC comes
     node_guarding: bool = False  # no heartbeat, made or heard: 0x100C, 0x100D and remote frames instead
     guarding_toggles: bool = True  # false: all answers to node guarding have one toggle bit
 
-    # its commands
+    # commands
     delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs of delay beyond the RPDO's transmission type
 
-    # its state machine
+    # state machine
     mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 has the value of 0x6060; else 0
     step_time: NonNegative = 0.0  # s, of each step on the way to operation enabled
     statusword_bits: Code = 0  # of the maker's, always set: bits 8, 14, 15
@@ -63,7 +63,7 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
 
 SAVE = 0x65766173  # "save", least significant byte first
 LOAD = 0x64616F6C  # "load"
-_ON_COMMAND = 1  # bit 0 of both objects when read
+_ON_COMMAND = 1  # value of both objects when read; bit 0: parameters are saved on command
 _PASSING: frozenset[Key] = frozenset({(0x1003, 0), (0x6040, 0), (0x6071, 0)})  # commands, which are not saved
 
 
@@ -80,7 +80,7 @@ def entries() -> list[Entry]:
 class Storage:
     """Save and restore the parameters of one node (CiA 301: 0x1010 "save", 0x1011 "load").
 
-    `saves` counts since the plant's start, because each save wears the memory of a real node.
+    `saves` is the number of saves since the plant's start, because each save wears the memory of a real node.
     """
 
     def __init__(self, dictionary: ObjectDictionary) -> None:

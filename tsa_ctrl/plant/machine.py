@@ -1,7 +1,7 @@
-"""The simulated machine: axes and their nodes on one bus or several, in real time, in one thread.
+"""Run the simulated machine: axes and their nodes on one or several buses, in real time and in one thread.
 
-Time is CLOCK_MONOTONIC. The mechanics are advanced at every SYNC before the sensors are read, and by a timer without
-SYNC. Housekeeping is done right after a SYNC was answered, never before the next one.
+Time is CLOCK_MONOTONIC. The mechanics advance at every SYNC before the sensors are read. Without SYNC, a timer advances
+them. Housekeeping runs directly after the answers to a SYNC, so that it does not delay the next one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
 
-# A node with one CiA 402 drive, or with several: their objects lie 0x800 apart, their PDOs 0x40.
+# A node has one or several CiA 402 drives. Their objects are 0x800 apart, and their PDOs 0x40.
 
 DEVICE_TYPE = 0x00020192  # servo drive, CiA 402
 _SEVERAL = 0xFFFF0000  # additional information of a device with several axes (CiA 301, 7.5.2.1)
@@ -64,7 +64,7 @@ class DriveNode(Node):
             self._impersonate(drive)
             self._apply_quirks(drive)
 
-    # the part of the drives in a node
+    # methods of Node that act on every drive
 
     def power_on(self) -> None:
         for drive in self.drives:
@@ -153,23 +153,23 @@ def _guard(key: Key, emulation: DriveEmulation, drive: Drive) -> Callable[[int],
 
 
 def _place(name: str) -> tuple[int, int | None]:
-    """`"0x6076:0"`, `"0x6076"`: index, and sub-index if it is named."""
+    """Return the index and, if present, the sub-index of a name such as `"0x6076:0"` or `"0x6076"`."""
     index, colon, sub = name.partition(":")
     return int(index, 16), int(sub) if colon else None
 
 
 SYNC = 0x080
-TICK = 1e-3  # s between two looks at the timers
-_AFTER_SYNC = 1.5e-3  # s: with a SYNC every millisecond the timer never comes before it
-_UNUSED = 0x5F0  # an identifier of no node here
+TICK = 1e-3  # s between two checks of the timers
+_AFTER_SYNC = 1.5e-3  # s; with a SYNC every millisecond, the timer never expires before the next SYNC
+_UNUSED = 0x5F0  # identifier that no simulated node uses
 _FLOOD_BURST = 2e-3  # s of a flood that are sent at once
-_HEARD = 1024  # frames of the master that a replay can reach back
-_LONGEST_GAP = 0.25  # s that the mechanics make up for; more is time in which this machine stood still
+_HEARD = 1024  # most frames of the master that a replay can repeat
+_LONGEST_GAP = 0.25  # s that the mechanics catch up; a longer gap is skipped, because this computer stood still
 
 
 @dataclass
 class AxisNodes:
-    """One axis and its nodes by kind, each with its way to the bus."""
+    """Hold one axis and its nodes by kind, each with its transmit function."""
 
     axis: Axis
     drive: Drive
@@ -190,13 +190,14 @@ class Counts:
 
     syncs: int = 0
     frames: int = 0
-    skipped: float = 0.0  # s of real time that the mechanics did not follow
+    skipped: float = 0.0  # s of real time that the mechanics skipped
 
 
 def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], float]) -> list[AxisNodes]:
-    """Return the axes with their nodes before boot, each with its own noise from the plant's seed.
+    """Return the axes with their nodes before boot.
 
-    `sends`: one function per bus.
+    Each has its own noise. The seed is the plant's for drives and torque sensors, and the node id for encoders. `sends`
+    has one function per bus.
     """
     units: list[AxisNodes] = []
     devices: dict[int | None, list[AxisNodes]] = {}
@@ -237,7 +238,7 @@ def _build_axis(
 
 
 class Machine:
-    """All axes on `bus`. `run` until `stop` is set."""
+    """Simulate all axes and their nodes; `run` returns when its `stop` function returns True."""
 
     def __init__(
         self,
@@ -247,9 +248,14 @@ class Machine:
         switch: Callable[[str, bool], None] = set_up,
         others: Sequence[Bus] = (),
     ) -> None:
-        """`switch` takes the interface of a name down or up; raises OSError where that is not allowed.
+        """Build axes, nodes and mechanics.
 
-        `others`: the further buses of a plant with several.
+        Args:
+            plant: settings of the machine.
+            bus: the first bus.
+            clock: returns the time, s.
+            switch: takes the interface with this name up (True) or down; raises OSError if that is not permitted.
+            others: the other buses, if the plant has several.
         """
         self._switch = switch
         self.plant = plant
@@ -261,7 +267,7 @@ class Machine:
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self._transmit = tuple({id(out): out for unit in self.axes for out in unit.transmit.values()}.values())
         self.faults = FaultPlan()
-        self.flood_rate = 0.0  # frames/s of unused identifiers
+        self.flood_rate = 0.0  # frames/s with an unused identifier
         self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Record | None = None
         self._flood_due = 0.0
@@ -271,7 +277,7 @@ class Machine:
         numbers = {id(node): plant.bus_number(unit.axis.settings) for unit in self.axes for node in unit.nodes}
         self._by_bus = [[node for node in self.nodes if numbers[id(node)] == n] for n in range(len(self.buses))]
         self._next_tick = self._epoch
-        self.mechanism.advance(1e-9)  # compiles, or loads compiled code
+        self.mechanism.advance(1e-9)  # compiles the mechanics, or loads their compiled code
         for unit in self.axes:
             unit.drive.before_change = self._bring_up(unit.axis)
         for node in self.nodes:
@@ -279,7 +285,7 @@ class Machine:
         self._reroute()
 
     def start(self) -> None:
-        """Power on: every node boots."""
+        """Boot every node, and schedule the configured faults."""
         self._epoch = self.clock()
         self._next_tick = self._epoch
         for node in self.nodes:
@@ -289,7 +295,7 @@ class Machine:
                 self.faults.schedule(self._epoch + fault.at, self._beginning(unit, fault))
 
     def run(self, stop: Callable[[], bool]) -> None:
-        """Answer the bus and let time pass; raises BusError when the interface is gone."""
+        """Answer frames and advance time until `stop` returns True; raises BusError if an interface is gone."""
         while not stop():
             place, frame = next_frame(self.buses, max(0.0, self.due - self.clock()))
             self.step(frame, self.clock(), place)
@@ -300,7 +306,7 @@ class Machine:
 
     @property
     def due(self) -> float:
-        """Return the time of the next event without a frame, s of the clock."""
+        """Return the clock time of the next event that needs no frame, s."""
         due = self._next_tick
         for each in self._transmit:
             if each.waiting and each.waiting[0][0] < due:
@@ -347,7 +353,7 @@ class Machine:
         self.housekeeping(now)
 
     def begin_fault(self, axis: str | None, fault: FaultSettings, now: float) -> None:
-        """Start a fault `fault.at` s from now; axis None is the first one. Raises UsageError."""
+        """Start a fault `fault.at` s from now; axis None is the first axis. Raises UsageError."""
         begin = self.beginning(axis, fault)
         if fault.at > 0.0:
             self.faults.schedule(now + fault.at, begin)
@@ -389,7 +395,7 @@ class Machine:
         return begin
 
     def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
-        """Put any frame on the bus at `place`."""
+        """Send any frame on the bus at `place`."""
         return self.buses[place].send(can_id, data)
 
     def later(self, at: float, action: Callable[[float], None]) -> None:
@@ -397,7 +403,7 @@ class Machine:
         self.faults.schedule(at, action)
 
     def set_interface(self, up: bool, place: int = 0) -> None:
-        """Take the interface of a bus down, or up again; raises UsageError where this user may not."""
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
         name = self.buses[place].name
         try:
             self._switch(name, up)
@@ -408,7 +414,7 @@ class Machine:
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
-        """Process again the frames that the master has sent since `since`."""
+        """Process the master's frames since the time `since` (s) again."""
         stale = [(can_id, data, place) for at, can_id, data, place in self._heard if at >= since]
         for can_id, data, place in stale:
             self.handle(can_id, data, now, place)

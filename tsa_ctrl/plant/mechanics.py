@@ -85,7 +85,7 @@ def hand(s: Any, p: Any, table: Any, time: float) -> None:
 def imposed_motion(p: Any, motion: Any, time: float) -> tuple[float, float, float]:
     """Return angle, speed and acceleration of the prescribed motion (rad, rad/s, rad/s^2).
 
-    `time`: s since the motion's start; the joint rests at the first angle if it is not positive.
+    `time`: s since the motion's start. Until the motion has started, the joint rests at the first angle.
     """
     last = motion.shape[1] - 1
     duration = last * p.motion_grid
@@ -173,7 +173,7 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
 
 _IMPOSED, _SPRING, _WEIGHT, _LIMB = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT), int(Load.LIMB)
 _ITERATIONS = 150
-_CLOSED = 1e-14  # rad between the bounds of the motor's angle
+_CLOSED = 1e-14  # rad between the bounds of the motor angle, below which they have met
 _TOLERANCE = 1e-8  # N*m; above the rounding error of an angle times the stiffest spring
 
 
@@ -184,16 +184,16 @@ class Arrays(NamedTuple):
     slip: NDArray[np.float64]  # (n,): Maxwell-slip elements of presliding_hysteresis
     curve: NDArray[np.float64]  # (2, n): fractions of length and of bending
     chains: NDArray[np.float64]  # (2, rows, contacts + 1): distributed tendons
-    motion: NDArray[np.float64]  # (2, n): imposed angle and speed on the grid
+    motion: NDArray[np.float64]  # (2, n): prescribed angle and speed on the grid
     bending: NDArray[np.float64]  # (2, n): times in s and factors on the bending angle
     temperature: NDArray[np.float64]  # (2, n): times in s and deg C
     formula: NDArray[np.float64]  # (4, n): operations and numbers of the plant file's formula
     memory: NDArray[np.float64]  # (n, 4): state of the formula
     hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
-    joints: NDArray[np.float64]  # (3, n): of joints that bend the sheaths: angle, speed, 1 for this axis' own
+    joints: NDArray[np.float64]  # (3, n): joints that bend the sheaths: angle, speed, 1 for this axis's own joint
     gains: NDArray[np.float64]  # (2, n): rad/rad by tendon and joint
-    starts: NDArray[np.int64]  # (2 n + 1,): where the table of each tendon and joint begins in `points`
-    points: NDArray[np.float64]  # (2, m): rad of the joint and rad of wrap angle, of all tables
+    starts: NDArray[np.int64]  # (2 n + 1,): first place in `points` of the table of each tendon and joint
+    points: NDArray[np.float64]  # (2, m): all tables, with joint angle and wrap angle in rad
 
 
 @compiled
@@ -235,9 +235,9 @@ def _load_torque(s: Any, p: Any, q: float, omega: float) -> tuple[float, float]:
 
 @compiled
 def _routed(arrays: Arrays, tendon: int, ahead: float, q_j: float) -> float:
-    """Return rad of wrap angle that the joints add, `ahead` s after their angles were exchanged.
+    """Return the wrap angle (rad) that the joints add, `ahead` s after their angles were exchanged.
 
-    Other joints go on at the speed that they had; this axis' own has the angle q_j.
+    Other joints continue at the exchanged speed. The axis's own joint has the angle q_j.
     """
     added = 0.0
     n = arrays.joints.shape[1]
@@ -252,9 +252,9 @@ def _routed(arrays: Arrays, tendon: int, ahead: float, q_j: float) -> float:
 
 @compiled
 def _environment(s: Any, p: Any, arrays: Arrays, time: float, ahead: float, q_j: float) -> tuple[float, float]:
-    """Set temperature, bending and pretension at `time` (s since the start) and the friction angles of both tendons.
+    """Set temperature, bending and pretension at `time` (s since the start).
 
-    `ahead`: s since the angles of the other joints were exchanged.
+    Returns the friction angles of both tendons. `ahead`: s since the angles of the other joints were exchanged.
     """
     s.temperature = table_value(arrays.temperature, time, 25.0)
     common = p.theta * p.theta_factor * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
@@ -267,7 +267,7 @@ def _environment(s: Any, p: Any, arrays: Arrays, time: float, ahead: float, q_j:
     mu = friction_coefficient(s, p)
     x_a = mu * max(0.0, s.theta_a) * (1.0 + 0.5 * p.asymmetry)
     x_b = mu * max(0.0, s.theta_b) * (1.0 - 0.5 * p.asymmetry)
-    if not p.distributed:  # there each contact has its own tension
+    if not p.distributed:  # in a distributed tendon, each contact has its own tension
         x_a, x_b = x_a * tension_factor(p, s.t1), x_b * tension_factor(p, s.t3)
     return x_a, x_b
 
@@ -327,7 +327,7 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
 def _solve(
     s: Any, p: Any, arrays: Arrays, x_a: float, x_b: float, q_m: float, q_j: float, h: float, f: Any
 ) -> tuple[float, float]:
-    """Return the angles of motor and joint at the end of the sub-step, from first guesses; f gets the tensions."""
+    """Return the angles of motor and joint at the end of the sub-step from initial guesses; write the tensions to f."""
     totals = (0.0, 0.0)
     if p.distributed:
         pretensions, thetas = (s.pretension_a, s.pretension_b), (s.theta_a, s.theta_b)
@@ -344,9 +344,9 @@ def _solve(
         _residuals(s, p, q_m, q_j, h, f, r)
         if settled and max(abs(r[0]), abs(r[1])) < _TOLERANCE:
             return q_m, q_j
-        if high - low < _CLOSED:  # the joint's angle has moved the root out
+        if high - low < _CLOSED:  # a change of the joint angle has moved the root out of the bounds
             low, high = -np.inf, np.inf
-        reduced = r[0] - r[3] * r[1] / r[5]  # balance of the motor and of the joint met
+        reduced = r[0] - r[3] * r[1] / r[5]  # motor balance if the joint balance holds
         if reduced < 0.0:
             low = max(low, q_m)
         else:

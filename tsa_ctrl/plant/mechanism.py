@@ -1,11 +1,11 @@
 """Connect the joints of the axes: by their sheaths only, or by a limb (MuJoCo) that moves them together.
 
-A joint bends every sheath that crosses it (`[routing]` of the actuator file). The axes are advanced one after another
-in pieces. At the beginning of a piece each axis gets the angles and the speeds of the others; in the sub-steps of the
-piece the other joints keep these speeds.
+A joint bends every sheath that crosses it (`[routing]` of the actuator file). The axes advance one after another in
+pieces. At the beginning of a piece, each axis receives the angles and the speeds of the others. In the sub-steps of the
+piece, the other joints keep these speeds.
 
-A limb replaces the joints' own loads. It gets the torque that arrives at each of its joints, and gives back how they
-move. Joints of the limb that no axis drives (a rail, a toe) move by the limb alone.
+A limb replaces the loads of the single joints. It receives the torque on each of its joints and returns their motion.
+Limb joints without an axis (a rail, a toe) move only with the limb.
 """
 
 from __future__ import annotations
@@ -22,23 +22,22 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.settings import PlantSettings
 
-# A limb of several joints by MuJoCo (extra `limb`): mass matrix, gravity, limits of the joints, contact.
-#
-# MuJoCo computes the limb, not the tendons. It is an independent implementation of rigid bodies and contact, so an
-# error of this project's single joint is not repeated in it.
+# MuJoCo (extra `limb`) simulates a limb of several joints: mass matrix, gravity, joint limits, contact. It does not
+# simulate the tendons. It is an independent implementation of rigid bodies and contact, so it does not repeat an error
+# of this project's single joint.
 
-# Steps of the axes per step of the limb. Between two steps of the limb a tendon, K = 62 N*m/rad at the joint with the
-# demo's actuator, is stretched by an angle that the limb does not know yet: this damps or drives the joint by at most
-# K h. One step gives 6 mN*m*s/rad, as much as the implicit integration of a single joint. Five steps would give
-# 31 mN*m*s/rad, a third of the damping of a limb. MuJoCo's step of a leg takes 11 us.
+# Steps of the axes per step of the limb. Between two limb steps, the tendon elongation changes by an angle that does
+# not act on the limb yet. This damps or drives the joint by at most K h, with K = 62 N*m/rad at the joint of the demo
+# actuator. One step adds 6 mN*m*s/rad, as much as the implicit integration of a single joint. Five steps would add
+# 31 mN*m*s/rad, a third of the damping of a limb. A MuJoCo step of a leg takes 11 us.
 STEPS = 1
 
 
 class Limb:
-    """The joints `names` of an MJCF model; the tendons act on them as torques."""
+    """Simulate the joints `names` of an MJCF model; the tendons act on them as torques."""
 
     def __init__(self, path: Path, names: Sequence[str], angles: Sequence[float], step: float) -> None:
-        """Put the joints `names` at `angles` (rad), at rest; `step`: s of the axes. Raises UsageError."""
+        """Set the joints `names` at `angles` (rad), at rest; `step` is that of the axes, s. Raises UsageError."""
         mujoco = _package()
         self._mujoco = mujoco
         try:
@@ -64,7 +63,7 @@ class Limb:
         self._step = STEPS * step
         self._count = 0
         model.opt.timestep = self._step
-        # A model that has become unstable is not put back to its start in silence: its angles then show it.
+        # An unstable model must not be reset silently, because then its angles would not show the instability.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._model, self._data = model, mujoco.MjData(model)
         self._angles, self._speeds = model.jnt_qposadr[places], model.jnt_dofadr[places]
@@ -73,13 +72,14 @@ class Limb:
 
     @property
     def next(self) -> float:
-        """Return the time of the end of the next step, s."""
+        """Return the end time of the next step, s."""
         return (self._count + 1) * self._step
 
     def step(self, torques: Sequence[float]) -> list[tuple[float, float, float]]:
-        """Let `torques` (N*m, one for each joint) act for one step.
+        """Advance the limb by one step under `torques` (N*m, one for each joint).
 
-        Returns angle (rad), speed (rad/s) and acceleration (rad/s^2, over the step) of each joint.
+        Returns:
+            Angle (rad), speed (rad/s) and mean acceleration over the step (rad/s^2) of each joint.
         """
         data = self._data
         before = data.qvel[self._speeds]
@@ -93,7 +93,7 @@ class Limb:
 
 def _package() -> ModuleType:
     try:
-        return importlib.import_module("mujoco")  # slow to import, and an extra
+        return importlib.import_module("mujoco")  # imported only if needed: it is slow and optional
     except ImportError:
         raise UsageError(
             '[mechanism] kind = "mujoco" needs the package mujoco-core, which is not installed; '
@@ -101,10 +101,10 @@ def _package() -> ModuleType:
         ) from None
 
 
-# s between two exchanges of angles if only sheaths connect the joints. In this time a joint deviates from constant
-# speed by a t^2 / 2: 25 urad at 50 rad/s^2, a fast gait, which is 1e-5 of a wrap angle of 2.6 rad.
+# s between two exchanges of angles if only sheaths connect the joints. In this time, a joint deviates from constant
+# speed by a t^2 / 2. In a fast gait (50 rad/s^2) this is 25 urad, or 1e-5 of a wrap angle of 2.6 rad.
 PIECE = 1e-3
-_LEAST = 1e-9  # s: less is rounding
+_LEAST = 1e-9  # s; a smaller difference is a rounding error
 
 
 class Mechanism(Protocol):
@@ -114,11 +114,11 @@ class Mechanism(Protocol):
         """Bring every axis to time `until`, s since the plant's start."""
 
     def bring_up(self, axis: Axis, until: float) -> None:
-        """Advance `axis`, and all that moves it, to time `until` (s), because its command is about to change."""
+        """Advance `axis` and everything that moves it to time `until` (s), because its command is about to change."""
 
 
 class Apart:
-    """Axes without a connection; each is advanced on its own."""
+    """Advance axes that are not connected, each on its own."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self._axes = axes
@@ -132,7 +132,7 @@ class Apart:
 
 
 class Bent:
-    """Axes whose joints bend each other's sheaths, or their own."""
+    """Advance axes whose joints bend each other's sheaths, or their own."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self._axes = axes
@@ -151,10 +151,10 @@ class Bent:
 
 
 class OnLimb:
-    """Axes whose joints belong to a limb.
+    """Advance axes whose joints belong to a limb.
 
-    The state of the limb is known at multiples of its step. The axes are advanced to the next multiple, and then their
-    torques move the limb by one step. Between two multiples each joint keeps its speed.
+    The limb's state is available at multiples of its step. The axes advance to the next multiple, and then their
+    torques move the limb by one step. Between two multiples, each joint keeps its speed.
     """
 
     def __init__(self, axes: Sequence[Axis], limb: Limb) -> None:
@@ -179,7 +179,7 @@ class OnLimb:
 
 
 def share_angles(axes: Sequence[Axis]) -> None:
-    """Give each axis the present angles of the joints that bend its sheaths; nothing without a routing."""
+    """Pass each axis with a routing the present angles and speeds of the joints that bend its sheaths."""
     routed = [axis for axis in axes if axis.routing is not None]
     if not routed:
         return
@@ -190,7 +190,7 @@ def share_angles(axes: Sequence[Axis]) -> None:
 
 
 def build_mechanism(plant: PlantSettings, axes: Sequence[Axis], where: str = "plant") -> Mechanism:
-    """Connect the axes of a machine; raises UsageError, whose text begins with `where`, for what does not fit."""
+    """Connect the axes of a machine; raises UsageError, with a text that begins with `where`, for invalid settings."""
     limb = None
     if plant.mechanism.kind == "mujoco":
         angles = [axis.settings.joint.initial_angle for axis in axes]

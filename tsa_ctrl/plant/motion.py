@@ -1,6 +1,6 @@
-"""Imposed motion of a joint: a table of angle and speed on a constant grid, interpolated by cubic Hermite pieces.
+"""Build the prescribed motion of a joint: a table of angle and speed on a constant grid, for cubic Hermite pieces.
 
-Everything (sine, gait, CSV file) becomes such a table, so that the inner loop knows one kind of motion.
+A sine, a gait and a CSV file all become a table, so that the inner loop handles only one kind of motion.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.settings import MotionSettings
 
 _GRID = 1e-3  # s
-_FEWEST = 4  # rows, of a cubic spline
-_MAX_SAMPLES = 4_000_000  # of a motion file on the grid, over an hour
+_FEWEST = 4  # rows that a cubic spline needs
+_MAX_SAMPLES = 4_000_000  # of a motion file on the grid; more than an hour
 
-# Knee flexion over one cycle of level walking: fraction of the cycle, degrees (typical values of the literature).
+# Knee flexion over one cycle of level walking: fraction of the cycle, degrees (typical values from the literature).
 _KNEE = (
     (0.00, 5.0), (0.07, 12.0), (0.15, 18.0), (0.25, 14.0), (0.40, 5.0),
     (0.50, 11.0), (0.60, 35.0), (0.72, 61.0), (0.85, 34.0), (0.95, 6.0),
@@ -27,7 +27,10 @@ _KNEE = (
 
 @dataclass(frozen=True)
 class Motion:
-    """`angle` in rad and `speed` in rad/s at multiples of `grid` s; `repeat`: the end meets the start."""
+    """Hold `angle` (rad) and `speed` (rad/s) at multiples of `grid` (s); with `repeat`, the end meets the start.
+
+    The motion grows from standstill in `ramp` s.
+    """
 
     angle: NDArray[np.float64]
     speed: NDArray[np.float64]
@@ -37,7 +40,7 @@ class Motion:
 
 
 def build_motion(settings: MotionSettings) -> Motion:
-    """Return the motion that settings describe; raises UsageError for a file that cannot be used."""
+    """Return the motion that these settings describe; raises UsageError for an unusable file."""
     if settings.kind == "still":
         return _motion(np.full(2, settings.offset), np.zeros(2), _GRID, False, 0.0)
     if settings.kind == "sine":
@@ -64,12 +67,12 @@ def _cycle(period: float) -> tuple[NDArray[np.float64], float]:
 def _smooth_cycle(
     x: NDArray[np.float64], y: NDArray[np.float64], t: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return value and slope at `t` of the periodic cubic spline through points whose last equals the first.
+    """Return value and slope at `t` of the periodic cubic spline through points whose last value equals the first.
 
-    scipy's, without its cost: importing it takes as long as all else that a plant with this motion does to start.
+    The result equals that of scipy, whose import would take as long as the rest of the plant's startup.
     """
     h = np.diff(x)
-    chord, before = np.diff(y) / h, np.roll(h, 1)  # of each piece; length of the piece before it
+    chord, before = np.diff(y) / h, np.roll(h, 1)  # slope of each piece, and length of the piece before it
     each = np.arange(h.size)
     system = np.zeros((h.size, h.size))  # the second derivative is continuous at each point
     system[each, each - 1] = h
@@ -114,7 +117,7 @@ def _from_file(settings: MotionSettings) -> Motion:
 
 
 def _close(angle: NDArray[np.float64], speed: NDArray[np.float64], t: NDArray[np.float64], duration: float) -> None:
-    """Lead the end of a repeated motion back to its beginning, in place, over the last tenth of it (at most 1 s)."""
+    """Blend the end of a repeated motion into its beginning, in place, over its last tenth (at most 1 s)."""
     width = min(1.0, 0.1 * duration)
     y = np.clip((t - duration + width) / width, 0.0, 1.0)
     gap = angle[-1] - angle[0]

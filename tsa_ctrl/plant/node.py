@@ -43,7 +43,7 @@ class _Transfer:
 
 
 class SdoServer:
-    """Respond to requests, with frames of 8 bytes, and hold the state of one segmented transfer."""
+    """Respond to SDO requests with frames of 8 bytes, and hold the state of one segmented transfer."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -53,7 +53,7 @@ class SdoServer:
         self._transfer = None
 
     def handle(self, request: bytes) -> list[bytes]:
-        """Return the responses to one request frame; an abort and a frame that is not an SDO get none."""
+        """Return the responses to one request frame; an abort or a frame without 8 bytes gets none."""
         if len(request) != 8:
             return []
         if request[0] == _ABORT:
@@ -210,13 +210,13 @@ class LssSlave:
 
 Send = Callable[[int, bytes], bool]
 Handler = Callable[[bytes, float], None]
-PdoDefaults = Sequence[tuple[int, PdoDefault]]  # number from 0, and its meaning
+PdoDefaults = Sequence[tuple[int, PdoDefault]]  # number from 0, and the PDO at power-on
 
 _HEARTBEAT = 0x700  # + node
 
 
 class Node:
-    """One node on the bus. Sub-classes add objects and define their meaning."""
+    """Simulate one node on the bus. Subclasses add objects and define their meaning."""
 
     def __init__(
         self,
@@ -231,10 +231,10 @@ class Node:
         self.quirks = quirks or Quirks()
         self.node_id = node_id
         self.powered = True
-        self.deaf = False  # RPDOs are lost on their way
-        self.lost_in_a_row = 0  # of the commands, before one is heard again
+        self.deaf = False  # all RPDOs to this node are lost
+        self.lost_in_a_row = 0  # RPDOs that are lost before one is received
         self._lost = 0
-        self.unhearing = False  # and everything else
+        self.unhearing = False  # all frames to this node are lost
         self.state = NmtState.BOOT_UP
         self.transmit: Send = send
         self.routes: dict[int, Handler] = {}
@@ -260,21 +260,21 @@ class Node:
             Rpdo(self.dictionary, number, default, self._changed, self.quirks.delay_periods)
             for number, default in rpdos
         ]
-        self._by_sync: tuple[Tpdo, ...] = ()  # those that are sent on a SYNC, and the others
-        self._by_event: tuple[Tpdo, ...] = ()
+        self._by_sync: tuple[Tpdo, ...] = ()  # sent on a SYNC
+        self._by_event: tuple[Tpdo, ...] = ()  # sent on an event
         self._complete = True
         self._changed()
 
-    # objects of a device
+    # methods that a subclass overrides
 
     def sample(self) -> None:
         """Write the measured values into the dictionary."""
 
     def written(self, keys: Sequence[Key]) -> None:
-        """Process data were written by an RPDO."""
+        """React to process data: an RPDO has written the objects `keys`."""
 
     def connection_lost(self, overdue: bool) -> None:
-        """React to a lost master: its heartbeat is `overdue`, or this node was taken out of operation."""
+        """React to a lost master: its heartbeat is `overdue`, or this node has left the state operational."""
 
     def communication_error(self, code: EmcyCode) -> None:
         """React to a bus error that concerns this node; by default it is only reported."""
@@ -286,7 +286,7 @@ class Node:
     # NMT
 
     def boot(self, now: float) -> None:
-        """Power on or reset node: everything to its power-on value, boot-up message, pre-operational."""
+        """Power on or reset the node: restore all power-on values, send the boot-up message, enter pre-operational."""
         self.now = now
         self.powered = True
         self.dictionary.restore(0x2000, 0x9FFF)
@@ -372,7 +372,7 @@ class Node:
     # frames in
 
     def receive(self, can_id: int, data: bytes, now: float) -> None:
-        """Take one frame from the bus; identifiers that are not in `routes` are of no concern to this node."""
+        """Process one frame from the bus; a frame whose identifier is not in `routes` is ignored."""
         handler = self.routes.get(can_id)
         if handler is not None and self.powered and not self.unhearing:
             self.now = now
@@ -446,7 +446,7 @@ class Node:
             self._synchronise(now)
 
     def _synchronise(self, now: float) -> None:
-        """Take the commands that waited for it, sample, answer."""
+        """Apply the RPDOs that waited for this SYNC, sample, and send the synchronous TPDOs."""
         for rpdo in self.rpdos:
             acting = rpdo.due()
             if acting is not None:
@@ -461,7 +461,7 @@ class Node:
     # time
 
     def tick(self, now: float) -> None:
-        """Timers: boot-up, answers, heartbeat, SYNC, those who are watched, RPDO time-outs, TPDOs by event."""
+        """Run the timers: boot-up, delayed answers, heartbeat, SYNC, supervision, RPDO timeouts, event-driven TPDOs."""
         if not self.powered or self._unnamed:
             return
         self.now = now
@@ -522,7 +522,7 @@ class Node:
         self._send(tpdo.cob_id, tpdo.last)
 
     def emergency(self, code: int, register: int, vendor: bytes = bytes(5)) -> None:
-        """Send an EMCY and keep it in 0x1001 and 0x1003; code 0 reports the end of the error."""
+        """Send an EMCY and store it in 0x1001 and 0x1003; code 0 reports the end of the error."""
         heard = self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
         self.errors.report(code, register, vendor, heard, self.now)
 

@@ -1,6 +1,7 @@
-"""Process data objects (CiA 301): communication and mapping parameters, mapped by the master, packed by the node.
+"""Simulate process data objects (CiA 301): communication and mapping parameters, packing and unpacking.
 
-Mapping procedure: disable (bit 31 of the COB-ID), count 0, map, count, enable; anything else is refused.
+Mapping procedure of the master: disable (bit 31 of the COB-ID), count 0, map, count, enable. Any other order is
+rejected.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from enum import Enum
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type
 
 INVALID = 0x80000000  # COB-ID bit 31: the PDO does not exist
-NO_REMOTE = 0x40000000  # COB-ID bit 30 of a TPDO: not to be asked for by a remote frame
+NO_REMOTE = 0x40000000  # COB-ID bit 30 of a TPDO: no remote frames allowed
 _DUMMIES = {entry.number: entry for entry in Type if 0x0002 <= entry.number <= 0x0007}  # fill gaps in an RPDO
 
 
 class Direction(Enum):
-    """As seen from the node; the members hold the index of the communication and the mapping parameter."""
+    """List the directions as seen from the node, with the first index of communication and mapping parameters."""
 
     RPDO = (0x1400, 0x1600)
     TPDO = (0x1800, 0x1A00)
@@ -27,7 +28,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PdoDefault:
-    """Define a PDO after power-on: COB-ID less the node id (bit 31 when it is off), type, mapped objects."""
+    """Define a PDO at power-on: COB-ID without the node id (bit 31 set: off), transmission type, mapped objects."""
 
     cob_id: int
     transmission: int = 255
@@ -40,7 +41,7 @@ def is_synchronous(transmission: int) -> bool:
 
 
 class Pdo:
-    """One PDO of a node: its parameters live in the dictionary, its packing is compiled when they change."""
+    """Simulate one PDO of a node. Its parameters are in the dictionary; a change of them compiles the packing again."""
 
     def __init__(
         self,
@@ -138,7 +139,7 @@ class Pdo:
         return tuple(key for key, _ in mapped), "<" + "".join(kind.code for _, kind in mapped)
 
     def compile(self) -> None:
-        """Take over the parameters; the node is informed, so that it listens to the right identifier."""
+        """Apply the parameters, and notify the node so that it receives the right identifier."""
         values = self._dictionary.values
         self.raw_cob_id = values.get((self.communication, 1), INVALID)
         self.cob_id = self.raw_cob_id & 0x7FF
@@ -154,7 +155,7 @@ class Pdo:
 
 
 class Tpdo(Pdo):
-    """A PDO that the node transmits."""
+    """Simulate a PDO that the node transmits."""
 
     def __init__(
         self, dictionary: ObjectDictionary, number: int, default: PdoDefault, changed: Callable[[], None]
@@ -168,7 +169,7 @@ class Tpdo(Pdo):
         return self.packing.pack(*map(self._dictionary.values.__getitem__, self.keys))
 
     def due_on_sync(self) -> bool:
-        """Count one SYNC; whether the PDO is sent on it. Type 0 is sent when its data have changed."""
+        """Count one SYNC, and return True if the PDO is sent on it. Type 0 is sent if its data have changed."""
         if not (self.valid and self.synchronous):
             return False
         if self.transmission == 0:
@@ -192,7 +193,10 @@ class Tpdo(Pdo):
 
 
 class Rpdo(Pdo):
-    """A PDO that the node receives; synchronous ones wait for the next SYNC, all for `delay` SYNCs more."""
+    """Simulate a PDO that the node receives.
+
+    A synchronous PDO acts at the next SYNC. `delay` more SYNCs delay any PDO.
+    """
 
     def __init__(
         self,
@@ -204,8 +208,8 @@ class Rpdo(Pdo):
     ) -> None:
         self.received_at: float | None = None
         self._delay = delay
-        self._pending: bytes | None = None  # the last that has come since the last SYNC
-        self._line: deque[bytes | None] = deque()  # those before it, the oldest first
+        self._pending: bytes | None = None  # last frame since the last SYNC
+        self._line: deque[bytes | None] = deque()  # frames before it, the oldest first
         super().__init__(dictionary, number, Direction.RPDO, default, changed)
 
     def forget(self) -> None:
@@ -214,7 +218,7 @@ class Rpdo(Pdo):
         self._line.clear()
 
     def take(self, data: bytes, now: float) -> bytes | None:
-        """Take one frame; return it if it acts at once, otherwise keep it and return None."""
+        """Accept one frame. Return it if it acts at once; otherwise store it and return None."""
         self.received_at = now
         if not self.synchronous and self._delay == 0:
             return data
@@ -222,7 +226,7 @@ class Rpdo(Pdo):
         return None
 
     def due(self) -> bytes | None:
-        """Return the values that act at the current SYNC."""
+        """Return the frame that acts at the current SYNC, or None."""
         pending, self._pending = self._pending, None
         steps = self._delay if self.synchronous else self._delay - 1
         if steps <= 0:

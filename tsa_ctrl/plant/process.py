@@ -71,7 +71,7 @@ def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
     """Send one line to a running machine and return its reply; raises BusError if none arrives in `timeout` s."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout)
-        client.bind("")  # Linux gives it an abstract address
+        client.bind("")  # Linux assigns an abstract address
         try:
             client.sendto(line.encode(), str(path))
             return client.recv(1 << 16).decode()
@@ -137,13 +137,13 @@ def _value(name: str) -> str:
     return f" (value: {kind.unit}, default {kind.value:g})" if kind.unit else ""
 
 
-SDO_REQUEST, SDO_ANSWER = 0x600, 0x580  # of the default server channel, CiA 301
+SDO_REQUEST, SDO_ANSWER = 0x600, 0x580  # of the default SDO server channel, CiA 301
 DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))  # initiate upload of 0x1000:0
-ANSWER_TIME = 0.1  # s; a node of ours answers within ms, a device of others within tens of them
+ANSWER_TIME = 0.1  # s; a simulated node answers within milliseconds, a real device within tens of milliseconds
 
 
 def check(path: str | Path) -> PlantSettings:
-    """Read everything that a run would read, move nothing; raises UsageError."""
+    """Return the settings after checks of everything that a run would read; raises UsageError."""
     plant = load_plant(path)
     on_limb = plant.mechanism.kind == "mujoco"
     build_mechanism(plant, [Axis(settings, plant.physics, on_limb=on_limb) for settings in plant.axis], str(path))
@@ -154,7 +154,7 @@ def check(path: str | Path) -> PlantSettings:
 
 
 def eds_files(configuration: str | Path, path: Path) -> list[tuple[Path, str]]:
-    """Return the EDS of each node of a plant file, and the path of each; raises UsageError."""
+    """Return the path and the text of the EDS of each node of a plant file; raises UsageError."""
     nodes = nodes_of(check(configuration))
     places = file_names(path, [node.node_id for node in nodes])
     return [(places[node.node_id], eds(node.dictionary, places[node.node_id].name)) for node in nodes]
@@ -176,9 +176,9 @@ def open_bus(settings: BusSettings) -> Bus:
 
 
 def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) -> None:
-    """Ask every node id for its device type (0x1000) before a node of ours has it.
+    """Check that no other node uses these node ids, by reading the device type (0x1000) of each.
 
-    Raises BusError if a node answers within `wait` s: two nodes of one id would answer the master at once.
+    Raises BusError if a node answers within `wait` s. Two nodes with one id would both answer the master.
     """
     asked = {SDO_ANSWER + node: node for node in nodes}
     bus.flush()
@@ -197,8 +197,14 @@ def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) ->
 def run(path: str | Path, record: str | None = None, control: str | None = None) -> None:
     """Simulate until SIGTERM or SIGINT; prints `ready` on stdout after every node has booted.
 
-    record: file for the truth as CSV; control: place of the local socket that takes commands. Raises UsageError,
-    BusError.
+    Args:
+        path: plant file.
+        record: CSV file for the true state.
+        control: path of the local socket that accepts commands.
+
+    Raises:
+        UsageError: invalid settings or paths.
+        BusError: a bus failed, or another node has one of the node ids.
     """
     plant = check(path)
     with contextlib.ExitStack() as stack:

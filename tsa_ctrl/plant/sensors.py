@@ -39,7 +39,7 @@ class Readings:
 
 ENCODER_DEVICE_TYPE = 0x00080196  # absolute rotary encoder, CiA 406
 TORQUE_SENSOR_DEVICE_TYPE = 0x00020194  # measuring device with analogue inputs, CiA 404
-SPEED_DIVIDER = 256  # counts/s per digit of 0x6030:1, an i16: coarse by nature
+SPEED_DIVIDER = 256  # counts/s per digit of 0x6030:1, coarse because the object is an i16
 
 
 @dataclass(slots=True)
@@ -50,7 +50,7 @@ class EncoderFaults:
     sign: int = 1
     noise: float = 0.0  # rad, standard deviation
     drift: float = 0.0  # rad/s, since `since`
-    gain: float = 1.0  # share of the motion since `pivot` that reaches the encoder; not 1 for a coupling that slips
+    gain: float = 1.0  # share of the motion since `pivot` that reaches the encoder; not 1 if the coupling slips
     since: float = 0.0  # s
     pivot: float = 0.0  # rad
     distorted: Callable[[int], int] | None = None  # changes the position (counts) that is sent

@@ -1,4 +1,4 @@
-"""Settings of the simulated machine, `plant.toml`: strict, SI units; every default is defined here once."""
+"""Define the settings of the simulated machine (`plant.toml`): strict keys, SI units, each default in one place."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m
 
 
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Where the nodes are."""
+    """Define the bus of the nodes."""
 
-    name: str = ""  # of one of several buses; an axis names its bus
+    name: str = ""  # required with several buses; each axis refers to its bus by name
     interface: str = "socketcan"  # or "datagram", or any interface of python-can
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that need it
@@ -36,12 +36,12 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[physics]."""
+    """Define the table [physics]."""
 
     step: Annotated[float, Meta(gt=0.0, le=1e-4)] = 1e-4  # s, longest sub-step
     record_period: Annotated[float, Meta(ge=1e-3, le=1.0)] = 1e-3  # s, between two rows of the record
     seed: int = 1  # of all noise
-    priority: Annotated[int, Meta(ge=0, le=98)] = 60  # of SCHED_FIFO where this user may; 0: never
+    priority: Annotated[int, Meta(ge=0, le=98)] = 60  # of SCHED_FIFO, if permitted; 0: never
     start: Literal["power_on", "first_enable"] = "power_on"  # when imposed motion and time-dependent effects begin
 
 
@@ -49,11 +49,11 @@ DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco",
 
 
 class DriveSettings(Quirks, frozen=True, kw_only=True):
-    """CiA 402 drive and its motor's electronics; its deviations from the standard are in `Quirks`."""
+    """Define a CiA 402 drive and its power stage; `Quirks` has its deviations from the standard."""
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
-    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
-    kind: DriveKind = "generic"  # the drive that it impersonates, see `emulation`
+    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device with several axes, which share a node id
+    kind: DriveKind = "generic"  # the drive that it emulates, see `drive_emulation`
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402
@@ -71,14 +71,14 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
 
 
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.motor]."""
+    """Define the table [axis.motor]."""
 
-    inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons at once
+    inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons without delay
     damping: Positive = 1e-4  # N*m*s/rad
 
 
 class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """How the pair of tendons is simulated, and where the sheaths bend."""
+    """Define the simulation of the tendon pair, and the places where the sheaths bend."""
 
     kind: Literal["full", "distributed"] = "full"
     curvature: Literal["uniform", "motor_end", "joint_end", "s_bent"] | list[tuple[float, float]] = "uniform"
@@ -88,9 +88,7 @@ class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Define the load of the joint pulley. All loads but "imposed" and "held" move by the delivered torque; see
-    `load`.
-    """
+    """Define the load of the joint pulley; the delivered torque moves all loads except "imposed" and "held"."""
 
     load: Literal["imposed", "held", "free", "spring", "weight", "limb", "wearer"] = "imposed"
     inertia: Positive | None = None  # kg*m^2; default 0.02, of limb and wearer 0.05
@@ -100,12 +98,12 @@ class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     weight_torque: NonNegative | None = None  # N*m, m g l of weight, limb, wearer; default 1, of limb and wearer 4
     weight_phase: float = 0.0  # rad: torque m g l sin(q + phase)
     initial_angle: float = 0.0  # rad; where a held joint stays
-    hand: list[HandRow] = []  # [s, N*m/rad, N*m*s/rad, rad], of any load that moves; default none, of wearer a script
-    hand_repeat: bool = True  # the script begins again at its end; else it stays there
+    hand: list[HandRow] = []  # [s, N*m/rad, N*m*s/rad, rad], for loads that move; default none, for wearer a script
+    hand_repeat: bool = True  # the script starts again at its end; otherwise it stays there
 
 
 class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Imposed motion of the joint (load = "imposed")."""
+    """Define the prescribed motion of the joint (load = "imposed")."""
 
     kind: Literal["gait", "sine", "file", "still"] = "gait"
     amplitude: float = 0.5  # rad, of the sine
@@ -115,12 +113,12 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     period: Annotated[float, Meta(ge=1e-2, le=1e3)] = 1.6  # s, of the gait cycle
     scale: float = 1.0  # of the gait profile or of the file
     file: str | None = None  # CSV with columns t, q_j and optionally omega_j
-    repeat: bool = True  # of the file; else it stays at its end
-    ramp: NonNegative = 1.0  # s, the motion grows from standstill
+    repeat: bool = True  # repeat the file; otherwise the joint stays at its end
+    ramp: NonNegative = 1.0  # s, in which the motion grows from standstill
 
 
 class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.encoder]."""
+    """Define the table [axis.encoder]."""
 
     present: bool = True
     node_id: NodeId | None = None  # default: 32 + place of the axis
@@ -134,7 +132,7 @@ class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.torque_sensor]."""
+    """Define the table [axis.torque_sensor]."""
 
     present: bool = True
     node_id: NodeId | None = None  # default: 64 + place of the axis
@@ -149,7 +147,7 @@ class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
 
 class PerturbationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Factors on the actuator file's values: the truth is not nominal."""
+    """Define factors on the actuator file's values, so that the true actuator is not nominal."""
 
     friction_coefficient: Factor = 1.0
     pretension: Factor = 1.0
@@ -160,31 +158,31 @@ class PerturbationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
 
 class EnvironmentSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Define changes around the sheaths while the plant runs; tables of [time in s, value], linear in between."""
+    """Define changes around the sheaths while the plant runs: tables of [time in s, value], linear in between."""
 
     bending: list[tuple[float, float]] = []  # factor on the bending angle; the path length follows (3.50)
     temperature: list[tuple[float, float]] = []  # deg C; empty: 25
 
 
 class FaultSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One fault, as on the control socket; see `faults.FAULTS` for names and values."""
+    """Define one fault with the keys of the control socket; see `faults.FAULTS` for names and values."""
 
     name: str
     node: Literal["drive", "encoder", "torque_sensor"] = "drive"
     at: NonNegative = 0.0  # s from the plant's start, or from now on the control socket
-    duration: NonNegative = 0.0  # s; 0: it stays
+    duration: NonNegative = 0.0  # s; 0: without end
     value: float | None = None  # depends on the fault
 
 
 class MechanismSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[mechanism]: what connects the joints."""
+    """Define the table [mechanism]: the connection of the joints."""
 
-    kind: Literal["joints", "mujoco"] = "joints"  # nothing but the sheaths; or a limb of several joints
+    kind: Literal["joints", "mujoco"] = "joints"  # connected by the sheaths only, or by a limb of several joints
     model: str | None = None  # MJCF of the limb, relative to this file; default: the leg that comes with the program
 
 
 class AxisSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One drive, joint and pair of tendon-sheaths."""
+    """Define one drive, joint and pair of tendon-sheaths."""
 
     name: str
     bus: str | None = None  # name of its bus; default: the only one
@@ -206,9 +204,9 @@ N = TypeVar("N", DriveSettings, EncoderSettings, TorqueSensorSettings)
 
 
 class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A plant file, as it is written."""
+    """Hold the content of a plant file."""
 
-    bus: BusSettings = BusSettings()  # of several the first
+    bus: BusSettings = BusSettings()  # the first, if there are several
     other_buses: list[BusSettings] = msgspec.field(default_factory=list, name="[[bus]]")  # see `load_plant`
     physics: PhysicsSettings = PhysicsSettings()
     mechanism: MechanismSettings = MechanismSettings()
@@ -225,7 +223,7 @@ class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
 
 def load_plant(path: str | Path) -> PlantSettings:
-    """Read and check `plant.toml`; nodes without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
+    """Read and check `plant.toml`. Nodes of axis i without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
     path = Path(path)
     data = settings.read_toml(path)
     listed = data.get("bus")

@@ -1,4 +1,4 @@
-"""Records that the compiled inner loop works on: parameters and state of one axis. SI units, angles in rad."""
+"""Define the records of the compiled inner loop: parameters and state of one axis. SI units, angles in rad."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class Load(IntEnum):
     FREE = 1
     SPRING = 2
     WEIGHT = 3
-    LIMB = 4  # several joints that move together: their angles come from the mechanism
+    LIMB = 4  # several joints that move together; the mechanism provides their angles
 
 
-NATURAL_ELEMENTS = 10  # of the build-up of friction by the tendons' elasticity
+NATURAL_ELEMENTS = 10  # of the friction build-up by the tendons' elasticity
 DELAY_SAMPLES = 8192  # of the delivered torque, one per sub-step
 
 _F = np.float64
@@ -40,7 +40,7 @@ PARAMETERS = np.dtype(
         ("friction", _F),  # mu
         ("theta", _F),  # rad
         ("theta_factor", _F),
-        ("centre", _F),  # of the bending: share of a tendon's compliance that lies between it and the motor
+        ("centre", _F),  # share of a tendon's compliance between the motor and the centre of the bending
         ("presliding", _F),  # m of tendon
         ("distributed", _I),
         # motor
@@ -56,7 +56,7 @@ PARAMETERS = np.dtype(
         ("load_rest", _F),  # rad
         ("weight", _F),  # N*m
         ("weight_phase", _F),  # rad
-        ("hand_factor", _F),  # of the hand's stiffness and damping
+        ("hand_factor", _F),  # factor on the hand's stiffness and damping
         ("hand_repeat", _I),
         ("push", _F),  # N*m, on the joint from outside
         *EFFECT_FIELDS,
@@ -92,10 +92,10 @@ STATE = np.dtype(
         ("hand_damping", _F),  # N*m*s/rad
         ("hand_angle", _F),  # rad
         ("hand_speed", _F),  # rad/s
-        ("taken", _F),  # N*m, by the formula of the plant file
+        ("taken", _F),  # N*m, value of the plant file's formula
         ("tau_outside", _F),  # N*m, by hand and push on the joint
         ("tau_lagged", _F),  # N*m, the joint torque through the lag of its sensor
-        ("tau_sensed", _F),  # N*m, the same through the sensor's delay
+        ("tau_sensed", _F),  # N*m, tau_lagged through the sensor's delay
         ("z", _F),  # state of friction in the sheaths, -1 to 1
         ("z_m", _F),  # of the motor's friction
         ("z_j", _F),  # of the joint's load-dependent friction
@@ -104,7 +104,7 @@ STATE = np.dtype(
         ("reversal", _F),  # rad, angle at the last reversal
         ("in_gap", _I),
         ("q_lagged", _F),
-        ("q_m_seen", _F),  # rad, with what lies between the motor's encoder and the tendons
+        ("q_m_seen", _F),  # rad, q_m plus the lead of the motor encoder over the tendons
         ("play_side", _F),  # of joint_play, -1 to 1
         ("omega_lagged", _F),
         ("theta", _F),  # mean of both tendons
@@ -114,12 +114,12 @@ STATE = np.dtype(
         ("pretension", _F),  # mean of both tendons
         ("pretension_a", _F),
         ("pretension_b", _F),
-        ("exchanged", _F),  # s, when the angles of other joints, and of the limb, were those that are known
+        ("exchanged", _F),  # s, time of the last exchange of the angles of other joints and of the limb
         ("limb_angle", _F),
         ("limb_speed", _F),
         ("limb_acceleration", _F),
         ("speed_limited", _I),
-        ("started", _F),  # s, when the motion began; negative: not yet
+        ("started", _F),  # s, start of the motion; negative: not started yet
         ("ring_head", _I),
         ("iterations", _I),
         ("unsolved", _I),  # sub-steps whose solution did not converge

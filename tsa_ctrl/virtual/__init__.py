@@ -1,1 +1,1 @@
-"""Run the real loop and the real plant in one process under one virtual clock: no bus, no rights, no waiting."""
+"""Run the real loop and the real plant in one process with a virtual clock: no bus, no permissions, no waiting."""

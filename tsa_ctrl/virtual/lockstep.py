@@ -1,8 +1,9 @@
 """Simulate a CAN bus inside the process, with a virtual time that passes only while a caller waits.
 
 The wire carries one frame at a time, (47 + 8 n) bits long. The waiting frame with the lowest identifier is sent next
-(CAN arbitration), and its sender does not receive it. While a caller waits at the host's end, all due events happen in
-the order of time: arriving frames, timers of the machine, and scheduled events. So the same calls give the same bytes.
+(CAN arbitration), and its sender does not receive it. While a caller waits at the host's end, all due events are
+processed in the order of time: arriving frames, timers of the machine, and scheduled events. The same calls therefore
+produce the same bytes.
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ class Nodes(Protocol):
 
 
 class Wire:
-    """The time (`now`, s), the frames on their way between the two ends, and the scheduled events."""
+    """Hold the time (`now`, s), the frames in transit between the two ends, and the scheduled events."""
 
     def __init__(self, bitrate: float, queue: int = 128) -> None:
-        """`bitrate` in bit/s; `queue`: frames of one end that may wait, more are dropped."""
+        """Create an idle wire; `bitrate` in bit/s; `queue`: most waiting frames of one end, others are dropped."""
         self.now = 0.0
         self.host = HostEnd(self)
         self.plant = End(self)
-        self.listeners: list[Callable[[Frame, float], None]] = []  # get every frame that is through, and the time
+        self.listeners: list[Callable[[Frame, float], None]] = []  # receive every transmitted frame and the time
         self._bit = 1.0 / bitrate
         self._queue = queue
         self._up = True
@@ -51,22 +52,22 @@ class Wire:
         self._waiting: list[tuple[int, int, bytes, End]] = []  # identifier, order of sending, data, sender
         self._sent = 0
         self._frame: tuple[int, bytes, End] | None = None  # on the wire
-        self._arrives = math.inf  # when it is through, s
+        self._arrives = math.inf  # s, when its transmission ends
         self._scheduled = itertools.count()
         self._script: list[tuple[float, int, Action]] = []
-        self._beside: list[Wire] = []  # further wires in the same time
-        self.place: tuple[int, ...] = ()  # of this wire among several of the machine
+        self._beside: list[Wire] = []  # further wires with the same clock
+        self.place: tuple[int, ...] = ()  # place of this wire among several of the machine
 
     def attach(self, nodes: Nodes) -> None:
-        """Put the machine on the plant's end."""
+        """Connect the machine to the plant's end."""
         self._nodes = nodes
 
     def at(self, time: float, action: Action) -> None:
-        """Call `action(time)` when the clock gets there; at once if it is past, as soon as a caller waits."""
+        """Call `action(now)` when the clock reaches `time`; if `time` is past, as soon as a caller waits."""
         heapq.heappush(self._script, (time, next(self._scheduled), action))
 
     def send(self, sender: End, can_id: int, data: bytes) -> bool:
-        """Put a frame on the wire, or in the queue for it; False when that is full or the interface is down."""
+        """Send a frame or queue it; return False if the queue is full or the interface is down."""
         if not self._up:
             sender.fault = sender.fault or BusFault.INTERFACE_DOWN
         if sender.fault is not None or sender.queued >= self._queue:
@@ -96,7 +97,7 @@ class Wire:
             self.host.queued = self.plant.queued = 0
 
     def pass_until(self, until: float, wanted: Callable[[], bool] | None = None) -> None:
-        """Let time pass to `until`, or until `wanted` returns True after an event."""
+        """Advance the time to `until`, or until `wanted` returns True after an event."""
         nodes = self._nodes
         assert nodes is not None
         while True:
@@ -147,7 +148,7 @@ class Wire:
 
 
 class FurtherWire(Wire):
-    """A wire beside another one, in the time of that one, between the same host and the same machine."""
+    """Simulate a further wire between the same host and machine, with the clock of the first wire."""
 
     def __init__(self, bitrate: float, first: Wire) -> None:
         self._first = first
@@ -162,7 +163,7 @@ class FurtherWire(Wire):
 
     @now.setter
     def now(self, now: float) -> None:
-        """Do nothing: the first wire has the time."""
+        """Do nothing, because the first wire has the clock."""
 
     def at(self, time: float, action: Action) -> None:
         self._first.at(time, action)
@@ -172,7 +173,7 @@ class FurtherWire(Wire):
 
 
 class End:
-    """One end of the wire; the plant's, which receives arrivals by `Nodes.step`. See `bus.wire.bus.Bus`."""
+    """Implement `bus.wire.bus.Bus` for one end of the wire; frames reach the plant's end through `Nodes.step`."""
 
     def __init__(self, wire: Wire) -> None:
         self.name = NAME
@@ -206,7 +207,7 @@ class End:
         self._bell = can_id
 
     def expect(self, until: float) -> None:
-        """No timer is needed."""
+        """Do nothing, because no timer is needed."""
 
     def answers(self, timeout: float, most: int) -> list[Frame]:
         return self.gather(0.0, most)
@@ -224,14 +225,14 @@ class End:
         return -1
 
     def close(self) -> None:
-        """There is nothing to release."""
+        """Do nothing, because there is nothing to release."""
 
 
 class HostEnd(End):
-    """The controller's end: time passes while it waits here, and while it computes.
+    """Implement the controller's end: time passes while the controller waits here, and while it computes.
 
     Attributes:
-        cycle_time: how long the controller's computer takes for a cycle, from its wake-up on, s.
+        cycle_time: execution time of a cycle on the controller's computer, from its wake-up on, s.
     """
 
     def __init__(self, wire: Wire) -> None:
@@ -240,7 +241,7 @@ class HostEnd(End):
         self._woke = -math.inf
 
     def compute(self) -> None:
-        """Let the time of the present cycle pass, if it has not passed yet."""
+        """Advance the time to the end of the present cycle's execution, if it is not past."""
         if self._woke + self.cycle_time > self._wire.now:
             self._wire.pass_until(self._woke + self.cycle_time)
 

@@ -27,14 +27,17 @@ SCHEMA = 1
 
 @dataclass(frozen=True, repr=False)
 class AxisResult(Displayed):
-    """One axis: `log` and `truth` by column name, (n,) and (m,); `start` is the truth's `clock` at t = 0 of the log."""
+    """Hold the results of one axis.
+
+    `log` and `truth` by column name, (n,) and (m,); `start` is the truth's `clock` at t = 0 of the log.
+    """
 
     name: str
     log: Columns
     truth: Columns
     start: float  # s
     fade_in: float  # s
-    until: float  # s of the log, when the run began to stop
+    until: float  # s of the log, at which the run began to stop
     faults: tuple[str, ...]
 
     @cached_property
@@ -46,7 +49,7 @@ class AxisResult(Displayed):
 
     @cached_property
     def counted(self) -> NDArray[np.bool_]:
-        """Return the mask (n,) of cycles whose errors count: with torque, from the end of a fade-in to the stop."""
+        """Return the mask (n,) of cycles whose errors count: with torque, after a fade-in and before the stop."""
         t, reason = self.log["t"], self.log["limit_reason"]
         on = (reason != Reason.DISABLED.value) & (t < self.until)
         begins = np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))
@@ -57,7 +60,7 @@ class AxisResult(Displayed):
 
     @cached_property
     def error(self) -> NDArray[np.float64]:
-        """Return the delivered less the desired joint torque, N*m, over the cycles that count."""
+        """Return the delivered minus the desired joint torque in the cycles that count, N*m."""
         return (self.delivered - self.log["tau_j_des"])[self.counted]
 
     def facts(self) -> dict[str, str]:
@@ -80,7 +83,7 @@ class AxisResult(Displayed):
         return lines(panels, self.log["t"], f"Torque error: RMS / 99 % / peak {errors}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready object: null where no cycle counts."""
+        """Return a JSON-ready object; errors are null if no cycle counts."""
         error, speed = np.abs(self.error), np.abs(self.truth["omega_j"])
         reasons = Counter(Reason(int(code)).name for code in self.log["limit_reason"].tolist())
         states = self.log["state"][self.log["t"] <= self.until]  # before the drive was disabled at the end of the run
@@ -100,7 +103,7 @@ class AxisResult(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Simulation(Displayed):
-    """One run; `axes` in the controller's order. `log` and `truth` belong to the first axis."""
+    """Hold the results of one run, with `axes` in the controller's order. `log` and `truth` are of the first axis."""
 
     seconds: float
     axes: tuple[AxisResult, ...]
@@ -121,7 +124,7 @@ class Simulation(Displayed):
         return {axis.name: axis for axis in self.axes}[name]
 
     def facts(self) -> dict[str, str]:
-        """Return how the run ended, and the facts of each axis."""
+        """Return the end of the run, and the facts of each axis."""
         found = {"seconds": f"{self.seconds:.4g} s", "ended": self.summary.cause}
         for axis in self.axes:
             found |= {f"{axis.name}: {name}": value for name, value in axis.facts().items() if name != "axis"}

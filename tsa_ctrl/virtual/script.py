@@ -36,7 +36,7 @@ HOST_FAULTS: Mapping[str, FaultKind] = {
 
 @dataclass(frozen=True)
 class Fault:
-    """A line as `tsa plant --ask` takes it, `at` s of the log's time; "clear" ends all faults."""
+    """Define a fault by a line of `tsa plant --ask`, at the time `at` of the log (s); "clear" ends all faults."""
 
     line: str
     at: float
@@ -44,7 +44,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Change:
-    """A parameter as `tsa set` takes it (PARAMETER or AXIS.PARAMETER), `at` s of the log's time."""
+    """Define a change by a parameter of `tsa set` (PARAMETER or AXIS.PARAMETER), at the time `at` of the log (s)."""
 
     name: str
     value: float
@@ -52,13 +52,13 @@ class Change:
 
 
 def parse_fault_option(text: str) -> Fault:
-    """`LINE@T`; raises UsageError."""
+    """Parse `LINE@T`; raises UsageError."""
     line, at = _split(text, "--fault", "LINE@T, for example 'torn_tendon@5'")
     return Fault(line, at)
 
 
 def parse_set_option(text: str) -> Change:
-    """`NAME=VALUE@T`; raises UsageError."""
+    """Parse `NAME=VALUE@T`; raises UsageError."""
     example = "NAME=VALUE@T, for example compensation=0.5@3"
     assignment, at = _split(text, "--set", example)
     name, equals, value = assignment.partition("=")
@@ -85,7 +85,7 @@ def _number(text: str) -> float | None:
 
 
 def beginnings(machine: Machine, faults: Iterable[Fault], wire: Wire) -> list[tuple[Callable[[float], None], float]]:
-    """Return what begins each fault, and when; raise UsageError for a fault that neither plant nor host has."""
+    """Return the start function and the time (s) of each fault; raises UsageError for an unknown fault."""
     found: list[tuple[Callable[[float], None], float]] = []
     for fault in faults:
         if fault.line == "clear":
@@ -102,7 +102,7 @@ def beginnings(machine: Machine, faults: Iterable[Fault], wire: Wire) -> list[tu
 
 
 def _slow_loop(wire: Wire, settings: FaultSettings) -> Callable[[float], None]:
-    """Return what makes each cycle of the host take `value` s, for the duration if there is one."""
+    """Return a function that makes each cycle of the host take `value` s, for the duration or without end."""
     value = HOST_FAULTS["slow_loop"].value if settings.value is None else settings.value
 
     def end(now: float) -> None:
@@ -153,13 +153,13 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
 
 
 def put(mailbox: Mailbox, command: Command) -> None:
-    """Hand a command to the loop; its queue has room for all that one script can mean at one time."""
+    """Pass a command to the loop; raises UsageError if its queue is full."""
     if mailbox.put(command) is None:
         raise UsageError("more settings at one time than the loop's queue holds; give them different times")
 
 
-RUN = "run.json"  # in the head of a log: the arguments of a virtual run
-MOST_FILES = 200  # that a head may hold
+RUN = "run.json"  # name of the arguments of a virtual run, in the header of a log
+MOST_FILES = 200  # most files in a header
 
 
 def described(
@@ -174,7 +174,7 @@ def described(
     folder = controller.parent
     files = {
         os.path.relpath(plant.parent / name, folder): text for name, text in referenced(plant).items()
-    }  # relative to the controller's folder, as the controller's own files
+    }  # relative to the controller's folder, like the controller's own files
     arguments = Arguments(
         controller=controller.name,
         plant=os.path.relpath(plant, folder),
@@ -187,7 +187,7 @@ def described(
 
 
 class Arguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The arguments of a virtual run: files relative to the controller's folder, the others as of `simulate_loop`."""
+    """Hold the arguments of a virtual run: files relative to the controller's folder, the others of `simulate_loop`."""
 
     controller: str
     plant: str
@@ -198,16 +198,16 @@ class Arguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Replay:
-    """The files and arguments of a recorded run, written to a folder.
+    """Write the files of a recorded run to a folder, and hold its arguments.
 
     Attributes:
         controller: path of the controller file.
         plant: path of the plant file, or None for a log of hardware.
-        arguments: of the recorded run, or None for a log of hardware.
+        arguments: arguments of the recorded run, or None for a log of hardware.
     """
 
     def __init__(self, log: Path, folder: Path) -> None:
-        """Write the files of `log` into the empty `folder`; raises UsageError if the log does not hold them."""
+        """Write the files of `log` into the empty `folder`; raises UsageError if the log does not contain them."""
         files = LogFile(log).files
         if not files:
             raise UsageError(f"{log}: its head holds no configuration; the log is of an earlier version")
@@ -240,7 +240,7 @@ def first_difference(recorded: Path, columns: dict[str, dict[str, NDArray[np.flo
 
     Args:
         recorded: the log; it may lack the first part of its run.
-        columns: of the repetition, by axis and column, (n,).
+        columns: columns of the repetition, by axis and column, (n,).
 
     Returns:
         The first difference in words, or an empty text if all records are equal.

@@ -50,7 +50,7 @@ from tsa_ctrl.virtual.script import (
     put,
 )
 
-EVERY = 0.5  # s between two looks at the ring, which holds 2 s at the highest rate
+EVERY = 0.5  # s between two reads of the ring, which holds 2 s at the highest rate
 FILE = "tsa.mcap"
 
 
@@ -58,7 +58,7 @@ class Records:
     """Read the loop's ring `ring` into memory, and into the same log file as the daemon writes."""
 
     def __init__(self, axes: int, folder: Path | None, header: LogHeader) -> None:
-        """Create the ring; `folder`: of the log file, None for no file. Raises UsageError if it cannot be written."""
+        """Create the ring and, in `folder`, the log file; None: no file. Raises UsageError if it cannot be written."""
         self.ring = RingWriter(axes)
         self.path: Path | None = None
         self._reader = RingReader(self.ring.fd)
@@ -73,7 +73,7 @@ class Records:
                 self._beside.unlink()
             except OSError as error:
                 raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
-            # The header has no date, so that the same run gives the same bytes.
+            # The header has no date, so that the same run produces the same bytes.
             self._writer = LogWriter(RingReader(self.ring.fd), self._beside, replace(header, started=0.0))
 
     def drain(self, now: float) -> None:
@@ -171,7 +171,7 @@ TICK = 1e-3  # s between two checks for missing frames
 class VirtualMonitor:
     """Run the monitor of the monitor process in virtual time, at a separate end of the wire.
 
-    It receives every frame from its construction on. `acts`: False for a monitor that only observes.
+    It receives every frame from its construction on. `acts` is False for a monitor that only observes.
     """
 
     def __init__(self, wire: Wire, watched: Watched, acts: bool = True) -> None:
@@ -184,11 +184,11 @@ class VirtualMonitor:
         wire.at(wire.now, self._tick)
 
     def fault(self, now: float) -> Finding | None:
-        """Return why there must be no torque."""
+        """Return the finding that forbids torque, or None."""
         return Finding(Cause.MONITOR_STOPPED, str(self.monitor.stop)) if self.report.stop is not None else None
 
     def news(self) -> list[str]:
-        """Return notices since the last call."""
+        """Return the notices since the last call."""
         new = [str(notice) for name, notice in self.monitor.notices.items() if name not in self._told]
         self._told |= set(self.monitor.notices)
         return new
@@ -246,7 +246,7 @@ def simulate_loop(
         seconds: s, duration with torque.
         out: folder for the daemon's log.
         record: CSV file for the true state of the plant.
-        seed: of all noise, instead of the plant file's seed.
+        seed: seed of the noise, instead of the plant file's seed.
         faults: faults during the run, as objects or in the form of --fault ("torn_tendon@5").
         changes: parameter changes during the run, as objects or in the form of --set ("compensation=0.5@3").
         tick: called with the completed share of the time.
@@ -292,7 +292,7 @@ def _garbage_left() -> Iterator[None]:
 
 
 def _places(file: ControllerFile, plant: PlantSettings) -> list[int]:
-    """Return for each bus of the plant the place of the controller's bus of the same channel. Raises UsageError."""
+    """Return, for each bus of the plant, the place of the controller's bus with this channel. Raises UsageError."""
     channels = [bus.channel for bus in file.buses]
     if len(channels) == 1 == len(plant.buses):
         return [0]
@@ -445,7 +445,7 @@ class Run:
         return (*silent, *unsolved)
 
 
-# A run in virtual time in place of the processes plant and daemon: the same files in a folder, the same summary.
+# `play` replaces the processes of plant and daemon by a run in virtual time, with the same files and the same summary.
 
 
 def play(

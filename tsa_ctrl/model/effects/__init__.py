@@ -1,6 +1,7 @@
-"""The effects by which measured data differ from (3.55)-(3.56), in their order of composition.
+"""List the effects by which measured data differ from (3.55)-(3.56), in the order of composition.
 
-An effect is a class with its formulas and its `specification`. All parts of the software use the classes of this tuple.
+An effect is a class with its formulas and its `specification`. All parts of the software use these classes, except that
+the plant has its own formulas.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""A formula of the user for an effect that is not in the catalogue. Source: the explanation of a residual.
+"""Define an effect by a formula of the user, because it is not in the catalogue. Source: explanation of a residual.
 
     stage "joint": tau_J -= f(..., tau = torque of the tendons at the joint, after backlash)
     stage "motor": tau_M -= f(..., tau = motor torque after the effects of the motor's side)
 
-It is the last effect of its side. If f depends on tau, the inverse is found numerically, and tau - f must increase with
-tau. The memory of f (`filters`) is reset for each log and at each enable. It does not change while the inverse is
+It is the last effect on its side. If f depends on tau, the inverse is computed numerically, and tau - f must increase
+with tau. The memory of f (`filters`) is reset for each log and at each enable. It does not change while the inverse is
 computed.
 """
 
@@ -27,11 +27,10 @@ from tsa_ctrl.model.functions import Array, F
 
 NAMES = ("omega_j", "q_j", "q_m", "tau", "sigma", "t", "temperature")
 NEEDS = {"q_j": ("q_j",), "q_m": ("q_m",), "temperature": ("temperature",)}  # columns that a log may lack
-CLOSE = 1e-11  # N*m; tolerance of the inverse: as exact as the effects with a closed inverse
-MOST_DOUBLINGS, MOST_STEPS = (
-    24,
-    40,
-)  # of the inverse: the doublings extend from 1 mN*m to more than any joint; the steps then suffice for `CLOSE`
+CLOSE = 1e-11  # N*m; tolerance of the inverse: as exact as the effects with a closed-form inverse
+# Limits of the inverse. The doublings extend its bracket from 1 mN*m to more than the torque of any joint. The steps
+# then suffice to reach `CLOSE`.
+MOST_DOUBLINGS, MOST_STEPS = 24, 40
 
 
 def _columns(parameters: Mapping[str, Setting]) -> Columns:
@@ -42,7 +41,7 @@ def _columns(parameters: Mapping[str, Setting]) -> Columns:
 
 @dataclass(frozen=True)
 class Custom:
-    """The formula f, by its text and its named constants."""
+    """Define the formula f by its text and its named constants."""
 
     expression: Annotated[str, Parameter("N*m", text=True)]
     stage: Annotated[Literal["joint", "motor"], Parameter(choices=("joint", "motor"))] = "joint"

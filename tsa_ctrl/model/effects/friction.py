@@ -1,4 +1,4 @@
-"""Friction in the sheath and in the joint: factors on the coefficient mu, and the friction of the joint under its load.
+"""Define the friction effects: factors on the coefficient mu of the sheath, and load-dependent friction of the joint.
 
 Source: the catalogue of effects.
 """
@@ -102,10 +102,10 @@ class ThermalFrictionDrift:
 
 @dataclass(frozen=True)
 class TensionDependentFriction:
-    """x_i = mu Theta (max(T_i, 0.05 T_ref)/T_ref)^(-n) per tendon, T_i its motor-side tension, N."""
+    """x_i = mu Theta (max(T_i, 0.05 T_ref)/T_ref)^(-n) per tendon, with its motor-side tension T_i, N."""
 
     exponent: Annotated[float, non_negative("1", high=1.0)]  # n
-    reference_tension: Annotated[float, positive("N", optional=True, fitted=False)]  # T_ref; the model's pretension
+    reference_tension: Annotated[float, positive("N", optional=True, fitted=False)]  # T_ref; default: T_p0
 
     specification: ClassVar = Specification(
         name="tension_dependent_friction",
@@ -131,7 +131,7 @@ class TensionDependentFriction:
 
 @dataclass(frozen=True)
 class LoadDependentFriction:
-    """tau_J -= sigma k abs(tau_J), that is tau_J = B/(1 + sigma k sign(B)), B the torque (N*m) of the transmission."""
+    """tau_J -= sigma k abs(tau_J), so tau_J = B/(1 + sigma k sign(B)) with the torque B (N*m) of the transmission."""
 
     coefficient: Annotated[float, non_negative("1", high=1.0, high_open=True)]  # k
 

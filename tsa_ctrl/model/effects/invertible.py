@@ -21,9 +21,9 @@ from tsa_ctrl.model.expression import Remember
 from tsa_ctrl.model.functions import Array
 
 GRID, POINTS = 7, 401  # points per signal, and of the torque, at which the inverse is checked
-COARSE, COARSEST = 3, 2  # points per signal if there are many signals, for a thousand points in all
+COARSE, COARSEST = 3, 2  # points per signal if there are many signals, to keep the grid at about a thousand points
 NEAR = 1e-6  # N*m, step for the slope: small, so that a wave in the formula cannot alias with the step
-LEAST = 0.05  # least share of a change of tau - f within one period, with a memory: set-points have steps and noise
+LEAST = 0.05  # least share of a change that acts within one period, with a memory; set-points have steps and noise
 REACH = {"omega_j": 10.0, "q_j": math.pi, "q_m": math.pi, "sigma": 1.0, "t": 1.0, "temperature": 60.0}
 LOADS = 5  # number of torques about which the inverse of small changes is checked
 SMALL = 1e-3  # of the largest torque: size of a small change, for which the formula is nearly linear
@@ -36,7 +36,7 @@ def check_invertible(custom: Custom, largest: float, period: float, where: str) 
     if not program.uses("tau"):
         return
     tau, number = np.linspace(-largest, largest, POINTS), len(program.memories)
-    spans = {period: LEAST, math.inf: 0.0} if number else {period: 0.0}  # s, and the least share of a change by then
+    spans = {period: LEAST, math.inf: 0.0} if number else {period: 0.0}  # s, and the least share that acts by then
     for known in _places([name for name in REACH if program.uses(name)], number):
         for (elapsed, least), parts in product(spans.items(), _levels(number)):
             passes = _passed(custom, tau, known, parts, elapsed) > least

@@ -1,4 +1,4 @@
-"""Effects on the joint's side; each returns the torque f (N*m) by which it reduces tau_J. Source: the catalogue."""
+"""Define the effects at the joint; each returns the torque f (N*m) by which it reduces tau_J. Source: the catalogue."""
 
 from __future__ import annotations
 
@@ -173,4 +173,4 @@ class TorqueOffset:
     )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
-        return -self.offset + 0.0 * state.omega  # for the same shape as the other effects
+        return -self.offset + 0.0 * state.omega  # in the shape of the other effects

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-decorators=False
-"""Compiled and cached loops over a log for functions with a memory; imported only if a model uses them."""
+"""Provide compiled and cached loops over a log for functions with a memory; imported only if a model uses them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ announce()
 
 @njit("float64[::1](float64[::1], float64[::1], float64)", cache=True)
 def lag(x: Array, t: Array, constant: float) -> Array:
-    """Return y, (n,), of T dy/dt + y = x from rest, T = `constant` in s; exact for x linear between samples, t in s."""
+    """Return y, (n,), of T dy/dt + y = x from rest, with T = `constant` in s.
+
+    The result is exact for x that is linear between samples; t in s.
+    """
     y = np.empty(x.size)
     state = x[0]
     y[0] = state
     for i in range(1, x.size):
         steps = (t[i] - t[i - 1]) / constant
-        mean = -math.expm1(-steps) / steps  # of exp(-t/T) over the step
+        mean = -math.expm1(-steps) / steps  # mean of exp(-t/T) over the step
         decay = math.exp(-steps)
         state = decay * state + (mean - decay) * x[i - 1] + (1.0 - mean) * x[i]
         y[i] = state

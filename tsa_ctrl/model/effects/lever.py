@@ -1,8 +1,8 @@
 """Model the lever arm of the tendons at the joint, which changes with the angle if the pulley is eccentric.
 
-The centre of the pulley moves around the axis. One tendon then leaves the pulley farther out than on average, and the
-other farther in; half a turn later it is the opposite: r_J(q) = r_J (1 + e sin(q_J + phi)). The wound length changes
-accordingly, which the elongation r_M q_M - r_J q_J shows.
+The centre of an eccentric pulley moves around the axis, so the lever arm is r_J(q) = r_J (1 + e sin(q_J + phi)). One
+tendon leaves the pulley farther from the axis than on average, and the other one closer to it. Half a turn later, the
+opposite is true. The wound length changes accordingly, which is visible in the elongation r_M q_M - r_J q_J.
 
 Source: Shigley's eccentric cam, small e; catalogue of effects.
 """
@@ -56,8 +56,8 @@ def unmoved(theta: float) -> State[float]:
     )
 
 
-MOST = 0.5  # 1, e at which the longest lever is three times the shortest: beyond it the file is wrong
-_SIDE = 0.35  # 1, of the square of cosine and sine within that circle, with room for the differences of a fit
+MOST = 0.5  # 1, e at which the longest lever is three times the shortest; a larger value is an error of the file
+_SIDE = 0.35  # 1, half side of the square of cosine and sine inside that circle, with room for finite differences
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class PulleyEccentricity:
     )
 
     def arm(self, functions: Functions[F], q_j: F) -> F:
-        """Return the lever arm over the file's, 1."""
+        """Return the lever arm over the radius of the file, 1."""
         return 1.0 + self.relative_eccentricity * functions.sin(q_j + self.phase)
 
     def apply(self, functions: Functions[F], torque: F, state: State[F]) -> F:
@@ -93,5 +93,5 @@ class PulleyEccentricity:
         return tau_j / self.arm(functions, state.q_j)
 
     def lengthens(self, functions: Functions[F], joint_radius: float, state: State[F]) -> F:
-        """Return the wound-up length in addition to r_J q_J, m: the integral of the arm."""
+        """Return the wound length in addition to r_J q_J, m: the integral of the change of the arm."""
         return -joint_radius * self.relative_eccentricity * functions.sin(state.q_j + self.phase + 0.5 * math.pi)

@@ -1,4 +1,4 @@
-"""Effects with memory: the friction state after a reversal, backlash, and a delayed measurement.
+"""Define the effects with memory: the friction state after a reversal, backlash, and a delayed measurement.
 
 Source: the catalogue.
 """
@@ -36,11 +36,11 @@ _GRID_TOLERANCE = 0.02  # largest deviation of a step from a whole number of cou
 _REVERSAL = 2.5  # counts of a reversal: more than two, with a margin for rounding
 _FIRST_MOMENT = 0.01  # s from the log's start in which a displacement is checked for motion
 _STILL = 0.1  # of the RMS speed: a slower motion is standstill
-_NOISE_TO_STEP = 3.0  # counts with the effect of white noise of one standard deviation
+_NOISE_TO_STEP = 3.0  # standard deviations of white noise that replace one count in a log without counts
 
 
 def _followed(parameters: Mapping[str, Setting]) -> Columns:
-    """Return the angle that the friction state follows in the loop, where no velocity is integrated."""
+    """Return the angle that the friction state follows in the loop, which does not integrate the velocity."""
     side = parameters.get("displacement")
     return (("q_m",),) if side == "motor" else (("q_j",),) if side == "joint" else (("q_m", "q_j"),)
 
@@ -62,10 +62,10 @@ def _distances(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class PreslidingHysteresis:
-    """sigma becomes z everywhere: dz/ds = (1 - sign(ds) z)/q_p (Dahl), or the mean of N > 1 Maxwell-slip elements.
+    """Replace sigma by z: dz/ds = (1 - sign(ds) z)/q_p (Dahl), or the mean of N > 1 Maxwell-slip elements.
 
-    Maxwell-slip element i of N slips at +-1, a distance q_p i/N from rest. z starts at sigma when the log starts
-    moving, else at 0. s is the motor's angle, or the joint's where the log has no motor angle.
+    Maxwell-slip element i of N slips at +-1, at a distance q_p i/N from rest. z starts at sigma if the log starts in
+    motion, otherwise at 0. s is the motor angle, or the joint angle if the log has no motor angle.
     """
 
     presliding_distance: Annotated[float, positive("rad")]  # q_p
@@ -94,7 +94,7 @@ class PreslidingHysteresis:
         return integrate(signals.omega_j, signals.t)
 
     def start(self, displacement: Array, t: Array, omega: Array) -> float:
-        """Return z(0): the direction of the joint if the displacement that z follows moves at the start, else 0.
+        """Return z(0): the direction of the joint if the displacement s moves at the start, otherwise 0.
 
         If a load is applied to the joint while the motor rests, the friction state does not change.
         """
@@ -178,7 +178,7 @@ class Backlash:
         return last_reversal(MonotonicSegments.of(q_j), _REVERSAL * resolution(q_j))
 
     def inside(self, q_j: Array, reversal: Array) -> npt.NDArray[np.bool_]:
-        """Return a mask, shape (n,), of the samples in which the backlash is open; `reversal`: by `last_reversal`."""
+        """Return a mask, shape (n,), of the samples with open backlash; `reversal`: result of `last_reversal`."""
         return np.asarray(np.abs(q_j - reversal) < self.gap)
 
 
@@ -210,7 +210,7 @@ class TorqueSensorLag:
 
 @dataclass(frozen=True)
 class TransportDelay:
-    """The measured torque is late: y(t) = y_true(t - T_d), linear between samples; the first value before the log."""
+    """Delay the measured torque: y(t) = y_true(t - T_d), linear between samples, constant before the first sample."""
 
     delay: Annotated[float, non_negative("s")]  # T_d
 

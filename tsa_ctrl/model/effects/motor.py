@@ -1,6 +1,6 @@
-"""Effects at the motor, in the order that converts the reported torque into the torque on the pulley.
+"""Define the effects at the motor, in the order that converts the reported torque to the torque on the pulley.
 
-tau_M: torque that the drive reports, N*m. Source: the catalogue of effects. `invert` is the inverse of `apply`.
+tau_M is the torque that the drive reports, N*m. `invert` is the inverse of `apply`. Source: the catalogue of effects.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _derived(s: Scales) -> str:
 
 @dataclass(frozen=True)
 class VelocityLag:
-    """The logged omega is the true one through 1/(1 + T s): true = omega + T domega/dt, wherever omega enters."""
+    """Replace omega by omega + T domega/dt everywhere, because the logged omega is the true one after 1/(1 + T s)."""
 
     time_constant: Annotated[float, non_negative("s")]  # T
 

@@ -1,6 +1,6 @@
-"""Effects on the bending angle Theta (rad) and on the pretension T_p (N), in their order of composition.
+"""Define the effects on the bending angle Theta (rad) and on the pretension T_p (N), in the order of composition.
 
-Source: the catalogue of effects. After each effect the composition limits T_p to 0 or more, because a tendon cannot
+Source: the catalogue of effects. After each effect, the composition limits T_p to 0 or more, because a tendon cannot
 push.
 """
 
@@ -138,12 +138,12 @@ def _relaxations(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class PretensionRelaxation:
-    """T_p *= 1 - c (1 - exp(-(t - t_0)/T)), or 1 - c log10(1 + (t - t_0)/T); nothing before t_0."""
+    """T_p *= 1 - c (1 - exp(-(t - t_0)/T)), or 1 - c log10(1 + (t - t_0)/T); no change before t_0."""
 
     relaxed_fraction: Annotated[float, non_negative("1", high=1.0, high_open=True)]  # c
     time_constant: Annotated[float, positive("s")]  # T
     law: Annotated[str, Parameter(choices=("exponential", "logarithmic"), fitted=False)] = "exponential"
-    start_time: Annotated[float | None, Parameter("s", optional=True, fitted=False)] = None  # t_0; the first sample
+    start_time: Annotated[float | None, Parameter("s", optional=True, fitted=False)] = None  # t_0; default: log start
 
     specification: ClassVar = Specification(
         name="pretension_relaxation",

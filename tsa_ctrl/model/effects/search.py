@@ -24,7 +24,7 @@ FEW_SAMPLES = 1.5  # samples: a shorter lag or delay acts only where the directi
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One free parameter of a fit in its own scale, with its bounds and the step of finite differences."""
+    """Define one free parameter of a fit in its own scale, with its bounds and the step of finite differences."""
 
     name: str
     low: float
@@ -34,10 +34,10 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Variant:
-    """An effect with fixed discrete choices.
+    """Define the search for an effect with fixed discrete choices.
 
-    `starts`: start vectors of `coordinates`. The coordinates with the indices `amplitude` are 0 there, so that the
-    effect vanishes; its response is nearly linear in them. Without an amplitude, a start is the complete effect.
+    `starts` has start vectors of `coordinates`. The coordinates with the indices `amplitude` are 0 there, so that the
+    effect vanishes. Its response is nearly linear in them. Without an amplitude, a start is the complete effect.
     """
 
     effect: str
@@ -47,35 +47,35 @@ class Variant:
     parameters: Parameters
     label: str = ""
     unidentifiable: tuple[str, ...] = ()  # parameters that no log of this base model determines
-    full_strength: tuple[tuple[float, ...], ...] = ()  # further starts, of effects far from linear in their strength
+    full_strength: tuple[tuple[float, ...], ...] = ()  # further starts, for effects far from linear in their strength
 
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes of the signals of some logs, to scale coordinates and to place grids, and the missing columns."""
+    """Hold the sizes of the signals of some logs, which scale coordinates and place grids."""
 
     torque: float  # RMS of the predicted torque's change, N*m
-    motor_torque: float  # RMS of its change, N*m
+    motor_torque: float  # RMS of the motor torque's change, N*m
     largest_motor_torque: float  # N*m
-    speed: float  # 95 % of the moving speeds are below, rad/s
+    speed: float  # 95th percentile of the speeds in motion, rad/s
     speed_noise: float  # rad/s
     acceleration: float  # rad/s^2
     reach: float  # half range of q_j, rad
     middle: float  # mean of q_j, rad
     motor_reach: float  # half range of the displacement that presliding follows, rad
-    motor_step: float  # 90 % of the steps of q_m are below, rad; nan without q_m
+    motor_step: float  # 90th percentile of the steps of q_m, rad; nan without q_m
     begin: float  # first sample of the longest run, s
     seconds: float  # longest run, s
     period: float  # compute period, s
     heating: float  # range of the temperature, K
     bending: float  # range of the column theta, over the model's bending angle
-    derived_velocity: str  # column of the velocity that was derived from an angle; empty when it was measured
+    derived_velocity: str  # column of the velocity that was derived from an angle; empty if it was measured
     plain: bool  # a drive without tendons: joint and motor are one
     offset: bool  # the base model has a constant torque, which is fitted
     joints: Mapping[str, float] = field(default_factory=dict)  # half range of other joints that moved, rad, by name
 
 
-Search: TypeAlias = Callable[[str, Scales], Sequence[Variant]]  # of an effect by its name
+Search: TypeAlias = Callable[[str, Scales], Sequence[Variant]]  # returns the variants of the effect with this name
 
 
 def linear(

@@ -1,4 +1,4 @@
-"""Describe an effect, apart from its formulas, once: on its class.
+"""Describe an effect, except for its formulas, in one place: its class.
 
 Model files and their messages, the composition, the notes of the live inverse, the diagnosis and the demo read this
 description. The plant and the hidden cases of the tests do not use it, so that the two can be compared.
@@ -23,7 +23,7 @@ Columns: TypeAlias = tuple[tuple[str, ...], ...]  # the log must have one column
 
 
 class Stage(Enum):
-    """The stage of the model at which an effect acts; the order of the members is the order of composition."""
+    """List the stages of the model at which effects act, in the order of composition."""
 
     VELOCITY = "measured velocity"
     MOTOR_TORQUE = "motor torque"
@@ -42,7 +42,7 @@ class Stage(Enum):
 
 
 class Kind(Enum):
-    """The kinds of model files: `[actuator] kind`."""
+    """List the kinds of model files (`[actuator] kind`)."""
 
     TENDON_SHEATH = "tendon_sheath"
     RIGID_DRIVE = "rigid_drive"
@@ -55,7 +55,7 @@ class Kind(Enum):
 
 
 class Motion(Enum):
-    """The recordings that separate effects with similar results, in the order of their cost."""
+    """List the recordings that separate effects with similar results, in the order of their cost."""
 
     SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
     BOTH_WAYS = f"{SPEEDS}, in both directions"
@@ -72,9 +72,9 @@ class Motion(Enum):
 
 @dataclass(frozen=True)
 class Twins:
-    """Effects (or `parameter_error`) that some logs cannot distinguish from another one.
+    """List effects (or `parameter_error`) that some logs cannot distinguish from another effect.
 
-    `parted_by`: the motions that separate them.
+    `parted_by` lists the motions that separate them.
     """
 
     names: tuple[str, ...]
@@ -83,9 +83,9 @@ class Twins:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect, as `Annotated[float, Parameter(unit, bounds)]` of its class.
+    """Define one parameter of an effect, as `Annotated[float, Parameter(unit, bounds)]` of its class.
 
-    Name and default come from the annotated field. Without a default it is required, unless `optional`.
+    Name and default come from the annotated field. A parameter without a default is required, unless it is `optional`.
     """
 
     unit: str = "1"
@@ -97,7 +97,7 @@ class Parameter:
     choices: tuple[str, ...] = ()
     points: bool = False  # in addition to the choices, a curvature profile by points
     integer: bool = False
-    fitted: bool = True  # False: given, never estimated from a log
+    fitted: bool = True  # False: set by the user, never estimated from a log
     text: bool = False  # a formula
     name: str = ""
     default: Setting | None = None
@@ -151,9 +151,9 @@ def positive(unit: str, **more: Any) -> Parameter:
 
 @dataclass(frozen=True)
 class Draw:
-    """The range of a value that the demo chooses at random, between `low` and `high`.
+    """Define the range of a value that the demo chooses at random, between `low` and `high`.
 
-    `signed`: either sign is possible. `whole`: a whole number below `high`.
+    With `signed`, either sign is possible. With `whole`, the value is a whole number below `high`.
     """
 
     low: float
@@ -181,7 +181,7 @@ class Specification:
         unresolved: the reason if no variant can be tried on a log.
         untestable: the reason why a log with certain signals cannot show it; empty if it can.
         asks: the motion to record in that case.
-        twins: effects that look the same; only one effect of each pair lists the other.
+        twins: effects with the same appearance in some logs; only one effect of each pair lists the other.
         columns: columns that a log must have.
         live_columns: signals that the loop must measure, from the effect's parameters, if they differ from `columns`.
         feedforward: the limit of the live inverse, with {parameter} in the text; empty if the inverse is exact.
@@ -200,12 +200,12 @@ class Specification:
     columns: Columns = ()
     live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()
-    constants: Parameter | None = None  # of further parameters of any name, numbers
+    constants: Parameter | None = None  # bounds of further numeric parameters with any name
     hypothesis: bool = True  # False: the user's own formula, which no diagnosis proposes
     kinds: tuple[Kind, ...] = tuple(Kind)  # model files that may contain the effect
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
-    parameters: tuple[Parameter, ...] = ()  # those of the class
+    parameters: tuple[Parameter, ...] = ()  # of the class
     effect: Callable[..., Any] = field(default=dict)  # the class
 
     @classmethod
@@ -215,13 +215,13 @@ class Specification:
         return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
 
     def parameter(self, name: str) -> Parameter:
-        """Return the parameter of the class; for another name, that of the effect's further constants."""
+        """Return the parameter with this name; an unknown name has the bounds of the effect's further constants."""
         other = dataclasses.replace(self.constants or Parameter(), name=name)
         return next((p for p in self.parameters if p.name == name), other)
 
     @property
     def named(self) -> bool:
-        """Return True if the effect takes further parameters of any name."""
+        """Return True if the effect accepts further parameters with any name."""
         return self.constants is not None
 
     def build(self, parameters: Mapping[str, Setting]) -> Any:
@@ -240,7 +240,7 @@ class Specification:
     def needed_live(self, parameters: Mapping[str, Setting]) -> Columns:
         """Return the signals that the loop must measure.
 
-        There are none for effects that only the elongation shows, because the control law does not use them.
+        Effects that act only on the elongation need none, because the control law does not use them.
         """
         if self.stage is Stage.STRETCH:
             return ()

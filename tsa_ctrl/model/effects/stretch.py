@@ -1,7 +1,7 @@
-"""Effects that act only on the tendon elongation s = r_M q_M - r_J q_J (m); the joint torque does not show them.
+"""Define the effects that act only on the tendon elongation s = r_M q_M - r_J q_J (m), not on the joint torque.
 
-Each effect adds a length to the elongation by the tensions at both ends. `ends`: T3 - T1 and T4 - T2, N. An element at
-the joint pulley changes the joint angle. Source: the catalogue of effects.
+Each effect adds a length to the elongation that the tensions at both ends cause. `ends` are T3 - T1 and T4 - T2, N. An
+element at the joint pulley changes the joint angle. Source: the catalogue of effects.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from tsa_ctrl.model.effects.specification import Kind, Motion, Parameter, Specif
 from tsa_ctrl.model.functions import Array, F, Functions
 
 _BOTH_ANGLES = (("q_m",), ("q_j",))
-_MICROMETRE = 1e-6  # m: unit of amplitudes of lengths in a search, so that they are numbers of about 1 to 1000
-_STEPS = 48  # times in a log at which the search for a slip starts; the fit then finds times between them
+_MICROMETRE = 1e-6  # m; unit of lengths in a search, so that their values are about 1 to 1000
+_STEPS = 48  # times in a log at which the search for a slip starts; the fit finds times in between
 
 
 def _springs(name: str, s: Scales) -> list[Variant]:
@@ -32,7 +32,7 @@ def _springs(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class SeriesSpring:
-    """s += (T3 - T1)/(2 k) at the motor's pulley, (T4 - T2)/(2 k) at the joint's: a spring that the file lacks."""
+    """s += (T3 - T1)/(2 k) at the motor pulley, or (T4 - T2)/(2 k) at the joint: a spring that the file lacks."""
 
     stiffness: Annotated[float, positive("N/m")]  # k, per tendon
     end: Annotated[str, Parameter(choices=("motor", "joint"), fitted=False)] = "motor"
@@ -56,7 +56,7 @@ def _creeps(name: str, s: Scales) -> list[Variant]:
     def parameters(u: Array) -> dict[str, Value]:
         return {"length": _MICROMETRE * float(u[0]), "time_constant": math.exp(u[1])}
 
-    low, high = 0.02 * s.seconds, 0.5 * s.seconds  # slower creep is a straight line, as is drift by temperature
+    low, high = 0.02 * s.seconds, 0.5 * s.seconds  # slower creep looks like a straight line, as does thermal drift
     coordinates = (
         Coordinate("length", -math.inf, math.inf, 1e-3),
         Coordinate("time_constant", math.log(low), math.log(high), 2e-2),
@@ -67,7 +67,7 @@ def _creeps(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class TendonCreep:
-    """s += a (1 - exp(-(t - t_0)/T)), t_0 the log's first sample: one tendon creeps longer than the other."""
+    """s += a (1 - exp(-(t - t_0)/T)) from the log's first sample t_0 on: one tendon lengthens by creep."""
 
     length: Annotated[float, Parameter("m")]  # a
     time_constant: Annotated[float, positive("s")]  # T

@@ -1,4 +1,4 @@
-"""The transmission: the simplified model from the four tensions with the effects that change it, and the full model.
+"""Define the transmission: the simplified model by four tensions with the effects that change it, and the full model.
 
 B is the torque (N*m) at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle, the mean of
 both tendons; x_a = x (1 + i), x_b = x (1 - i) with the imbalance i (1) of tendons with different routings. sigma in
@@ -8,8 +8,8 @@ both tendons; x_a = x (1 + i), x_b = x (1 - i) with the imbalance i (1) of tendo
     T1 = T_p - tau_M/(2 r_M),     T3 = T_p + tau_M/(2 r_M),
     T2 = T1 exp(+sigma x_a),      T4 = T3 exp(-sigma x_b),      tau_J = r_J (T4 - T2)
 
-x_a = x_b gives (3.55). Tensions in N, torques in N*m, radii in m, angles in 1. Assumes Coulomb friction while sliding,
-and that both tendons pull. The printed minus signs of the source are lost; the forms here are derived from
+For x_a = x_b, this is (3.55). Tensions in N, torques in N*m, radii in m, angles in 1. Assumptions: Coulomb friction
+while sliding, and both tendons pull. The printed source has lost its minus signs, so the forms here are derived from
 dT/T = sigma mu dTheta.
 """
 
@@ -39,7 +39,7 @@ def torque_between(t2: F, t4: F, r_j: float) -> F:
 
 
 class FullModel(NamedTuple, Generic[F]):
-    """(3.53)-(3.54) as lines in tau_M: tau_J = gain tau_M - loss, T_p = level + coupling tau_M."""
+    """Hold (3.53)-(3.54) as lines in tau_M: tau_J = gain tau_M - loss, T_p = level + coupling tau_M."""
 
     gain: F  # 1
     loss: F  # N*m
@@ -123,7 +123,7 @@ def _profiles(name: str, s: Scales) -> list[Variant]:
 
 @dataclass(frozen=True)
 class ElongationCoupling:
-    """The full model (3.53) in place of (3.55), for any curvature profile of the sheath."""
+    """Replace (3.55) by the full model (3.53), for any curvature profile of the sheath."""
 
     curvature_profile: Annotated[str | curvature.Points, Parameter(choices=tuple(NAMED), points=True, fitted=False)]
 
@@ -141,7 +141,7 @@ class ElongationCoupling:
 
 @dataclass(frozen=True)
 class FourTensions:
-    """(3.55) from the four tensions, with asymmetric sheaths, slack and tension-dependent friction if present."""
+    """Compute (3.55) by the four tensions, with asymmetric sheaths, slack and tension-dependent friction if present."""
 
     radii: tuple[float, float]  # r_M, r_J, m
     asymmetry: SheathAsymmetry | None = None
@@ -186,7 +186,7 @@ class FourTensions:
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float, imbalance: float = 0.0) -> float:
         """Return tau_M, N*m, that delivers B = `torque`.
 
-        The solution is closed, or by at most `ITERATIONS` steps with tension-dependent friction.
+        The solution has a closed form. With tension-dependent friction, it takes at most `ITERATIONS` steps.
         """
         x_a, x_b = self.angles(x, imbalance)
         tau_m = self._invert(torque, sigma * x_a, sigma * x_b, pretension)
@@ -260,7 +260,7 @@ class FourTensions:
 
 @dataclass(frozen=True)
 class Elongating:
-    """The full model (3.53), which excludes slack, asymmetry and tension dependence."""
+    """Compute the full model (3.53), which excludes slack, asymmetry and tension dependence."""
 
     radii: tuple[float, float]  # r_M, r_J, m
     profile: Profile
@@ -276,7 +276,7 @@ class Elongating:
         return True
 
     def line(self, functions: Functions[F], x: F, pretension: F, imbalance: F | float = 0.0) -> FullModel[F]:
-        """Return (3.53)-(3.54) at the signed angle x, with all lengths over l_us."""
+        """Return (3.53)-(3.54) at the signed angle x, with all lengths divided by l_us."""
         angles = x * (1.0 + imbalance), x * (1.0 - imbalance)
         alpha, beta = self.lengths(functions, *angles)
         return full_model(functions, angles, alpha, beta, pretension * (1.0 + self.series), *self.radii)
@@ -319,5 +319,5 @@ class Elongating:
 
 Transmission = FourTensions | Elongating
 
-ITERATIONS = 30  # most steps; 3 to 5 are usual, more are required only at a kink
-TOLERANCE = 1e-13  # of the torque scale: smaller errors are rounding
+ITERATIONS = 30  # most steps; 3 to 5 are usual, and only a kink requires more
+TOLERANCE = 1e-13  # of the torque scale; smaller errors are rounding errors
