@@ -255,7 +255,7 @@ class PolarityCheck:
         self._judged = now = self._judged + self._period  # these clocks stop while nothing is compared
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
-        if wrong.update(now, self._suspect):
+        if wrong.update(now, self._suspect and self._tt > self._unknown * self._unknown):
             return Finding(
                 Cause.POLARITY, "the motor turns the wrong way, or the sign of a torque or of an encoder is reversed"
             )
