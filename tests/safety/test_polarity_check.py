@@ -94,13 +94,16 @@ class Course:
         pieces = zip(starts.tolist(), ends, strict=True)
         return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
 
-    def ratios(self, driven: FloatArray, free: float = math.inf) -> dict[int, tuple[float, float, bool, bool, bool]]:
-        """Return by cycle, at sufficient torque: correlation, gain of a locked joint's sensor, and three flags.
+    def ratios(
+        self, driven: FloatArray, free: float = math.inf
+    ) -> dict[int, tuple[float, float, bool, bool, bool, bool]]:
+        """Return by cycle, at sufficient torque: correlation, gain of a locked joint's sensor, and four flags.
 
         The gain is 0 if the sensor does not follow. The flags: friction winds up; less than half of the elongation is
         the motor's motion, on tendons that may not have slid; the tendons of a locked joint give 1.5 times the
-        elongation of the torque, slower than 50 rad/s. `driven`: 1 from the cycle on in which something moves the
-        joint; `free`: cycle from which on the torque may grow and only a joint at rest is judged.
+        elongation of the torque, slower than 50 rad/s; the torque exceeds possible ripple. `driven`: 1 from the cycle
+        on in which something moves the joint; `free`: cycle from which on the torque may grow and only a joint at rest
+        is judged.
         """
         ratio = {}
         held = self.held()
@@ -139,7 +142,8 @@ class Course:
             soft = (self.stiffness * ta > 1.5 * (tt + 0.012 * LIMIT * np.sqrt(tt))) & (stretch > 0.9)
             gives = held[first:end] & seen & slow & strong & soft
             for n in np.flatnonzero(tt >= (0.005 * LIMIT) ** 2).tolist():
-                ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]), bool(gives[n]))
+                enough = bool(tt[n] > (0.012 * LIMIT) ** 2)
+                ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]), bool(gives[n]), enough)
         return ratio
 
     def foretold(self, driven: FloatArray, free: float = math.inf) -> tuple[FloatArray, int | None]:
@@ -176,7 +180,7 @@ class Course:
             if n not in ratio:
                 suspect, fast = (False, False) if n in looked else (suspect, fast)
                 continue
-            sense, gain, winds, held, gives = ratio[n]
+            sense, gain, winds, held, gives, enough = ratio[n]
             opposes = sense < -0.5
             fast, suspect = opposes and held, opposes and not held
             waited += 0.0 if opposes else PERIOD
@@ -187,7 +191,7 @@ class Course:
                 return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # another cause moves the joint
             judged += PERIOD
             which = "shown" if shown else "driven" if driven[n] else "at rest"
-            if wrong[which].update(judged, suspect):
+            if wrong[which].update(judged, suspect and (enough or which == "at rest")):
                 return np.array(ceilings), n
             if wrong["gives"].update(judged, gives):
                 return np.array(ceilings), n
@@ -265,8 +269,8 @@ def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: floa
     for n in range(1200):
         omega_j = 0.06 if n < 600 else 0.3
         travel += GEARED * omega_j * PERIOD
-        torque = 0.4 * n * PERIOD
-        apart = torque / STIFFNESS - 2.0 * min(travel, 0.025)
+        torque = 0.6 * n * PERIOD
+        apart = torque / STIFFNESS - 2.5 * min(travel, 0.025)
         said = said or sense.update(n * PERIOD, torque, apart, UNKNOWN, 1.0, omega_j)
     assert (said is not None) is found
 
@@ -670,3 +674,16 @@ def test_a_ratio_of_the_radii_that_is_off_looks_like_no_reversed_motor(error: fl
 @pytest.mark.parametrize("error", [-0.015, 0.0, 0.015])
 def test_a_ratio_of_the_radii_that_is_off_hides_no_reversed_motor(error: float) -> None:
     assert any(swung(error, -0.01, 1.9))
+
+
+def test_a_ripple_on_a_moving_joint_is_no_reversed_motor() -> None:
+    """The torque sensor follows a ripple of 4 % of the torque limit, which exceeds the torque and opposes it.
+
+    The tendons are so stiff that the encoders do not show their elongation.
+    """
+    sense, angle = PolarityCheck(LIMIT, GEARED, PERIOD, counts=1e-4, stiffness=4000.0), 0.0
+    for n in range(4000):
+        angle += GEARED * 0.8 * PERIOD
+        torque = -0.04 * math.sin(10.0 * angle)
+        delivered = torque + 0.04 * LIMIT * math.sin(10.0 * angle)
+        assert sense.update(n * PERIOD, torque, 0.0, GEARED * delivered - 0.5, 1.0, 0.8) is None

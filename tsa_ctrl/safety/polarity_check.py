@@ -33,7 +33,8 @@ After every enable the torque stays small until the sign is confirmed, or until 
 elongation of a rig that is too stiff for its encoders shows no sign, and the rig is not delayed. A constant set-point
 shows no sign either, so its torque is released slowly, and this ramp makes the sign visible. The encoders are not used
 if one count exceeds the elongation, because a random change of a count would resemble a response. The motor's torque
-may differ from the reported one by ripple and gear friction (`UNKNOWN`), which are unknown before `tsa tune`.
+may differ from the reported one by ripple and gear friction (`UNKNOWN`), which are unknown before `tsa tune`. They
+change with motion, so on a joint that moves, a smaller torque shows no wrong sign.
 """
 
 from __future__ import annotations
@@ -255,7 +256,8 @@ class PolarityCheck:
         self._judged = now = self._judged + self._period  # these clocks stop while nothing is compared
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
-        if wrong.update(now, self._suspect and self._tt > self._unknown * self._unknown):
+        enough = wrong is self._reversed or self._tt > self._unknown * self._unknown  # ripple changes only with motion
+        if wrong.update(now, self._suspect and enough):
             return Finding(
                 Cause.POLARITY, "the motor turns the wrong way, or the sign of a torque or of an encoder is reversed"
             )
