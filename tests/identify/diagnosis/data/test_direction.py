@@ -171,13 +171,17 @@ def _on_a_spring(seed: int) -> dict[str, Array]:
         "t": t,
         "tau_m": tau_m + 1e-3 * rng.standard_normal(len(t)),
         "omega_j": omega + 6e-4 * rng.standard_normal(len(t)),
+        "q_j": np.round(tau_j / 4.0 / 1e-4) * 1e-4,
         "tau_j": slow + 5e-3 * rng.standard_normal(len(t)),
     }
 
 
 @pytest.mark.slow
-def test_a_lag_is_found_on_a_joint_that_sticks_most_of_the_time() -> None:
+@pytest.mark.parametrize("measured", ["omega_j", "q_j"])
+def test_a_lag_is_found_on_a_joint_that_sticks_most_of_the_time(measured: str) -> None:
     logs = {f"log {seed}": _on_a_spring(seed) for seed in (1, 2)}
+    for columns in logs.values():
+        del columns["omega_j" if measured == "q_j" else "q_j"]
     result = diagnose(logs, ACTUATOR)
     lag = next(cause for cause in result.causes if cause.effect == "torque_sensor_lag")
     value = lag.parameters["time_constant"]

@@ -7,7 +7,7 @@ direction from the whole log. Only intervals in which the velocity alone is unde
 If the odds are large and the torque fits the direction, it counts as known. The reversals themselves are an exception:
 they were placed by the torque and do not show its delay. Held-out errors omit all these intervals. If the torque fits
 neither direction, friction is somewhere within its band, and the direction remains unknown. A plain drive at rest is
-always in this state, so its rest is neither fitted nor counted.
+always in this state, and so is a joint whose tendons stick. These intervals are neither fitted nor counted.
 """
 
 from __future__ import annotations
