@@ -178,7 +178,7 @@ def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -
     where = ["--interface", "virtual", "--channel", channel]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "1", "--out", str(profile)])
     assert done.exit_code == 0, done.output
-    assert "lines to finish; then: tsa run --check" in done.output
+    assert "lines to complete (marked FINISH); then run: tsa run --check" in done.output
     controller = tmp_path / "controller.toml"
     text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "mine"')
     controller.write_text(text, encoding="utf-8")
@@ -195,7 +195,7 @@ def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> No
     controller.write_text(text, encoding="utf-8")
     checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
     assert checked.exit_code == 0, checked.output
-    told = [line for line in checked.output.splitlines() if "the profile of Copley Controls does not know: " in line]
+    told = [line for line in checked.output.splitlines() if "not known in the profile of Copley Controls: " in line]
     assert len(told) == len(load_profile("copley", tmp_path).unknown) > 0
 
 

@@ -189,4 +189,4 @@ def test_restore_maps_pdos_by_the_procedure() -> None:
 
 def test_no_drive_named_is_a_usage_error() -> None:
     result = CliRunner().invoke(command, ["dump"])
-    assert "which drive?" in str(result.exception)
+    assert "no drive selected" in str(result.exception)
