@@ -115,7 +115,7 @@ def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("frame", "words"),
     [
-        (can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False), "drive node 17 (nodes 1 talk)"),
+        (can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False), "drive node 17 (active nodes: 1)"),
         (can.Message(arbitration_id=0x080, is_extended_id=False), "another master"),
     ],
     ids=["other nodes", "a master"],

@@ -108,7 +108,7 @@ def test_the_desk_set_has_a_bus_and_rights_that_any_machine_has(tmp_path: Path) 
 def test_nothing_that_is_there_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "plant.toml").write_text("mine")
     assert run("init", str(tmp_path)) == 2
-    assert "plant.toml: is there already" in capsys.readouterr().err
+    assert "plant.toml: already exists" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plant.toml"]
     assert (tmp_path / "plant.toml").read_text() == "mine"
 

@@ -88,7 +88,7 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
     [
         (("0.5", "--against", "1.3"), "compensation 1.3 is out of bounds; allowed is 0 to 1.2"),
         (("0.5", "--against", "0.5"), "A and B are the same"),
-        (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "name each parameter once"),
+        (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "give each parameter once"),
         (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
         (("0.5", "--against", "0.9", "--with", "slew=60,nan"), "write NAME=A,B"),
         (("0.5", "--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
@@ -148,9 +148,9 @@ class Phases:
     [
         (
             ("faulted", "starting", "running", "running", "faulted"),
-            "not for long, phase faulted: over-speed; remove its reason",
+            "but stopped again, phase faulted: over-speed; remove the cause",
         ),
-        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; remove its reason"),
+        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; remove the cause"),
     ],
 )
 def test_a_recovery_that_does_not_last_is_told(
@@ -174,14 +174,14 @@ def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None
     result = call(serving, "stop", "--wait", "0.2")
     assert serving.mailbox.stop_requested
     assert isinstance(result.exception, BusError)
-    assert "still there" in str(result.exception)
+    assert "still runs" in str(result.exception)
     assert call(serving, "stop", "--wait", "0").exit_code == 0
 
 
 def test_stop_says_what_a_daemon_that_starts_was_doing(serving: Serving) -> None:
     serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
     assert call(serving, "stop", "--wait", "0").output == (
-        "stop asked for; it was waiting for the boot-up of axis 'knee' drive node 1, 60 s at most\n"
+        "stop requested; it was in startup: waiting for the boot-up of axis 'knee' drive node 1, 60 s at most\n"
     )
 
 

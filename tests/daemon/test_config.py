@@ -84,8 +84,8 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r"^rate = 1000.0", 'rate = "1 kHz"', "controller.rate"),
         (r"^rate = 1000.0", "rate = 2000.0", r"bitrate 1000000: 2000 Hz.*needs .* %"),
         (r"^bitrate = 1_000_000", "bitrate = 250_000", r"250000.*needs"),
-        (r"^node_id = 32", "node_id = 1", r"axis 'knee' encoder: node_id 1 is also that of axis 'knee' drive"),
-        (r"^node_id = 64", "node_id = 127", r"node_id 127 is also that of \[bus\] host_node_id"),
+        (r"^node_id = 32", "node_id = 1", r"axis 'knee' encoder: node_id 1 is also used by axis 'knee' drive"),
+        (r"^node_id = 64", "node_id = 127", r"node_id 127 is also used by \[bus\] host_node_id"),
         (r"^torque = 2.0", "torque = 3.5", "limits.torque 3.5 N.m is above the drive's own clamp of 3"),
         (r"^torque = 2.0", "torque = nan", "limits.torque"),
         (r"^torque = 2.0", "", "key 'torque' is missing"),
@@ -125,7 +125,11 @@ def test_wrong_is_one_line_and_exit_code_2(folder: Path, pattern: str, text: str
     ("pattern", "text", "words"),
     [
         (r"^rate = 1000.0", "rate = 933.3", "cannot be written to the drive .* choose a rate such as"),
-        (r"^# host_timeout = 0.1 ", "host_timeout = 0.03 ", "host_timeout 0.03 s is less than two of our heartbeats"),
+        (
+            r"^# host_timeout = 0.1 ",
+            "host_timeout = 0.03 ",
+            "host_timeout 0.03 s is shorter than two heartbeat",
+        ),
     ],
 )
 @pytest.mark.parametrize("verb", [("run", "--check"), ("doctor",)])
@@ -141,7 +145,7 @@ def test_what_no_drive_can_be_told_is_found_before_there_is_a_drive(
     ("name", "drive", "encoder", "words"),
     [
         ("knee", 2, 33, "2 axes are named 'knee'"),
-        ("hip", 1, 33, "axis 'hip' drive: node_id 1 is also that of axis 'knee' drive"),
+        ("hip", 1, 33, "axis 'hip' drive: node_id 1 is also used by axis 'knee' drive"),
     ],
 )
 def test_axes_do_not_share(folder: Path, name: str, drive: int, encoder: int, words: str) -> None:
@@ -243,4 +247,6 @@ def test_check_compares_the_plan_with_the_eds(folder: Path) -> None:
     path = edit(folder, r'^# profile = "generic"', 'profile = "mine"')
     result = CliRunner().invoke(cli, ["run", "--check", str(path)])
     assert isinstance(result.exception, UsageError)
-    assert "mine.eds: section [6072]: 0x6072:0 max torque shall be 2000, allowed is 0 to 500" in str(result.exception)
+    assert "mine.eds: section [6072]: 0x6072:0 max torque must be 2000, but the EDS allows 0 to 500" in str(
+        result.exception
+    )

@@ -26,7 +26,7 @@ def test_the_log_is_read_and_the_model_does_not_know_what_is_hidden(tmp_path: Pa
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["x.csv", "--example"], "leave LOG and --model out"),
+        (["x.csv", "--example"], "omit LOG and --model"),
         (["x.csv"], "Missing --model; or try --example"),
         ([], "Missing LOG; or try --example"),
     ],

@@ -38,7 +38,7 @@ def test_two_nodes_are_refused_before_either_takes_the_id(tmp_path: Path) -> Non
         for serial, name in enumerate("ab", 1)
     )
     foreign = Foreign(tmp_path, text=axes)
-    with refused("more than one node answers to LSS; leave the one drive alone"):
+    with refused("more than one node answers to LSS; leave only this drive on the bus"):
         lss.set_node_id(foreign.wire.host, 5)
     assert [frame for frame in foreign.sent() if frame[1][0] in (0x11, 0x17)] == []
 
@@ -46,6 +46,6 @@ def test_two_nodes_are_refused_before_either_takes_the_id(tmp_path: Path) -> Non
 def test_a_bus_that_somebody_leads_is_left_alone(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, UNSET)
     foreign.wire.at(foreign.wire.now + 0.01, lambda now: foreign.wire.host.arrived(0x080, b""))
-    with refused("others talk here (heard 0x080)", "leave the one drive alone"):
+    with refused("other nodes are active (heard 0x080)", "leave only this drive on the bus"):
         lss.set_node_id(foreign.wire.host, 5)
     assert foreign.sent() == []

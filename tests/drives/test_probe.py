@@ -91,7 +91,7 @@ def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
         "#   node_id = 1",
         "#   serial_number = 1234",
         "#   rated_torque = 1  # N*m, if the unit above is right",
-        "# RPDO1 carries now: 0x60400010",
+        "# RPDO1 now maps: 0x60400010",
     ):
         assert line in text.splitlines(), line
 
@@ -114,7 +114,7 @@ def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
             "# 0x60E0:0 positive torque limit is 250 per mille of the rated torque; it",
         ),
         (["modes = ['csp']"], "# FINISH: no cyclic synchronous torque (bit 9)"),
-        (["objects = { '0x1019:0' = 7 }"], "# 0x1019:0 SYNC counter is 7 and is set to 0"),
+        (["objects = { '0x1019:0' = 7 }"], "# 0x1019:0 SYNC counter is 7; startup sets it to 0"),
     ],
 )
 def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str], line: str) -> None:
@@ -145,12 +145,12 @@ def test_a_device_of_several_axes_names_its_slots(tmp_path: Path) -> None:
     )
     found = looked_at(Foreign(tmp_path, text=axes), slot=2)
     assert (found.slots, found.rpdos) == ([1, 2], 4)
-    assert "# The device has axes in the slots 1, 2; this is slot 2." in profile_text(found, "here")
+    assert "# The device has axes in slots 1, 2; this is slot 2." in profile_text(found, "here")
 
 
 def test_something_else_than_a_drive_is_refused(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "absent = [0x6071]")
-    with refused("device type is 0x00020192, and there is no 0x6071:0 target torque", "correct --node"):
+    with refused("device type is 0x00020192, and 0x6071:0 target torque is missing", "correct --node"):
         looked_at(foreign)
 
 
@@ -178,7 +178,7 @@ def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -
     where = ["--interface", "virtual", "--channel", channel]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "1", "--out", str(profile)])
     assert done.exit_code == 0, done.output
-    assert "lines to finish; then: tsa run --check" in done.output
+    assert "lines to complete (marked FINISH); then run: tsa run --check" in done.output
     controller = tmp_path / "controller.toml"
     text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "mine"')
     controller.write_text(text, encoding="utf-8")
@@ -195,7 +195,7 @@ def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> No
     controller.write_text(text, encoding="utf-8")
     checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
     assert checked.exit_code == 0, checked.output
-    told = [line for line in checked.output.splitlines() if "the profile of Copley Controls does not know: " in line]
+    told = [line for line in checked.output.splitlines() if "not known in the profile of Copley Controls: " in line]
     assert len(told) == len(load_profile("copley", tmp_path).unknown) > 0
 
 
@@ -204,5 +204,5 @@ def test_nobody_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     where = ["--interface", "virtual", "--channel", "probe-nobody"]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "7"])
     assert done.exception is not None
-    assert "node 7 does not answer to SDO requests" in str(done.exception)
+    assert "node 7 does not answer SDO requests" in str(done.exception)
     assert "\n" not in str(done.exception)

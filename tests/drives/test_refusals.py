@@ -20,7 +20,7 @@ DO = re.compile(
 ELSEWHERE = (  # messages that another function completes; the tests below or the listed tests check them
     "another_master",
     "_not_booted",
-    "node {node_id} refuses {entry}",  # cure() appends the remedy where it is caught: test_start, test_matrix
+    "node {node_id} rejects {entry}",  # cure() appends the remedy where it is caught: test_start, test_matrix
     "{path}: {error}",
     "{name}: {error}{holds}; {cure(",
     "read back {kept}; {cure(",

@@ -66,7 +66,7 @@ def test_two_axes_of_one_device(tmp_path: Path) -> None:
 def test_three_axes_of_one_device_need_identifiers_for_the_third(tmp_path: Path) -> None:
     device: Keys = {"node_id": 5}
     axes = [({**device, "slot": slot}, {**device, "slot": slot}) for slot in (1, 2, 3)]
-    with pytest.raises(UsageError, match="slot 3 without pdo_node_id: a node has PDO identifiers for two axes"):
+    with pytest.raises(UsageError, match="slot 3 without pdo_node_id: a node has PDO identifiers for only two axes"):
         load_configuration(files(tmp_path, *axes)[0])
     axes[2][0]["pdo_node_id"] = 9
     result = simulate_loop(*files(tmp_path, *axes), 1.2)
@@ -94,7 +94,7 @@ def test_three_makes_on_one_bus(tmp_path: Path) -> None:
 
 
 def test_equal_drives_need_their_serial_numbers(tmp_path: Path) -> None:
-    with refused("are equal drives", "write serial_number = 41", "serial_number = 42", "tsa doctor"):
+    with refused("are drives of one model", "write serial_number = 41", "serial_number = 42", "tsa doctor"):
         simulate_loop(*files(tmp_path, ({}, {"serial_number": 41}), ({}, {"serial_number": 42})), 0.3)
 
 

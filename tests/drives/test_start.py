@@ -34,7 +34,7 @@ def busy(foreign: Foreign, *frames: tuple[int, bytes]) -> None:
 def test_a_start_beside_another_master_sends_nothing(tmp_path: Path, frame: tuple[int, bytes]) -> None:
     foreign = Foreign(tmp_path)
     busy(foreign, frame)
-    with refused(f"another master is active (heard its frames 0x{frame[0]:03X}); nothing was sent"):
+    with refused(f"another master is active (heard 0x{frame[0]:03X}); nothing was sent"):
         foreign.start()
     assert foreign.sent() == []
 
@@ -122,8 +122,8 @@ def test_read_only_objects_whose_value_does_as_well_are_forgiven(tmp_path: Path)
     report = Foreign(tmp_path, "read_only = ['0x605A', '0x605E', '0x6007', '0x1029:1']").start()
     forgiven = [note for note in report.nodes[0].notes if "cannot be written" in note]
     assert forgiven == [
-        "0x605A:0 quick stop reaction cannot be written; its 0x2 does as well",
-        "0x605E:0 fault reaction cannot be written; its 0x2 does as well",
+        "0x605A:0 quick stop reaction cannot be written; its value 0x2 is also sufficient",
+        "0x605E:0 fault reaction cannot be written; its value 0x2 is also sufficient",
     ]
 
 
@@ -146,7 +146,7 @@ def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
 def test_an_inhibit_time_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "objects = {'0x1015:0' = 5000}", "read_only = ['0x1015']")
     (note,) = [note for node in foreign.start().nodes for note in node.notes]
-    assert note == "0x1015:0 inhibit time EMCY cannot be written; its 0x1388 does as well"
+    assert note == "0x1015:0 inhibit time EMCY cannot be written; its value 0x1388 is also sufficient"
 
 
 VALUES = (  # type, value in the profile, bytes in the drive
@@ -177,7 +177,7 @@ def test_what_the_start_waits_for_is_told(tmp_path: Path) -> None:
     bring_up(foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, tell=stages.append)
     assert stages == [
         "listening for another master on the bus",
-        "asking axis 'knee' drive node 1 who it is",
+        "reading the identity of axis 'knee' drive node 1",
         "waiting for the boot-up of axis 'knee' drive node 1, 3 s at most",
         "configuring axis 'knee' drive node 1",
         "waiting for axis 'knee' drive node 1 to become operational",
@@ -185,7 +185,10 @@ def test_what_the_start_waits_for_is_told(tmp_path: Path) -> None:
 
 
 def test_a_fault_found_at_the_start_says_what_becomes_of_it(tmp_path: Path) -> None:
-    for resets, words in ((False, "must be reset before it can enable: --reset-faults"), (True, "it is reset now")):
+    for resets, words in (
+        (False, "must be reset before it can be enabled: --reset-faults"),
+        (True, "it will now be reset"),
+    ):
         foreign = Foreign(tmp_path)
         foreign.drive.fault(0x2310)
         foreign.wait(0.1)

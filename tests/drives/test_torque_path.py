@@ -46,16 +46,16 @@ def test_an_offset_that_the_drive_keeps_is_refused(tmp_path: Path) -> None:
             write(key, data)
 
     foreign.node.dictionary.write = keep  # type: ignore[method-assign]
-    with refused("0x60B2:0 torque offset: wrote 0x0, read back 0x78", "allowed is 0"):
+    with refused("0x60B2:0 torque offset: wrote 0x0, read back 0x78", "only 0 is allowed"):
         foreign.start()
 
 
 @pytest.mark.parametrize(
     ("name", "said"),
     [
-        ("0x60E0:0", "positive torque limit (0x60E0) is 250 per mille of the rated torque: the drive delivers no more"),
-        ("0x60E1:0", "negative torque limit (0x60E1) is 250 per mille of the rated torque: the drive delivers no more"),
-        ("0x6073:0", "max current (0x6073) is 250 per mille of the rated current: the drive delivers no more"),
+        ("0x60E0:0", "positive torque limit (0x60E0) is 250 per mille of the rated torque: the drive delivers at most"),
+        ("0x60E1:0", "negative torque limit (0x60E1) is 250 per mille of the rated torque: the drive delivers at most"),
+        ("0x6073:0", "max current (0x6073) is 250 per mille of the rated current: the drive delivers at most"),
         ("0x6087:0", "torque slope (0x6087) is 250 per mille of the rated torque per s: 4 s from zero to max_torque"),
     ],
 )
@@ -72,7 +72,7 @@ def test_a_limit_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path)
     foreign.node.dictionary.add(Entry(0x60E0, 0, Type.U16, Access.WO))
     (note,) = notes(foreign)
-    assert note == "0x60E0:0 positive torque limit cannot be read, so its effect on the torque is not known"
+    assert note == "0x60E0:0 positive torque limit cannot be read, so its effect on the torque is unknown"
 
 
 @pytest.mark.parametrize("index", [0x607E, 0x6075, 0x6076, 0x60B2])

@@ -52,7 +52,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("EPOS4 under no profile", _EPOS4, refused="a factor of 1000"),
     Variation("Elmo Gold under no profile", _ELMO, refused='absent = ["SI unit velocity"]'),
     # missing objects
-    Variation("no 0x6502", {"absent": [0x6502]}, told="does not report which modes"),
+    Variation("no 0x6502", {"absent": [0x6502]}, told="does not report its supported modes"),
     Variation("no 0x60C2", {"absent": [0x60C2]}),
     Variation("no 0x1029", {"absent": [0x1029]}),
     Variation("no 0x1005, 0x1006, 0x1007, 0x1019", {"absent": [0x1006, 0x1007, 0x1019]}),
@@ -65,7 +65,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("no watchdog at all", {"absent": [0x1016, "0x1400:5"]}, refused="require_watchdog = false"),
     Variation(
         "no watchdog at all, accepted", {"absent": [0x1016, "0x1400:5"]}, drive={"require_watchdog": False},
-        told="would go on when this computer dies",
+        told="would keep running if this computer fails",
     ),
     Variation("no 0x6007", {"absent": [0x6007]}, refused="require_watchdog = false"),
     Variation("no 0x6072", {"absent": [0x6072]}, refused="[torque_clamp]"),
@@ -96,7 +96,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("SYNC counter and period left", _objects(x1019_0=10, x1006_0=5000)),
     Variation("torque offset left", _objects(x60B2_0=120)),
     Variation("torque offset that cannot be written", {"read_only": ["0x60B2"], **_objects(x60B2_0=120)},
-              refused="allowed is 0"),
+              refused="only 0 is allowed"),
     Variation("no offsets", {"absent": [0x60B0, 0x60B1, 0x60B2]}),
     Variation("positive torque limit left", _objects(x60E0_0=400), told="positive torque limit (0x60E0) is 400"),
     Variation("slow torque slope left", _objects(x6087_0=500), told="torque slope (0x6087) is 500"),
@@ -111,7 +111,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("mode left at 10", _objects(x6060_0=10)),
     # startup
     Variation("boots after 2.5 s", {"boot_time": 2.5}),
-    Variation("boots after 3.5 s", {"boot_time": 3.5}, refused="more boot_timeout"),
+    Variation("boots after 3.5 s", {"boot_time": 3.5}, refused="increase boot_timeout"),
     Variation("boots after 3.5 s, and the profile says so", {"boot_time": 3.5}, {"boot_timeout": 5.0}),
     Variation("answers SDO after 0.4 s", {"answer_time": 0.4}),
     Variation("answers SDO after 0.7 s", {"answer_time": 0.7}, refused="answer_timeout"),

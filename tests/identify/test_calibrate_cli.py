@@ -98,8 +98,8 @@ def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys:
     assert tsa("low.csv", "--model", "a.toml") == 0
     out = capsys.readouterr().out
     assert "friction torque" in out
-    assert "NOT parted" in out
-    assert "to settle it" in out
+    assert "NOT separately identifiable" in out
+    assert "to separate them" in out
     assert "held-out" in out
     assert "while sliding" in out
 
@@ -139,7 +139,7 @@ def test_worse_than_given_is_told_and_not_written_unasked(
     logs = [f"{number}.csv" for number in range(3)]
     assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml") == 2
     captured = capsys.readouterr()
-    assert "LARGER than with the given file" in captured.out
+    assert "LARGER than with the nominal model" in captured.out
     assert "new.toml: not written" in captured.err
     assert not (folder / "new.toml").exists()
     assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml", "--yes") == 0

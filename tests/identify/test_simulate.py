@@ -165,7 +165,7 @@ def test_slack_is_said_with_its_share(bench: Path, capsys: pytest.CaptureFixture
     share = np.mean(np.abs(3.0 * TAU_M) >= 2.0 * PRETENSION * R_M)
     assert f"{share:.1%} of the samples lie beyond abs(tau_m) = 2 T_p r_M" in out
     assert "outside the domain of (3.55) (a.toml)" in out
-    assert "as [effects.tendon_slack] models (c.toml)" in out
+    assert "as modelled by [effects.tendon_slack] (c.toml)" in out
 
 
 class TestPlainDrive:

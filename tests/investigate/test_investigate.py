@@ -152,7 +152,7 @@ def test_a_question_that_is_open_after_the_most_motions_is_said(
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "confirm by --yes"),
+        ([], "confirm with --yes"),
         (["--torque", "50"], "is more than limits.torque"),
         (["--axis", "elbow"], "--axis elbow"),
     ],

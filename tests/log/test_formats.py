@@ -189,7 +189,7 @@ def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals
     assert run(*line) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "--yes takes the proposals --column 't=column 2|s' --column 'tau_m=column 1|N*m'" in said
+    assert "--yes accepts the proposals --column 't=column 2|s' --column 'tau_m=column 1|N*m'" in said
     assert run(*line, "--yes") == 0
     found = read_table(tmp_path / "out/run.csv").columns
     np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)

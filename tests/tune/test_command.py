@@ -150,7 +150,7 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
 @pytest.mark.slow
 def test_undo_puts_the_file_before_back(recorded: Recorded, tuned: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa("controller.toml", "--undo") == 0
-    assert "put back from actuator.toml.~1~" in capsys.readouterr().out
+    assert "restored from actuator.toml.~1~" in capsys.readouterr().out
     assert (tuned / "actuator.toml").read_text() == recorded[0]
     assert tsa("controller.toml", "--undo") == 2
 
@@ -182,7 +182,7 @@ def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_
 
     (folder / "controller.toml").write_bytes(tuned)
     assert tsa("controller.toml", "--undo") == 0
-    assert "controller.toml: put back from controller.toml.~1~" in capsys.readouterr().out
+    assert "controller.toml: restored from controller.toml.~1~" in capsys.readouterr().out
     assert files(folder) == before
 
 
@@ -191,7 +191,7 @@ def test_undo_goes_with_nothing_else(tuned: Path, capsys: pytest.CaptureFixture[
     written = (tuned / "actuator.toml").read_bytes()
     assert tsa("controller.toml", "--undo", "--dry-run") == 2
     assert tsa(*FROM_LOG, "--undo") == 2
-    assert "does nothing else than" in capsys.readouterr().err
+    assert "only restores the previous files" in capsys.readouterr().err
     assert (tuned / "actuator.toml").read_bytes() == written
 
 

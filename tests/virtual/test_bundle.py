@@ -59,7 +59,7 @@ def test_a_report_holds_what_a_reader_needs(desk: Path) -> None:
 def test_a_run_is_repeated_to_the_last_bit_without_its_files(desk: Path, name: str) -> None:
     result = tsa("simulate-loop", desk / name, "--json")
     assert result.exit_code == 0, result.output
-    assert "equal to the log in each bit of each record" in result.stderr
+    assert "every record is identical to the log, bit by bit" in result.stderr
     assert json.loads(result.stdout)["seconds"] == 3.0
 
 

@@ -52,7 +52,7 @@ def test_an_input_that_is_high_while_released_stops_when_it_goes_low(tmp_path: P
 def test_a_node_that_answers_no_question_counts_as_pressed(tmp_path: Path) -> None:
     """The drive answers an SDO only after 0.4 s, so the state of the stop is unknown."""
     result = run(tmp_path, drive={"answer_time": 0.4})
-    assert "no answer about 0x60FD:0 digital inputs for 0.25 s" in result.axes[0].faults[0]
+    assert "no answer for 0x60FD:0 digital inputs within 0.25 s" in result.axes[0].faults[0]
 
 
 def test_without_the_key_nothing_is_read(tmp_path: Path) -> None:

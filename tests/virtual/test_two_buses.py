@@ -72,7 +72,7 @@ def test_four_axes_that_one_bus_cannot_carry_run_on_two_at_1_khz(tmp_path: Path)
     assert not any(node.missed for node in result.summary.nodes)
     assert len(result.axes) == 4
     one = tables | {"bus": {"channel": "can0"}, "axis": [merged(each, {"bus": None}) for each in tables["axis"]]}
-    with pytest.raises(UsageError, match="1000 Hz with 4 axis/axes needs"):
+    with pytest.raises(UsageError, match="1000 Hz with 4 axes needs"):
         load_configuration(write(tmp_path, one)[0])
 
 
@@ -114,13 +114,13 @@ def changed(number: int, **keys: Any) -> list[dict[str, Any]]:
     ("buses", "places", "line"),
     [
         (changed(1, rate=500), TWO, r"\[\[bus\]\] rate 500: one cycle runs over all buses at \[controller\] rate"),
-        (changed(1, name="left"), {"knee": "left", "hip": "left"}, "2 buses are named 'left'"),
+        (changed(1, name="left"), {"knee": "left", "hip": "left"}, "2 buses have the name 'left'"),
         (changed(1, name=""), TWO, r"\[\[bus\]\] number 2 has no name|number 2: name"),
         (BUSES, {"knee": "left", "hip": "left"}, r"\[\[bus\]\] 'right': no axis is on it"),
         (BUSES, {"knee": "left", "hip": "middle"}, "axis 'hip': no bus 'middle'; choose one of left, right"),
-        (changed(1, channel="can0"), TWO, "channel 'can0' is also that of 'left'"),
-        (changed(1, host_node_id=126), TWO, r"'right': host_node_id differs from that of 'left'"),
-        (changed(1, supervision={"tolerated_misses": 5}), TWO, "supervision differs from that of 'left'"),
+        (changed(1, channel="can0"), TWO, "channel 'can0' is also used by 'left'"),
+        (changed(1, host_node_id=126), TWO, r"'right': host_node_id differs from bus 'left'"),
+        (changed(1, supervision={"tolerated_misses": 5}), TWO, "supervision differs from bus 'left'"),
         (changed(1, bitrate=100), TWO, r"\[\[bus\]\] number 2: bitrate"),
         ([], TWO, "bus is a list without tables"),
     ],
@@ -136,12 +136,12 @@ def test_what_cannot_run_in_one_cycle_is_one_line(
 def test_axes_name_their_bus_if_there_are_several_and_nodes_are_unique(tmp_path: Path) -> None:
     tables = on_buses(controller(), TWO)
     del tables["axis"][1]["bus"]
-    with pytest.raises(UsageError, match="axis 'hip': names no bus; write bus with one of left, right"):
+    with pytest.raises(UsageError, match="axis 'hip': bus is missing; set it to one of left, right"):
         load_configuration(write(tmp_path, tables)[0])
     tables = on_buses(controller(), TWO)
     tables["axis"][1]["encoder"]["node_id"] = 32
     with pytest.raises(
-        UsageError, match="axis 'hip' on bus 'right': node_id 32 is also one of axis 'knee' on bus 'left'"
+        UsageError, match="axis 'hip' on bus 'right': node_id 32 is also used by axis 'knee' on bus 'left'"
     ):
         load_configuration(write(tmp_path, tables)[0])
     tables = controller()
@@ -155,7 +155,7 @@ def test_a_full_bus_is_named_and_its_suggestions_work(tmp_path: Path) -> None:
     places = {"knee": "left", "hip": "left", "ankle": "right"}
     buses = [{**each, "bitrate": 500_000} for each in BUSES]
     tables = on_buses(controller(file={"controller": {"rate": 500.0}}), places, buses)
-    with pytest.raises(UsageError, match=r"\[\[bus\]\] 'left' bitrate 500000: 500 Hz with 2 axis/axes needs") as error:
+    with pytest.raises(UsageError, match=r"\[\[bus\]\] 'left' bitrate 500000: 500 Hz with 2 axes needs") as error:
         load_configuration(write(tmp_path, tables)[0])
     assert "in [[bus]] 'left' and in every node" in str(error.value)
     roomy = [buses[0], BUSES[1]]

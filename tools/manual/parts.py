@@ -109,7 +109,7 @@ def faults() -> str:
 
 def verbs() -> str:
     """Return the table of the commands of `tsa` with their descriptions."""
-    return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
+    return table(("command", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
 
 
 def _short(value: float) -> str:

@@ -134,7 +134,9 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
         process.send(msgspec.json.encode(Task(settings, ids_of(axes))))
         readable, _, _ = select.select([process.stdout], [], [], START)
         if not readable or process.failure():
-            raise BusError("bench: the process that simulates the nodes did not start; is the machine too busy?")
+            raise BusError(
+                "bench: the process that simulates the nodes did not start; reduce the load of this machine and repeat"
+            )
         yield
     finally:
         process.end(START)

@@ -184,8 +184,8 @@ def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, m
     found = (
         Bound("cycle", _inverse((1.0 - margin), busy), f"{_us(busy)} from the deadline to the end of a cycle"),
         Bound("answers", _inverse((1.0 - margin) * collect, command), f"{_us(command)} from SYNC to the command"),
-        Bound("bit rate", bus_rate, f"{100 * max_load:.0f} % of the bit rate in the worst case"),
-        Bound("configuration", HIGHEST, "[controller] rate is at most this"),
+        Bound("bit rate", bus_rate, f"at most {100 * max_load:.0f} % of the bit rate, in the worst case"),
+        Bound("configuration", HIGHEST, "largest value of [controller] rate"),
     )
     return tuple(sorted(found, key=lambda bound: bound.rate))
 
@@ -251,7 +251,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
         UsageError: the configuration has several buses.
     """
     if configuration.file.other_buses:
-        raise UsageError(f"{configuration.path}: tsa bench measures one bus; give it a file with one [bus]")
+        raise UsageError(f"{configuration.path}: tsa bench measures one bus; use a file with one [bus]")
     configuration = _tolerant(configuration)
     bus = open_bus(configuration.file.bus)
     try:
@@ -304,9 +304,9 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
     if there or seen or not is_simulated(settings.interface, settings.channel):
         silent = ", ".join(str(node) for node in drives if node not in there)
         others = sorted({can_id & 0x7F for can_id in seen if can_id & 0x7F})
-        talk = f" (nodes {', '.join(map(str, others))} talk)" if others else ""
+        talk = f" (active nodes: {', '.join(map(str, others))})" if others else ""
         raise BusError(
-            f"{bus.name}: no answer from drive node {silent}{talk}; switch it on, check node id and bit rate"
+            f"{bus.name}: no answer from drive node {silent}{talk}; switch it on and check node id and bit rate"
         )
     return True
 
@@ -344,7 +344,7 @@ def _measure(
 
     configured = at(file.controller.rate)
     if configured.lost == configured.cycles:
-        raise BusError(f"{bus.name}: the nodes do not answer every SYNC; check their mapping (tsa run prints details)")
+        raise BusError(f"{bus.name}: no SYNC was answered by all nodes; check their mapping (tsa run prints details)")
     bus_rate = configuration.load.highest_rate(file.bus.max_load)
     found = bounds(configured, margin, file.controller.collect, bus_rate, file.bus.max_load)
     highest, limited_by = rounded_down(found[0].rate), found[0].name

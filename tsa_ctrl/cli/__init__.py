@@ -18,9 +18,9 @@ from tsa_ctrl.settings import write_text
 from tsa_ctrl.version import __version__
 
 PLACES = {
-    "bash": (".local/share/bash-completion/completions/tsa", "a new shell has it where bash-completion is installed"),
-    "zsh": (".zfunc/_tsa", "a new shell has it with 'fpath+=~/.zfunc; autoload -Uz compinit; compinit' in ~/.zshrc"),
-    "fish": (".config/fish/completions/tsa.fish", "a new shell has it"),
+    "bash": (".local/share/bash-completion/completions/tsa", "active in a new shell if bash-completion is installed"),
+    "zsh": (".zfunc/_tsa", "active in a new shell with 'fpath+=~/.zfunc; autoload -Uz compinit; compinit' in ~/.zshrc"),
+    "fish": (".config/fish/completions/tsa.fish", "active in a new shell"),
 }
 
 
@@ -37,14 +37,14 @@ VERBS: dict[str, str] = {
     "simulate-loop": "run the real loop on the simulated plant in virtual time",
     "simulate": "predict the joint torque for a log and print the error",
     "diagnose": "find and explain model errors, and quantify the improvement",
-    "investigate": "find the cause of a torque error by experiments that it chooses itself",
+    "investigate": "find the cause of a torque error with experiments that the command chooses",
     "doctor": "check that this machine can run the loop",
     "data": "fetch and check published measured data",
     "log": "inspect, convert and import logs; show a rig's health over its runs",
     "drive": "probe a drive; dump, restore or compare its objects",
-    "verify-safety": "hang and kill the loop, and measure the drive's reaction",
-    "bench": "find the highest rate of this machine, adapter and configuration",
-    "help": "show the manual's pages, or the remedy of a fault",
+    "verify-safety": "hang and kill the loop, and measure each drive's reaction",
+    "bench": "find the highest rate for this machine, adapter and configuration",
+    "help": "show the manual's pages, or the remedy for a fault",
     "dashboard": "open a local page to watch and tune",
     "bundle": "write a field report of a run, from which it can be reproduced",
     "live": "publish signals on a WebSocket for Foxglove and PlotJuggler",
@@ -102,7 +102,7 @@ def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> N
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{path.parent}: cannot be made ({error.strerror}); correct its owner") from None
+        raise UsageError(f"{path.parent}: cannot be created ({error.strerror}); correct its owner") from None
     write_text(path, maker(ctx.command, {}, "tsa", "_TSA_COMPLETE").source())
     click.echo(f"{path}: written; {hint}")
     ctx.exit()
@@ -116,7 +116,7 @@ def install_completion(ctx: click.Context, _: click.Parameter, asked: bool) -> N
     is_eager=True,
     expose_value=False,
     callback=install_completion,
-    help="Complete commands and options in this shell.",
+    help="Install completion of commands and options for this shell.",
 )
 def cli() -> None:
     """Feedforward torque control through tendon-sheaths, and the diagnosis of its model."""

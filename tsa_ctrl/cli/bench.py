@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
 @click.command("bench", epilog="Example: tsa bench config/controller.toml")
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--seconds", default=5.0, show_default=True, type=Finite(0.1, 600.0), help="At each rate.")
-@click.option("--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Free share of the period.")
+@click.option("--seconds", default=5.0, show_default=True, type=Finite(0.1, 600.0), help="Duration at each rate, s.")
+@click.option(
+    "--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Share of the period that must stay free."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(controller: Path, seconds: float, margin: float, as_json: bool) -> int:
     """Find the highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.
@@ -55,10 +57,10 @@ def _show(found: Found) -> None:
     from rich.table import Table
 
     console = Console()
-    nodes = "a process simulates the nodes" if found.simulated else "the nodes answer, their drives off"
+    nodes = "a process simulates the nodes" if found.simulated else "the nodes answer with their drives disabled"
     console.print(f"{found.bus}: {nodes}; {found.rights}", markup=False, highlight=False)
     for line in found.missing:
-        console.print(f"without: {line}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"missing: {line}", markup=False, highlight=False, soft_wrap=True)
     table = Table("us", "p50", "p99", "p99.9", "worst")
     for measured in (found.configured, found.confirmed):
         if measured is None:
@@ -72,17 +74,17 @@ def _show(found: Found) -> None:
     for bound in found.bounds:
         limits.add_row(bound.name, f"{bound.rate:.0f}", escape(bound.found))
     console.print(limits)
-    fits = "within it" if found.fits else "above it: lower [controller] rate"
+    fits = "within that" if found.fits else "above that: lower [controller] rate"
     console.print(
         f"highest rate with {100 * found.margin:.0f} % margin: {found.highest:g} Hz, limited by: {found.limited_by}; "
-        f"configured are {found.configured.rate:g} Hz, {fits}",
+        f"configured: {found.configured.rate:g} Hz, {fits}",
         markup=False,
         highlight=False,
         soft_wrap=True,
     )
 
 
-NAMES = {"lateness": "late at waking up", "command": "SYNC to the last command", "busy": "deadline to end of cycle"}
+NAMES = {"lateness": "wake-up latency", "command": "SYNC to the last command", "busy": "deadline to end of cycle"}
 
 
 def _micros(times: Times) -> list[str]:

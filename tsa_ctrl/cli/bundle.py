@@ -14,13 +14,13 @@ from tsa_ctrl.errors import UsageError
 
 TOLD = """Field report of a run of tsa-ctrl.
 
-log.mcap       head with all files, the last part of the records, all events; tsa log info log.mcap
+log.mcap       header with all files, the last part of the records, all events; tsa log info log.mcap
 summary.json   counts and histograms of the whole run
 files/         the files of the run, as text
 doctor.json    checks of the machine on which the report was made
-drive/         object values of a drive, if they were added (tsa drive dump)
+drive/         object values of a drive, if added (tsa drive dump)
 
-tsa simulate-loop THIS.zip repeats a virtual run, and compares each record with the log.
+tsa simulate-loop THIS.zip repeats a virtual run and compares each record with the log.
 tsa simulate-loop THIS.zip PLANT.toml --seconds 10 runs the files of a hardware run on a simulated machine.
 """
 
@@ -33,12 +33,12 @@ tsa simulate-loop THIS.zip PLANT.toml --seconds 10 runs the files of a hardware 
     default=5.0,
     show_default=True,
     type=Finite(0.01, 10_000.0),
-    help="Duration of the records, up to the end.",
+    help="Duration of the records up to the end of the run, minutes.",
 )
 @click.option(
     "--drive", "dumps", multiple=True, type=click.Path(path_type=Path), help="Add a file of tsa drive dump; repeatable."
 )
-@click.option("--no-doctor", is_flag=True, help="Leave out the checks of this machine, which take some seconds.")
+@click.option("--no-doctor", is_flag=True, help="Skip the checks of this machine, which take a few seconds.")
 def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_doctor: bool) -> None:
     """Write a field report of a run: LOG.mcap with its files, summary, events, and the checks of this machine.
 
@@ -53,7 +53,7 @@ def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_do
         raise UsageError(f"{log}: no such log; give the MCAP file of a run")
     for dump in dumps:
         if not dump.is_file():
-            raise UsageError(f"{dump}: no such file; write it by tsa drive dump")
+            raise UsageError(f"{dump}: no such file; write it with tsa drive dump")
     with tempfile.TemporaryDirectory() as folder, outputs.beside(out) as part:
         last = Path(folder, "log.mcap")
         seconds = write_last(log, last, 60.0 * minutes)
@@ -71,7 +71,7 @@ def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_do
                 report.write(dump, f"drive/{dump.name}")
     click.echo(f"written: {out} (the last {seconds:.1f} s)")
     if not summary.is_file():
-        click.echo(f"note: {summary} is not there: the report has no counts of the whole run", err=True)
+        click.echo(f"note: {summary} is missing: the report has no counts of the whole run", err=True)
 
 
 def _doctor() -> str:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Nominal actuator model file.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the calibrated model file here.")
-@click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")
+@click.option(
+    "--certified-gain", is_flag=True, help="The gain of both torque channels is certified: also use the slope."
+)
 @click.option(
     "--tensioner",
     multiple=True,
@@ -42,17 +44,17 @@ if TYPE_CHECKING:
     type=click.Choice(["keep", "fit"]),
     default="keep",
     show_default=True,
-    help="Where the data cannot part x and T_p: keep the file's proportion, or fit the simulation error.",
+    help="If the data cannot separate x and T_p: keep the file's ratio, or fit the simulation error.",
 )
 @click.option(
     "--stretch",
     is_flag=True,
-    help="Also find stiffness, curvature profile and motor inertia from q_m and q_j; tau_j is not needed then.",
+    help="Also identify stiffness, curvature profile and motor inertia from q_m and q_j; then tau_j is optional.",
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
 @CUTOFF
-@click.option("--yes", is_flag=True, help="Write a result that is worse than the given model without a question.")
+@click.option("--yes", is_flag=True, help="Write the result even if it is worse than the nominal model.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def command(
     logs: tuple[Path, ...],
@@ -128,7 +130,7 @@ def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
         return
     raise UsageError(
         f"{out}: not written: the error while sliding is larger than with {model} ({result.worse}): an effect is "
-        "missing, which tsa diagnose names; --yes writes the file nevertheless"
+        "missing, which tsa diagnose identifies; --yes writes the file anyway"
     )
 
 
@@ -140,7 +142,7 @@ def _loaded(model: Path) -> TendonSheath:
     if isinstance(loaded, TendonSheath):
         return loaded
     raise UsageError(
-        f"{model}: is a {loaded.kind.value}, whose parameters tsa diagnose calibrates: "
+        f"{model}: is a {loaded.kind.value}; use tsa diagnose, which calibrates its parameters: "
         f"tsa diagnose LOG --model {model} --out DIR writes them to DIR/extended.toml"
     )
 
@@ -162,7 +164,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
 
     from tsa_ctrl.identify.diagnosis.report.words import of_the_written_model
 
-    table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified by these logs")
+    table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified from these logs")
     rows = (
         ("friction torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
@@ -177,28 +179,33 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
     console = Console()
     console.print(table)
     if result.split:
-        console.print(f"friction angle and pretension are parted by the data (condition {result.condition_number:.3g})")
+        console.print(
+            f"friction angle and pretension are separately identifiable (condition number "
+            f"{result.condition_number:.3g})"
+        )
     else:
         console.print(
-            "friction angle and pretension are NOT parted by these logs; their intervals are the remaining uncertainty"
+            "friction angle and pretension are NOT separately identifiable; their intervals are the remaining "
+            "uncertainty"
         )
-        console.print(f"to settle it: {result.experiment}", soft_wrap=True)
+        console.print(f"to separate them: {result.experiment}", soft_wrap=True)
     for note in result.notes:
         click.echo(f"note: {note}")
     refused = ", ".join(result.refused) or "nothing"
-    click.echo(f"admitted {result.admitted_seconds:.1f} s; refused: {refused}")
+    click.echo(f"admitted {result.admitted_seconds:.1f} s; rejected: {refused}")
     click.echo(
-        f"RMS error of the calibrated model on these logs: {result.rms_given:.4g} N·m as given, "
+        f"RMS error of the calibrated model on these logs: {result.rms_given:.4g} N·m nominal, "
         f"{result.rms_written:.4g} N·m calibrated"
     )
     click.echo(
-        f"RMS error on held-out data, calibrated without them: {result.rms_before:.4g} N·m as given, "
+        f"RMS error on held-out data, calibrated without them: {result.rms_before:.4g} N·m nominal, "
         f"{result.rms_after:.4g} N·m calibrated"
     )
     click.echo(of_the_written_model(result.errors))
     if result.worse:
         click.echo(
-            f"the error while sliding is LARGER than with the given file: {result.worse}; tsa diagnose finds the cause"
+            f"the error while sliding is LARGER than with the nominal model: {result.worse}; tsa diagnose finds the "
+            f"cause"
         )
 
 
@@ -213,8 +220,8 @@ def _show_stretch(fit: StretchFit) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("quantity", "value", "95 % interval", "unit", title="identified by the tendons' stretch")
-    rows = {**fit.quantities, **{f"zero of s in {name}": quantity for name, quantity in fit.zeros.items()}}
+    table = Table("quantity", "value", "95 % interval", "unit", title="identified from the tendon elongation")
+    rows = {**fit.quantities, **{f"zero of the elongation in {name}": quantity for name, quantity in fit.zeros.items()}}
     for name, quantity in rows.items():
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
         table.add_row(name.replace("_", " "), f"{quantity.value:.4g}", interval, _unit(quantity))

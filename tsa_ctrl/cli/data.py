@@ -29,16 +29,16 @@ def list_(as_json: bool) -> None:
         click.echo(json.dumps({"schema": 1, "folder": str(place), "sets": rows}))
         return
     for name, row in rows.items():
-        click.echo(f"{name:8s} {row['what']} ({row['licence']}){'; is here' if row['here'] else ''}")
-    click.echo(f"tsa data fetch NAME puts it into {place}")
+        click.echo(f"{name:8s} {row['what']} ({row['licence']}){'; already fetched' if row['here'] else ''}")
+    click.echo(f"tsa data fetch NAME writes to {place}")
 
 
 @command.command("fetch", epilog="Example: tsa data fetch davinci --out measured")
 @click.argument("name")
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder of the sets; default $TSA_DATA or the user's cache."
+    "--out", type=click.Path(path_type=Path), help="Folder of the data sets; default: $TSA_DATA, or the user's cache."
 )
-@click.option("--from", "address", help="Another address with the same files.")
+@click.option("--from", "address", help="Alternative address of the same files.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def fetch(name: str, out: Path | None, address: str | None, as_json: bool) -> None:
     """Fetch the set NAME, check it byte for byte, and convert its columns to SI."""
@@ -63,7 +63,7 @@ def fetch(name: str, out: Path | None, address: str | None, as_json: bool) -> No
         }
         click.echo(json.dumps({**result, "licence": wanted.licence, "cite": wanted.cite, "source": wanted.address}))
         return
-    click.echo(f"{done.folder}: {done.written} logs fetched, {done.kept} were there")
+    click.echo(f"{done.folder}: {done.written} logs fetched, {done.kept} already present")
     click.echo(f"licence: {wanted.licence}")
     click.echo(f"cite: {wanted.cite}")
     first = done.folder / wanted.files[0].name

@@ -29,7 +29,7 @@ STAGE_WORDS = {
     "nominal": "nominal model",
     "calibrated": "calibrated on the nominal run",
     "extended": "extended by the diagnosis of that run",
-    "true": "true parameters: the limit",
+    "true": "true parameters (best possible)",
 }
 
 
@@ -43,10 +43,10 @@ STAGE_WORDS = {
 @click.option(
     "--rate",
     type=Finite(50.0, 4000.0),
-    help="Rate of the loop, Hz.  [default: 1000, or the half or quarter of it that this machine keeps; --full 1000]",
+    help="Rate of the loop, Hz.  [default: 1000, or 500 or 250 if this machine is too slow; --full 1000]",
 )
-@click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL; default: the best there is.")
-@click.option("--virtual", is_flag=True, help="In virtual time: no bus, no rights, faster than real time.")
+@click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL; default: the best available.")
+@click.option("--virtual", is_flag=True, help="Run in virtual time: no bus, no special rights, faster than real time.")
 @click.option("--load", type=click.Choice(LOADS), default="imposed", show_default=True, help="Load of the joint.")
 @click.option(
     "--tendon", type=click.Choice(["full", "distributed"]), help="Tendon model of the plant.  [default: distributed]"
@@ -54,13 +54,22 @@ STAGE_WORDS = {
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for files, logs and picture; default: out/demo-DATE."
 )
-@click.option("--leg", is_flag=True, help="Hip, knee and ankle that bend each other's sheaths, in virtual time.")
-@click.option("--full", is_flag=True, help="The full circle: hide an effect, run, calibrate, diagnose, run again.")
 @click.option(
-    "--seed", default=1, show_default=True, type=click.IntRange(0), help="With --full: class of the hidden effect."
+    "--leg", is_flag=True, help="Simulate hip, knee and ankle, which bend each other's sheaths, in virtual time."
+)
+@click.option("--full", is_flag=True, help="Full circle: hide an effect, run, calibrate, diagnose, run again.")
+@click.option(
+    "--seed",
+    default=1,
+    show_default=True,
+    type=click.IntRange(0),
+    help="With --full: seed that selects the hidden effect.",
 )
 @click.option(
-    "--hidden", multiple=True, metavar="EFFECT", help="With --full: hide this effect (repeatable), sized by seed."
+    "--hidden",
+    multiple=True,
+    metavar="EFFECT",
+    help="With --full: hide this effect (repeatable); the seed sets its size.",
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -101,12 +110,17 @@ def command(
         return
     if full:
         if setpoint is not None or tendon is not None or load != "imposed":
-            raise UsageError("demo: --full has its own motion and tendons; leave --setpoint, --tendon and --load out")
+            raise UsageError("demo: --full has its own motion and tendons; omit --setpoint, --tendon and --load")
         _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
     if hidden:
+<<<<<<< HEAD
         raise UsageError("demo: --hidden belongs to --full; give both")
     from tsa_ctrl.demo import rig  # imports plant, loop and pictures, which --help does not need
+=======
+        raise UsageError("demo: --hidden requires --full; add --full")
+    from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
+>>>>>>> m2
     from tsa_ctrl.demo.rig import from_file, play_for
     from tsa_ctrl.demo.run import demo
 
@@ -161,8 +175,8 @@ def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, aske
         if chosen.virtual:
             raise
         if asked:
-            raise BusError(f"{error}; tsa demo --virtual shows the same without a bus") from None
-        click.echo(f"demo on {chosen.name}: {error}; here is the same in virtual time, without a bus", err=True)
+            raise BusError(f"{error}; tsa demo --virtual runs the same without a bus") from None
+        click.echo(f"demo on {chosen.name}: {error}; continuing in virtual time, without a bus", err=True)
     with _progress(VIRTUAL) as say:
         return show(VIRTUAL, say)
 
@@ -173,7 +187,7 @@ def _bus(asked: str | None, virtual: bool) -> BusChoice:
     if not virtual:
         return choose(asked, lambda line: click.echo(line, err=True))
     if asked is not None:
-        raise UsageError(f"demo: --virtual with --bus {asked}: virtual time has no bus; leave one of them out")
+        raise UsageError(f"demo: --virtual with --bus {asked}: virtual time has no bus; omit one of them")
     return VIRTUAL
 
 
@@ -226,7 +240,7 @@ def _folder(out: Path | None) -> Path:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{out}: cannot be made ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{out}: cannot be created ({error.strerror}); choose another --out") from None
     return out.resolve()
 
 
@@ -246,7 +260,7 @@ def _show(outcome: Outcome, asked: float | None) -> None:
     cycles = data["cycles"]
     if asked is None and outcome.rate < RATE:
         console.print(
-            f"at {outcome.rate:g} Hz: this machine, with drive and joint simulated on it, does not keep {RATE:g} Hz",
+            f"at {outcome.rate:g} Hz: this machine, which also simulates drive and joint, cannot sustain {RATE:g} Hz",
             soft_wrap=True,
         )
     console.print(
@@ -255,8 +269,8 @@ def _show(outcome: Outcome, asked: float | None) -> None:
     )
     if cycles["planned"] > cycles["sent"]:
         console.print(
-            f"{cycles['planned'] - cycles['sent']} cycles were left out, as the machine woke the loop after their "
-            "time; the torque was held meanwhile",
+            f"{cycles['planned'] - cycles['sent']} cycles were skipped because the machine woke the loop after their "
+            "time; the torque was held during them",
             soft_wrap=True,
         )
     console.print(f"log: {data['log']}", soft_wrap=True)
@@ -281,7 +295,7 @@ def _show_circle(circle: Circle, folder: Path) -> None:
         f"found: {circle.found} ({circle.diagnosis.verdict.value})",
         circle.diagnosis.sentence,
         *(f"note: {note}" for note in circle.notes),
-        f"everything: {folder}",
+        f"all files: {folder}",
     ):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
     console.print(f"share of the reachable reduction: {100.0 * circle.share('none'):.1f} %", highlight=False)

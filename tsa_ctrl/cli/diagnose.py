@@ -34,14 +34,14 @@ Examples:
 @click.command("diagnose", epilog=EXAMPLES)
 @click.argument("logs", metavar="LOG...|FOLDER", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--model", type=click.Path(path_type=Path), help="Actuator model file.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for JSON, model, report and pictures.")
 @click.option(
-    "--example", is_flag=True, help="Diagnose a simulated log with a hidden cause, which is printed at the end."
+    "--example", is_flag=True, help="Diagnose a simulated log with a hidden cause, and print that cause at the end."
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
 @STRICT
 @CUTOFF
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of all random draws.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes for a folder of logs (default: one per core).")
 @click.option("--scheduler", metavar="ADDRESS", help="A running Dask scheduler for a folder of logs (tcp://host:8786).")
@@ -76,11 +76,11 @@ def command(
     folders = [path for path in logs if path.is_dir()]
     if folders:
         if len(logs) > 1:
-            raise UsageError(f"{folders[0]}: is a folder; give it alone, or name the logs in it")
+            raise UsageError(f"{folders[0]}: is a folder; give only the folder, or list the logs in it")
         if cutoff is not None:
-            raise UsageError("--cutoff: is for logs that are named; leave it out, or name the logs in the folder")
+            raise UsageError("--cutoff: does not apply to a folder; omit it, or list the logs in the folder")
         if hold_out is not None:
-            raise UsageError("--hold-out: each log of a folder is diagnosed separately; leave it out, or name the logs")
+            raise UsageError("--hold-out: each log of a folder is diagnosed separately; omit it, or list the logs")
         from tsa_ctrl.cli.fleet import diagnose_folder
 
         diagnose_folder(
@@ -89,7 +89,7 @@ def command(
         return
     if jobs is not None or scheduler is not None:
         raise UsageError(
-            f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
+            f"{'--jobs' if jobs else '--scheduler'}: applies only to a folder of logs; omit it, or give a folder"
         )
     result = _diagnose(logs, model, out, hold_out, seed, strict, cutoff)
     if as_json:
@@ -101,14 +101,14 @@ def command(
 def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
     """Make an example log, diagnose it, and print the hidden cause at the end."""
     if logs or model is not None:
-        raise UsageError("--example: makes its own log and model; leave LOG and --model out")
+        raise UsageError("--example: generates its own log and model; omit LOG and --model")
     from tsa_ctrl.demo import example
 
     folder = outputs.untaken(Path("out"), "example") if out is None else out
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{folder}: cannot be created ({error.strerror}); choose another --out") from None
     click.echo(f"running the loop on a simulated joint, in virtual time: {folder}", err=True)
     made = example.make(folder.resolve(), seed)
     result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed, False, None)
@@ -116,8 +116,8 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
         click.echo(result.to_json(), nl=False)
         return
     _show(result, folder / "diagnosis")
-    click.echo(f"hidden was: {made.told()}")
-    click.echo(f"the same by hand: tsa diagnose {made.log} --model {made.model} --out DIR")
+    click.echo(f"hidden cause: {made.told()}")
+    click.echo(f"to repeat it: tsa diagnose {made.log} --model {made.model} --out DIR")
 
 
 def give_back_large() -> None:
@@ -212,5 +212,5 @@ def _shown(value: Quantity) -> tuple[str, str]:
     from tsa_ctrl.identify.quantity import spelled
 
     unit = "" if value.unit == "1" else f" {spelled(value.unit)}"
-    interval = f"{value.low:.4g} to {value.high:.4g}" if value.told else "not told"
+    interval = f"{value.low:.4g} to {value.high:.4g}" if value.told else "not determined"
     return f"{value.value:.4g}{unit}", interval if value.low < value.high else ""

@@ -33,7 +33,7 @@ COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 @click.option(
-    "--serial-numbers", is_flag=True, help="Ask the drives for theirs and write them into CONTROLLER.toml, and end."
+    "--serial-numbers", is_flag=True, help="Read the drives' serial numbers, write them to CONTROLLER.toml, and exit."
 )
 def command(controller: Path | None, seconds: float, as_json: bool, serial_numbers: bool) -> int:
     """Check kernel, rights, clock, CAN interface, bus load and latency; exit code 1 if a check fails.
@@ -49,7 +49,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
     configuration = None if controller is None else load_configuration(controller)
     if serial_numbers:
         if configuration is None:
-            raise click.UsageError("--serial-numbers needs the CONTROLLER.toml that they are written into")
+            raise click.UsageError("--serial-numbers writes to CONTROLLER.toml; give this file")
         return _write_serial_numbers(configuration)
     found: list[Check] = []
     if configuration is None:

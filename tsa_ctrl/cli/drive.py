@@ -62,13 +62,20 @@ class Target:
 def target_options(function: Callable[..., None]) -> Callable[..., None]:
     """Add the options that select a drive: controller file and axis, or interface, channel and node id."""
     options = (
-        click.option("--config", type=click.Path(), help="Controller file: takes bus, drive and profile from it."),
-        click.option("--axis", "axis_name", help="Axis of the controller file; default: its only one."),
+        click.option("--config", type=click.Path(), help="Controller file with bus, drive and profile."),
+        click.option("--axis", "axis_name", help="Axis in the controller file; required if it has several."),
         click.option("--node", type=click.IntRange(1, 127), help="Node id, without a controller file."),
         click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
         click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
-        click.option("--bitrate", default=1_000_000, show_default=True, help="bit/s, where the interface wants it."),
-        click.option("--profile", default="generic", show_default=True, help="Drive profile, in ./config or a path."),
+        click.option(
+            "--bitrate", default=1_000_000, show_default=True, help="Bit rate, bit/s, if the interface needs it."
+        ),
+        click.option(
+            "--profile",
+            default="generic",
+            show_default=True,
+            help="Drive profile: a name in ./config/drives, or a path from ./config.",
+        ),
     )
     for option in reversed(options):
         function = option(function)
@@ -91,13 +98,15 @@ def find_target(
 
     if config is None:
         if node is None:
-            raise UsageError("which drive? give --config CONTROLLER.toml, or --node with --interface and --channel")
+            raise UsageError(
+                "no drive selected; give --config CONTROLLER.toml, or --node with --interface and --channel"
+            )
         data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
         bus = settings.convert(data, BusSettings, "command line")
         axis = AxisNodes(name=f"node {node}", drive=DriveSettings(node_id=node, profile=profile))
         return Target(bus, axis, load_profile(profile, "config"), _PERIOD)
     if node is not None:
-        raise UsageError("--node and --config are both given; with a controller file name the drive by --axis")
+        raise UsageError("--node and --config are both given; with a controller file, select the drive with --axis")
     from tsa_ctrl.config import load_configuration
 
     configuration = load_configuration(config)
@@ -216,7 +225,9 @@ def bus_options(function: Callable[..., None]) -> Callable[..., None]:
     options = (
         click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
         click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
-        click.option("--bitrate", default=1_000_000, show_default=True, help="bit/s, where the interface wants it."),
+        click.option(
+            "--bitrate", default=1_000_000, show_default=True, help="Bit rate, bit/s, if the interface needs it."
+        ),
     )
     for option in reversed(options):
         function = option(function)
@@ -244,7 +255,9 @@ def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, Bu
 )
 @bus_options
 @click.option("--node", type=click.IntRange(1, 127), required=True, help="Node id of the drive.")
-@click.option("--slot", type=click.IntRange(1, 8), default=1, show_default=True, help="Axis of a device with several.")
+@click.option(
+    "--slot", type=click.IntRange(1, 8), default=1, show_default=True, help="Axis number in a device with several axes."
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Profile to write; default: stdout.")
 def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: int, out: Path | None) -> None:
     """Read the capabilities of a drive, and write a draft of its profile; nothing is commanded, written or moved.
@@ -263,7 +276,8 @@ def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: i
     with outputs.beside(out) as part:
         part.write_text(text, encoding="utf-8")
     unfinished = text.count("FINISH: ")
-    click.echo(f"{out}: {unfinished} lines to finish; then: tsa run --check CONTROLLER.toml")
+    lines = "1 line" if unfinished == 1 else f"{unfinished} lines"
+    click.echo(f"{out}: {lines} to complete (marked FINISH); then run: tsa run --check CONTROLLER.toml")
 
 
 @command.command(
@@ -271,7 +285,7 @@ def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: i
 )
 @click.argument("node_id", metavar="ID", type=click.IntRange(1, 127))
 @bus_options
-@click.option("--yes", is_flag=True, help="Do not ask first.")
+@click.option("--yes", is_flag=True, help="Store it without asking.")
 def set_node_id_command(node_id: int, interface: str, channel: str, bitrate: int, yes: bool) -> None:
     """Give the one drive on the bus this node id by LSS, and have it keep it.
 
@@ -287,8 +301,8 @@ def set_node_id_command(node_id: int, interface: str, channel: str, bitrate: int
         if not yes:
             if not sys.stdin.isatty():
                 raise UsageError(
-                    f"node id {node_id} would be stored in it, which requires a confirmation in a terminal; give --yes"
+                    f"node id {node_id} would be stored in the drive; confirm this in a terminal, or give --yes"
                 )
-            click.confirm(f"Store node id {node_id} in it?", abort=True)
+            click.confirm(f"Store node id {node_id} in the drive?", abort=True)
         lss.set_node_id(bus, node_id, lambda line: click.echo(line, err=True))
-    click.echo(f"{channel}: node id {node_id} is stored in it")
+    click.echo(f"{channel}: node id {node_id} is stored in the drive")

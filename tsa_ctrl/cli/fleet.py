@@ -47,7 +47,7 @@ def diagnose_folder(
         def tell(done: int, total: int, row: Row | None) -> None:
             bar.update(task, completed=done)
             if row is None and done:
-                console.print(f"{done} of {total} logs are answered in {out} already", soft_wrap=True, markup=False)
+                console.print(f"{done} of {total} logs are already diagnosed in {out}", soft_wrap=True, markup=False)
 
         rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell)
     verdicts, causes = counted(rows)
@@ -69,7 +69,10 @@ def _show(rows: list[Row], out: Path) -> None:
     if len(rows) > SHOWN:
         console.print(f"and {len(rows) - SHOWN} more")
     verdicts, causes = counted(rows)
-    console.print(f"{len(rows)} logs: " + ", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
+    console.print(
+        f"{len(rows)} {'log' if len(rows) == 1 else 'logs'}: "
+        + ", ".join(f"{count} {name}" for name, count in verdicts.most_common())
+    )
     if causes:
         console.print("causes: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()), soft_wrap=True)
-    console.print(f"table: {out / TABLE}; the reports of the logs are in the same folder", soft_wrap=True, markup=False)
+    console.print(f"table: {out / TABLE}; the reports are in the same folder", soft_wrap=True, markup=False)

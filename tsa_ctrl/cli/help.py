@@ -29,10 +29,10 @@ TOPICS = {
     "changes": ("CHANGES.md", "changes of each version; those that affect a motor torque come first"),
     "client": (
         "ipc/README.md",
-        "a controller on top: set-points over the socket, the lease, permissions",
+        "your own controller as a client: set-points over the socket, the lease, permissions",
     ),
     "design": ("DESIGN.md", "ranked goals, decisions with their reasons, rejected alternatives"),
-    "code": ("README.md", "a map of the code, and how to add to it"),
+    "code": ("README.md", "a map of the code, and how to extend it"),
 }
 
 
@@ -44,8 +44,8 @@ def command(ctx: click.Context, topic: str | None) -> None:
     if topic is None:
         for name in TOPICS:
             click.echo(f"{name:10s}{TOPICS[name][1]}")
-        click.echo("and every command: tsa help diagnose is tsa diagnose --help")
-        click.echo("and every fault by its cause, for example tsa help stale_pdo; tsa help faults lists all")
+        click.echo("and every command: tsa help diagnose shows tsa diagnose --help")
+        click.echo("and every fault by its cause_id, for example tsa help stale_pdo; tsa help faults lists them all")
         return
     if topic in TOPICS:
         _page((PACKAGE / TOPICS[topic][0]).read_text(encoding="utf-8"))

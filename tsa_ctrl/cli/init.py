@@ -147,9 +147,15 @@ def _repeated(block: str, place: int, changes: Changes) -> str:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--rig", is_flag=True, help="For a rig (default): moves nothing until its empty values are filled in.")
-@click.option("--desk", is_flag=True, help="For trying it without CAN: a bus over UDP multicast, no real-time rights.")
-@click.option("--leg", "legs", is_flag=True, help="As --desk, for hip, knee and ankle that bend each other's sheaths.")
+@click.option(
+    "--rig", is_flag=True, help="Files for a rig (default); nothing moves until the empty values are filled in."
+)
+@click.option(
+    "--desk", is_flag=True, help="Files for a trial without CAN: a bus over UDP multicast, no real-time rights."
+)
+@click.option(
+    "--leg", "legs", is_flag=True, help="As --desk, for hip, knee and ankle, which bend each other's sheaths."
+)
 def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
     """Write controller, plant, actuator model, drive profiles, service and a motion to DIR, every key commented.
 
@@ -157,7 +163,7 @@ def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
     the user knows are empty. Nothing that is there is replaced.
     """
     if rig + desk + legs > 1:
-        raise click.UsageError("--rig, --desk and --leg are different sets of files; give one of them")
+        raise click.UsageError("--rig, --desk and --leg exclude each other; give one of them")
     if legs:
         texts, motions = leg()
     else:
@@ -171,7 +177,7 @@ def command(folder: Path, rig: bool, desk: bool, legs: bool) -> None:
     _compile()
     if legs:
         files = f"{folder / 'controller.toml'} {folder / 'plant.toml'}"
-        click.echo("next, in virtual time; or in two terminals tsa plant and tsa run, as with --desk:")
+        click.echo("next, in virtual time (or tsa plant and tsa run in two terminals, as with --desk):")
         click.echo(f"  tsa simulate-loop {files} --seconds 10")
     elif desk:
         click.echo("next, in two terminals (the second after 'plant: ready'):")
@@ -232,11 +238,11 @@ def write(folder: Path, texts: Mapping[Path, str]) -> None:
 
     taken = [str(folder / name) for name in texts if (folder / name).exists()]
     if taken:
-        raise UsageError(f"{taken[0]}: is there already, nothing was written; choose another folder: tsa init DIR")
+        raise UsageError(f"{taken[0]}: already exists, nothing was written; choose another folder: tsa init DIR")
     try:
         (folder / "drives").mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
+        raise UsageError(f"{folder}: cannot be created ({error.strerror}); choose another folder") from None
     for name, text in texts.items():
         write_text(folder / name, text)
 

@@ -20,7 +20,9 @@ EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plan
 @click.command("investigate", epilog=EXAMPLE)
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.argument("logs", metavar="[LOG]...", nargs=-1, type=click.Path())
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="New folder: one folder for each motion.")
+@click.option(
+    "--out", required=True, type=click.Path(path_type=Path), help="New folder; each motion gets a folder in it."
+)
 @click.option(
     "--virtual",
     "plant",
@@ -28,14 +30,14 @@ EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plan
     metavar="PLANT.toml",
     help="Move this simulated plant, in virtual time; nothing is sent on a bus.",
 )
-@click.option("--axis", "axis_name", metavar="NAME", help="Axis, if the file has several.")
-@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
-@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
-@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
-@click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 120.0), help="Duration of each motion.")
-@click.option("--most", default=6, show_default=True, type=click.IntRange(1, 30), help="Most motions.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
-@click.option("--allow-simulated", is_flag=True, help="Start from a model file with simulated numbers on real drives.")
+@click.option("--axis", "axis_name", metavar="NAME", help="Axis to investigate; required if the file has several.")
+@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Maximum joint torque, N*m.")
+@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Maximum joint speed, rad/s.")
+@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
+@click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 120.0), help="Duration of each motion, s.")
+@click.option("--most", default=6, show_default=True, type=click.IntRange(1, 30), help="Maximum number of motions.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of all random draws.")
+@click.option("--allow-simulated", is_flag=True, help="Allow a model file with simulated numbers on real drives.")
 @click.option("--yes", is_flag=True, help="Start without asking.")
 @click.option("--json", "as_json", is_flag=True, help="Print investigation.json on stdout, and nothing else there.")
 def command(
@@ -75,11 +77,11 @@ def command(
     session = Session(controller, axis_name, Plan(torque, speed, travel, plant=plant, allow_simulated=allow_simulated))
     if session.by_stretch:
         raise UsageError(
-            f"{controller}: axis '{session.axis.name}' has no joint torque sensor, which a diagnosis needs; give "
-            "[axis.torque_sensor] or an [[axis.serial]] of tau_j"
+            f"{controller}: axis '{session.axis.name}' has no joint torque sensor, which a diagnosis requires; add "
+            "[axis.torque_sensor] or an [[axis.serial]] with tau_j"
         )
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: exists already and is not empty; choose another --out")
+        raise UsageError(f"{out}: already exists and is not empty; choose another --out")
     given = load_logs(logs) if logs else []
     if plant is not None:
         check(plant)
@@ -90,13 +92,13 @@ def command(
             f"{bounds.torque:.3g} N*m and {bounds.speed:g} rad/s; do not wear it. Start?"
         )
         if not sys.stdin.isatty():
-            raise UsageError(f"investigate: would {question.removesuffix(' Start?')}; confirm by --yes")
+            raise UsageError(f"investigate: would {question.removesuffix(' Start?')}; confirm with --yes")
         click.confirm(question, abort=True, err=True)
     session.check_ready()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{out}: cannot be made ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{out}: cannot be created ({error.strerror}); choose another --out") from None
     folder = out.resolve()
     simulated = None if plant is None else Origin("simulated")
 

@@ -46,7 +46,7 @@ def info(log: str, as_json: bool) -> None:
             + (f", {axis.skipped} samples skipped" if axis.skipped else "")
         )
         for column in axis.columns:
-            span = "no number" if column.low is None else f"{column.low:12.6g} to {column.high:12.6g} {column.unit}"
+            span = "no numbers" if column.low is None else f"{column.low:12.6g} to {column.high:12.6g} {column.unit}"
             gaps = f"  ({column.missing} rows empty)" if column.missing else ""
             click.echo(f"  {column.name:16s}{', '.join(column.names) or span}{gaps}")
         for name in axis.text_columns:
@@ -61,7 +61,7 @@ def info(log: str, as_json: bool) -> None:
     "--out",
     required=True,
     type=click.Path(path_type=Path),
-    help="FILE.csv, FILE.csv.gz or FILE.parquet, or a folder for CSV; several axes give one file each.",
+    help="FILE.csv, FILE.csv.gz or FILE.parquet, or a folder for CSV; each axis gets its own file.",
 )
 def convert(log: str, out: Path) -> None:
     """Write LOG as a table, one file per axis; codes become names, empty columns are left out."""
@@ -81,7 +81,7 @@ def convert(log: str, out: Path) -> None:
 @command.command(epilog="Example: tsa log trend logs --model actuator.toml --picture trend.png")
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Actuator model file.")
-@click.option("--picture", type=click.Path(path_type=Path), help="Draw it here, as PNG.")
+@click.option("--picture", type=click.Path(path_type=Path), help="PNG file for a picture of the trend.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> None:
     """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are reported.
@@ -104,40 +104,45 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
         return
     for run in found.runs:
-        values = "; ".join(f"{name.replace('_', ' ')} {quantity}" for name, quantity in run.quantities.items())
+        values = "; ".join(
+            f"{name.replace('half_loop', 'friction').replace('_', ' ')} {quantity}"
+            for name, quantity in run.quantities.items()
+        )
         warm = f", {run.temperature:.1f} °C" if run.temperature == run.temperature else ""
-        click.echo(f"{run.started}  {run.log}{warm}: {values or 'nothing'}")
+        click.echo(f"{run.started}  {run.log}{warm}: {values or 'no result'}")
         for note in run.notes:
             click.echo(f"  note: {note}")
     if found.by_temperature is not None:
         click.echo(
-            f"half loop against temperature: {found.by_temperature:.3g} N·m/K, taken off before changes are sought"
+            f"friction torque over temperature: {found.by_temperature:.3g} N·m/K, removed before the search for changes"
         )
     for change in found.changes:
         click.echo(str(change))
     if not found.changes:
-        click.echo("no change is reported")
-    click.echo(f"false alarms: {100.0 * ALARM:g} % for each quantity of a folder; a change needs six runs")
+        click.echo("no change found")
+    click.echo(
+        f"false alarms: {100.0 * ALARM:g} % for each quantity of a folder; detecting a change takes at least six runs"
+    )
 
 
 @command.command("import", epilog="Example: tsa log import measured.txt --column 'tau_m=Strom|A*0.12' --out mine")
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Mapping file, as an import writes it.")
+@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Mapping file, as written by an import.")
 @click.option(
     "--column",
     "given",
     multiple=True,
     metavar="NAME=HEADER[|UNIT[*SCALE]]",
-    help="Where one of our columns comes from; repeatable, above the mapping file.",
+    help="Source of one log column; repeatable, overrides the mapping file.",
 )
 @click.option(
     "--kind",
     type=click.Choice(["tendon_sheath", "rigid_drive", "geared_drive"]),
     show_default="tendon_sheath with a joint torque, else rigid_drive",
-    help="Kind of the model file to fill in.",
+    help="Kind of the model file to be completed.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for CSV, mapping, model, picture.")
-@click.option("--yes", is_flag=True, help="Take the proposals for all open questions.")
+@click.option("--yes", is_flag=True, help="Accept the proposals for all open questions.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def import_(
     files: tuple[Path, ...],
@@ -162,9 +167,9 @@ def import_(
     for done in [] if as_json else every:
         log_import.show(done)
     if proposals and not as_json:
-        click.echo("proposals, not stated by the files: " + " ".join(f"--column '{text}'" for text in proposals))
-    if asked and not click.confirm("is that right?", default=True):
-        raise click.ClickException("nothing was written; give it by --column or --map")
+        click.echo("proposals, not stated in the files: " + " ".join(f"--column '{text}'" for text in proposals))
+    if asked and not click.confirm("is this correct?", default=True):
+        raise click.ClickException("nothing was written; correct the mapping with --column or --map")
     pairs = [
         (done, log_import.write(done, out, s, kind or ""))
         for done, s in zip(every, log_import.stems(files), strict=True)
@@ -183,4 +188,4 @@ def _written(columns: Mapping[str, object], written: Imported, out: Path) -> Non
             click.echo(f"written: {path}")
     verb = "diagnose" if "tau_m" in columns else "log info"
     more = f" --model {out / 'model.toml'} --out {out / 'diagnosis'}" if verb == "diagnose" else ""
-    click.echo(f"next: put your own figures into {out / 'model.toml'}, then: tsa {verb} {written.log}{more}")
+    click.echo(f"next: enter your own values in {out / 'model.toml'}, then run: tsa {verb} {written.log}{more}")

@@ -52,7 +52,7 @@ def understand_all(
             open_questions.append(f"{path}: {'; '.join(question for question, _ in asked)}")
     if open_questions:
         said = " ".join(f"--column '{proposal}'" for proposal in proposals)
-        remedy = f"; --yes takes the proposals {said}" if said else ""
+        remedy = f"; --yes accepts the proposals {said}" if said else ""
         raise UsageError("; ".join(open_questions) + remedy)
     return done, proposals
 
@@ -90,7 +90,7 @@ def understand(
             continue
         proposal = mapping.propose(table, name, {column.source for column in mapped})
         remedy = "" if proposal else f"; give --column {name}=NAME|UNIT"
-        asked.append((f"no name among {names} determines {name} ({COLUMNS[name].doc}){remedy}", proposal))
+        asked.append((f"none of the names {names} identifies {name} ({COLUMNS[name].doc}){remedy}", proposal))
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
     if any(not proposal for _, proposal in asked):
@@ -101,7 +101,7 @@ def understand(
     good = np.logical_and.reduce([np.isfinite(values) for name, values in columns.items() if name not in empty])
     kept = {name: values[good] for name, values in columns.items() if name not in empty}
     if not good.any():
-        raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; give fewer columns by --map")
+        raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; map fewer columns with --map")
     return Understood(table, mapped, kept, int((~good).sum())), asked
 
 
@@ -127,16 +127,16 @@ def show(done: Understood) -> None:
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
     rows = len(done.columns["t"])
     text = (
-        f"{done.table.path.name}: {shape.encoding}, fields parted by {named}, decimal sign '{shape.decimal}', names in "
+        f"{done.table.path.name}: {shape.encoding}, separator {named}, decimal sign '{shape.decimal}', names in "
         f"line {shape.header}, {rows} rows"
     )
     if shape == NO_TEXT:
         text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
     console.print(text, markup=False, highlight=False)
     if done.dropped:
-        console.print(f"note: {done.dropped} rows without a number in a column are left out: holes", markup=False)
+        console.print(f"note: {done.dropped} rows with a missing number are left out and become holes", markup=False)
     if done.table.ignored:
-        console.print(f"note: {done.table.ignored} lines that are not rows of the table are left out", markup=False)
+        console.print(f"note: {done.table.ignored} lines that are not table rows are ignored", markup=False)
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
@@ -144,7 +144,7 @@ def show(done: Understood) -> None:
         view.add_row(column.name, escape(column.source), escape(column.unit), f"{column.scale:.6g}", low, high, unit)
     console.print(view)
     if done.left:
-        console.print(f"not taken: {', '.join(done.left)}", markup=False, highlight=False)
+        console.print(f"not imported: {', '.join(done.left)}", markup=False, highlight=False)
 
 
 def as_dict(done: Understood, written: Imported) -> dict[str, Any]:

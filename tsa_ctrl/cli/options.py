@@ -26,10 +26,12 @@ CUTOFF = click.option(
     "--cutoff",
     type=Finite(min=0.0, min_open=True),
     metavar="HZ",
-    help="Low-pass in front of derived velocities and accelerations (default: as sharp as the noise allows).",
+    help="Low-pass for derived velocities and accelerations (default: as high as the noise permits).",
 )
 
 
 STRICT = click.option(
-    "--strict", is_flag=True, help="Reject late rows, lost samples, doubled stamps and holes instead of repairing them."
+    "--strict",
+    is_flag=True,
+    help="Reject late rows, lost samples, duplicate time stamps and holes instead of repairing them.",
 )

@@ -15,11 +15,13 @@ from tsa_ctrl import outputs
     "then, from elsewhere: tsa plant --ask 'torn_tendon axis=joint' --control /tmp/plant.sock",
 )
 @click.argument("configuration", metavar="PLANT.toml", required=False)
-@click.option("--check", is_flag=True, help="Validate the configuration and end; nothing goes on the bus.")
-@click.option("--record", metavar="FILE", help="Write the plant's own truth (torques, angles, tensions) as CSV.")
+@click.option("--check", is_flag=True, help="Validate the configuration and exit; nothing is sent on the bus.")
+@click.option("--record", metavar="FILE", help="Write the plant's true values (torques, angles, tensions) as CSV.")
 @click.option("--control", metavar="SOCKET", help="Local socket that accepts faults at run time.")
-@click.option("--eds", metavar="FILE", help="Write the EDS of each simulated node and end; several: FILE-NODE.eds.")
-@click.option("--ask", "line", metavar="LINE", help="Send LINE to the plant at --control: a fault, clear, state, list.")
+@click.option("--eds", metavar="FILE", help="Write the EDS of each simulated node and exit; several: FILE-NODE.eds.")
+@click.option(
+    "--ask", "line", metavar="LINE", help="Send LINE to the plant at --control: a fault, clear, state or list."
+)
 def command(
     configuration: str | None,
     check: bool,
@@ -31,7 +33,7 @@ def command(
     """Simulated drives, joints and sensors as CANopen nodes on a bus, until Ctrl-C or SIGTERM."""
     if line is not None:
         if control is None:
-            raise click.UsageError("--ask needs --control SOCKET, the one that the plant was started with")
+            raise click.UsageError("--ask requires --control SOCKET, with the socket given at the start of the plant")
         from tsa_ctrl.plant.process import ask
 
         answer = ask(control, line)

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     epilog="Example: tsa run config/controller.toml --seconds 20",
 )
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--check", is_flag=True, help="Validate the configuration and the files that it names; move nothing.")
-@click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this time of torque.")
-@click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
-@click.option("--allow-simulated", is_flag=True, help="Run a model file with simulated numbers on real drives.")
+@click.option("--check", is_flag=True, help="Validate the configuration and the files that it refers to; move nothing.")
+@click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this duration with torque, s.")
+@click.option("--reset-faults", is_flag=True, help="Reset drives that are in fault at startup.")
+@click.option("--allow-simulated", is_flag=True, help="Allow a model file with simulated numbers on real drives.")
 @click.option(
     "--record-bus",
     type=click.Path(path_type=Path),
@@ -118,7 +118,7 @@ def _check(controller: Path, allow_simulated: bool, record_bus: Path | None) -> 
     click.echo(_checked(configuration))
     for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
         for line in profile.unknown:
-            click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
+            click.echo(f"axis '{axis.name}': not known in the profile of {profile.name}: {line}", err=True)
 
 
 def _checked(configuration: Configuration) -> str:
@@ -128,7 +128,7 @@ def _checked(configuration: Configuration) -> str:
         f"{bus.name}{' ' if bus.name else ''}{100 * load.least:.0f} to {100 * load.worst:.0f} % of {bus.bitrate} bit/s"
         for bus, load in zip(file.buses, configuration.loads, strict=True)
     )
-    return f"{configuration.path}: good; {axes} at {file.controller.rate:g} Hz, bus load {loads}"
+    return f"{configuration.path}: valid; {axes} at {file.controller.rate:g} Hz, bus load {loads}"
 
 
 def leave_out() -> None:

@@ -25,7 +25,7 @@ PATIENCE = 0.5  # share of the wait after which the process also gets SIGTERM
 DASHBOARD_NEEDS = ("starlette", "uvicorn")
 
 SOCKET = click.option(
-    "--socket", "path", default=protocol.default_path, show_default="this user's", help="The daemon's."
+    "--socket", "path", default=protocol.default_path, show_default="this user's", help="Socket of the daemon."
 )
 
 
@@ -34,8 +34,10 @@ SOCKET = click.option(
     epilog="Example: tsa status --json",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--once", is_flag=True, help="Print the page once, even on a terminal.")
-@click.option("--follow", is_flag=True, help="Print a status every 0.1 s until Ctrl-C; with --json an object per line.")
+@click.option("--once", is_flag=True, help="Print the page once, also on a terminal.")
+@click.option(
+    "--follow", is_flag=True, help="Print a status every 0.1 s until Ctrl-C; with --json one object per line."
+)
 @SOCKET
 def status_command(as_json: bool, once: bool, follow: bool, path: str) -> None:
     """Show the state of a running daemon: a live page on a terminal, else once."""
@@ -69,10 +71,16 @@ def status_command(as_json: bool, once: bool, follow: bool, path: str) -> None:
 @click.argument("name")
 @click.argument("value", type=Finite())
 @click.option(
-    "--against", type=Finite(), help="Compare VALUE (A) with this one (B) in alternating blocks, then put back."
+    "--against",
+    type=Finite(),
+    help="Compare VALUE (A) with this one (B) in alternating blocks, then restore the previous value.",
 )
-@click.option("--with", "more", multiple=True, metavar="NAME=A,B", help="A further parameter of the two sets compared.")
-@click.option("--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Of a comparison.")
+@click.option(
+    "--with", "more", multiple=True, metavar="NAME=A,B", help="Another parameter of the two sets being compared."
+)
+@click.option(
+    "--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Number of blocks of a comparison."
+)
 @click.option(
     "--block-seconds", default=4.0, show_default=True, type=Finite(1.0, 3600.0), help="Duration of each block, s."
 )
@@ -97,25 +105,25 @@ def set_command(
     that is running, and a verdict with its 95 % interval is given: tsa set compensation 0.8 --against 0.95
     """
     if more and against is None:
-        raise UsageError("--with belongs to a comparison; also give --against")
+        raise UsageError("--with requires a comparison; also give --against")
     with Client(path) as client:
         if against is not None:
             sets = {"a": {name: value}, "b": {name: against}}
             for text in more:
                 other, a, b = _pair(text)
                 if other in sets["a"]:
-                    raise UsageError(f"--with {text}: {other} has two values already; name each parameter once")
+                    raise UsageError(f"--with {text}: {other} already has two values; give each parameter once")
                 sets["a"][other], sets["b"][other] = a, b
             _compare(client, sets, blocks, block_seconds, as_json)
             return
         if name == "recover":
             if value != 1.0:
-                raise UsageError(f"recover {value:g}: only 1 is possible, it asks for a new start after a fault")
+                raise UsageError(f"recover {value:g}: the only value is 1, which requests a restart after a fault")
             click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
     stage = answer.get("waiting_for")
-    waits = f"; takes effect when the axis runs, startup waits for: {stage}" if stage else ""
+    waits = f"; takes effect when the axis runs (startup: {stage})" if stage else ""
     value_now = f"{answer['value']:g}{of_unit(answer['unit'])}"
     before = "-" if answer["before"] is None else f"{answer['before']:g}"
     click.echo(f"{answer['axis']}.{answer['name']}: {before} -> {value_now}{waits}")
@@ -136,15 +144,15 @@ def _recovered(client: Client) -> str:
         if status["recovery"]["failed"] > failed and not running:
             events = sorted((*status["events"], *status["faults"]), key=lambda event: int(event["number"]))
             reason = events[-1]["text"] if events else "see its events"
-            raise BusError(f"the recovery failed, phase {status['phase']}: {reason}; remedy that, then repeat")
+            raise BusError(f"the recovery failed, phase {status['phase']}: {reason}; remove the cause, then repeat")
         if status["phase"] == "running":
             running = running or now
             if now - running >= HELD:
-                return f"recovered: running, and nothing was found for {HELD:g} s"
+                return f"recovered: running for {HELD:g} s without a fault"
         elif running or now > end:
             causes = "; ".join(str(fault["text"]) for fault in status["faults"][-2:]) or "no fault is reported"
-            how = "recovered, but not for long" if running else f"not recovered after {RECOVERY:g} s"
-            raise BusError(f"{how}, phase {status['phase']}: {causes}; remove its reason, then recover again")
+            how = "recovered, but stopped again" if running else f"not recovered after {RECOVERY:g} s"
+            raise BusError(f"{how}, phase {status['phase']}: {causes}; remove the cause, then recover again")
         time.sleep(0.1)
 
 
@@ -183,7 +191,13 @@ def _compare(
     epilog="Example: tsa stop",
 )
 @SOCKET
-@click.option("--wait", default=15.0, show_default=True, type=Finite(0.0), help="Seconds for its end; 0: do not wait.")
+@click.option(
+    "--wait",
+    default=15.0,
+    show_default=True,
+    type=Finite(0.0),
+    help="Time to wait for the daemon to end, s; 0: do not wait.",
+)
 def stop_command(path: str, wait: float) -> None:
     """Ramp a running daemon's torque to zero, disable its drives, and end it; this also ends one that is starting.
 
@@ -198,7 +212,7 @@ def stop_command(path: str, wait: float) -> None:
         waited = time.monotonic() - begun
         if waited > wait:
             raise BusError(
-                f"{path}: the daemon got the stop request and is still there after {wait:g} s; look at its output"
+                f"{path}: the daemon received the stop request but still runs after {wait:g} s; check its output"
             )
         if not signalled and waited > PATIENCE * wait:
             signalled = True
@@ -206,13 +220,13 @@ def stop_command(path: str, wait: float) -> None:
                 server_process.terminate(path)
         time.sleep(POLL)
     stage = answer.get("waiting_for")
-    starting = f"; it was {stage}" if stage else ""
-    click.echo(("stop asked for" if wait == 0.0 else "stopped: the daemon has ended") + starting)
+    starting = f"; it was in startup: {stage}" if stage else ""
+    click.echo(("stop requested" if wait == 0.0 else "stopped: the daemon has ended") + starting)
 
 
 @click.command("dashboard", epilog="Example: tsa dashboard --port 8402")
 @SOCKET
-@click.option("--port", default=0, type=click.IntRange(0, 65535), show_default="a free one", help="Of 127.0.0.1.")
+@click.option("--port", default=0, type=click.IntRange(0, 65535), show_default="a free one", help="Port on 127.0.0.1.")
 def dashboard_command(path: str, port: int) -> None:
     """Open a local page to watch and tune a running daemon: torques, latency, state, faults, live parameters.
 
@@ -234,13 +248,15 @@ def dashboard_command(path: str, port: int) -> None:
     default=8765,
     show_default=True,
     type=click.IntRange(0, 65535),
-    help="Port of 127.0.0.1; 0 takes a free one.",
+    help="Port on 127.0.0.1; 0: a free one.",
 )
 @click.option(
     "--rate", default=1000.0, show_default=True, type=click.FloatRange(1.0, MOST_RATE), help="Rate of the signals, Hz."
 )
 @click.option("--settable", is_flag=True, help="Let every client on this computer change live parameters as this user.")
-@click.option("--layouts", "folder", type=click.Path(path_type=Path), help="Write layouts for both programs there.")
+@click.option(
+    "--layouts", "folder", type=click.Path(path_type=Path), help="Folder in which to write layouts for both programs."
+)
 def live_command(path: str, port: int, rate: float, settable: bool, folder: Path | None) -> None:
     """Publish a running daemon on a WebSocket that Foxglove and PlotJuggler can read, until Ctrl-C.
 

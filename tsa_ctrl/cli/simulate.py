@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     "--model", "models", multiple=True, required=True, type=click.Path(), help="Actuator model file; repeatable."
 )
 @click.option("--out", type=click.Path(path_type=Path), help="CSV with t, tau_j, tau_j_sim, residual.")
-@click.option("--picture", type=click.Path(path_type=Path), help="PNG of measured against simulated torque.")
+@click.option("--picture", type=click.Path(path_type=Path), help="PNG of measured and simulated torque.")
 @STRICT
 @CUTOFF
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
@@ -53,7 +53,7 @@ def command(
         if path is not None:
             outputs.refuse_inputs(path, [split_axis(log)[0], *map(Path, models)], option)
     if out is not None and out == picture:
-        raise UsageError(f"--picture {picture}: is also --out; choose another file")
+        raise UsageError(f"--picture {picture}: is the same file as --out; choose another file")
     loaded = [load_model(path) for path in models]
     dataset = load_log(log, strict, cutoff)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
@@ -80,7 +80,9 @@ def command(
         click.echo(f"note: {note}")
     for simulation in simulations:
         if simulation.beyond_slack > 0.0:
-            remedy = "as [effects.tendon_slack] models" if simulation.slack_modelled else "outside the domain of (3.55)"
+            remedy = (
+                "as modelled by [effects.tendon_slack]" if simulation.slack_modelled else "outside the domain of (3.55)"
+            )
             click.echo(
                 f"note: {simulation.beyond_slack:.1%} of the samples lie beyond abs(tau_m) = 2 T_p r_M, where one "
                 f"tendon is slack, {remedy} ({simulation.name})"

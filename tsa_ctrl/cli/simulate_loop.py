@@ -32,13 +32,21 @@ MOST_LOG = 4_000_000_000  # bytes of a log in a field report: some hours of four
 @click.option(
     "--seconds", type=Finite(0.1, 86_400.0), help="Duration with torque; required unless a virtual run is repeated."
 )
-@click.option("--record", type=click.Path(path_type=Path), help="CSV of the plant's own truth, as of tsa plant.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the daemon's own log, tsa.mcap.")
-@click.option("--seed", type=click.IntRange(0), help="Seed of all noise; default: the plant file's.")
 @click.option(
-    "--fault", "faults", multiple=True, metavar="LINE@T", help="As tsa plant --ask, or slow_loop (s per cycle), at T s."
+    "--record", type=click.Path(path_type=Path), help="CSV of the plant's true values, as written by tsa plant."
 )
-@click.option("--set", "changes", multiple=True, metavar="NAME=VALUE@T", help="As tsa set, at T s.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the daemon's log, tsa.mcap.")
+@click.option("--seed", type=click.IntRange(0), help="Seed of all noise; default: the value in the plant file.")
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="LINE@T",
+    help="Fault at T s: a line as for tsa plant --ask, or slow_loop (s per cycle).",
+)
+@click.option(
+    "--set", "changes", multiple=True, metavar="NAME=VALUE@T", help="Parameter change at T s, as with tsa set."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     controller: Path,
@@ -100,7 +108,9 @@ def _repeated(
         changed = plant is not None or seconds is not None or seed is not None or bool(faults or changes)
         on, old = plant or replay.plant, replay.arguments
         if on is None:
-            raise UsageError(f"{report}: is of a run on hardware; give a PLANT.toml to run its files on, and --seconds")
+            raise UsageError(
+                f"{report}: is from a run on hardware; give a PLANT.toml to run its files on, and --seconds"
+            )
         duration = seconds if seconds is not None or old is None else old.seconds
         if duration is None:
             raise UsageError(NO_SECONDS)
@@ -117,23 +127,23 @@ def _repeated(
                 tick=tick,
             )
         if changed:
-            click.echo("not compared with the log: other arguments", err=True)
+            click.echo("not compared with the log: the arguments differ", err=True)
         elif difference := first_difference(log, {axis.name: axis.log for axis in simulation.axes}):
             click.echo(f"differs from the log: {difference}", err=True)
         else:
-            click.echo("equal to the log in each bit of each record", err=True)
+            click.echo("every record is identical to the log, bit by bit", err=True)
         return simulation
 
 
 def _log_of(report: Path, folder: Path) -> Path:
     """Extract the log of a field report to a folder and return its path; raise UsageError for another file."""
     if not report.is_file():
-        raise UsageError(f"{report}: no such file; give a field report of tsa bundle")
+        raise UsageError(f"{report}: no such file; give a field report written by tsa bundle")
     try:
         with zipfile.ZipFile(report) as archive:
             size = archive.getinfo("log.mcap").file_size
             if size > MOST_LOG:
-                raise UsageError(f"{report}: its log has {size / 1e9:.1f} GB; allowed are {MOST_LOG / 1e9:g}")
+                raise UsageError(f"{report}: its log has {size / 1e9:.1f} GB; at most {MOST_LOG / 1e9:g} GB is allowed")
             return Path(archive.extract("log.mcap", folder))
     except (OSError, KeyError, zipfile.BadZipFile) as error:
         raise UsageError(f"{report}: not a field report ({error}); give a file that tsa bundle wrote") from None

@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--axis", "axis_name", metavar="NAME", help="The axis, if the file has several.")
+@click.option("--axis", "axis_name", metavar="NAME", help="Axis to tune; required if the file has several.")
 @click.option(
     "--joint",
     "joints",
     multiple=True,
     metavar="NAME",
-    help="Also move this axis and find how its joint bends the sheaths; may be repeated.",
+    help="Also move this axis and identify how its joint bends the sheaths; repeatable.",
 )
-@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
-@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
-@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
+@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Maximum joint torque, N*m.")
+@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Maximum joint speed, rad/s.")
+@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
 @click.option(
     "--seconds", default=20.0, show_default=True, type=Finite(8.0, 600.0), help="Duration of the excitation, s."
 )
@@ -41,33 +41,44 @@ if TYPE_CHECKING:
     default=10.0,
     show_default=True,
     type=Finite(4.0, 600.0),
-    help="Duration of each of three runs, s.",
+    help="Duration of each of the three verification runs, s.",
 )
-@click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")
+@click.option(
+    "--certified-gain", is_flag=True, help="The gain of both torque channels is certified: also use the slope."
+)
 @click.option("--given-form", is_flag=True, help="Keep the transmission's form; do not try the full model (3.53).")
-@click.option("--extended", is_flag=True, help="Add the effects that the diagnosis names with certainty.")
+@click.option("--extended", is_flag=True, help="Add the effects that the diagnosis identifies with certainty.")
 @click.option(
     "--setpoint",
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="Excite with this torque (CSV with t, tau_j_des), as tsa diagnose writes it.",
+    help="Excite with this torque (CSV with t, tau_j_des), as written by tsa diagnose.",
 )
 @click.option(
     "--virtual",
     "plant",
     type=click.Path(path_type=Path),
     metavar="PLANT.toml",
-    help="Tune this simulated plant, in virtual time; nothing goes on a bus. The new files are written to --out alone.",
+    help="Tune this simulated plant in virtual time; nothing is sent on a bus. New files are written only to --out.",
 )
-@click.option("--allow-simulated", is_flag=True, help="Start from a model file with simulated numbers on real drives.")
-@click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
+@click.option("--allow-simulated", is_flag=True, help="Allow a model file with simulated numbers on real drives.")
+@click.option(
+    "--from-log",
+    "logs",
+    multiple=True,
+    type=click.Path(),
+    metavar="LOG",
+    help="Use this log (repeatable); move nothing.",
+)
 @CUTOFF
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: next to the logs."
 )
 @click.option("--yes", is_flag=True, help="Write the new file without asking.")
-@click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log also the estimate. Nothing is written.")
-@click.option("--undo", is_flag=True, help="Put back the files that the last tuning replaced.")
+@click.option(
+    "--dry-run", is_flag=True, help="Print checks and plan, with --from-log also the estimate; write nothing."
+)
+@click.option("--undo", is_flag=True, help="Restore the files that the last tuning replaced.")
 @click.option(
     "--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing, writes only with --yes."
 )
@@ -119,17 +130,17 @@ def command(
         allow_simulated=allow_simulated,
     )
     if cutoff is not None and not logs:
-        raise click.UsageError("--cutoff is for --from-log; leave it out")
+        raise click.UsageError("--cutoff applies only to --from-log; omit it")
     if plant is not None and logs:
-        raise click.UsageError("--virtual makes its own runs; leave it out, or --from-log")
+        raise click.UsageError("--virtual generates its own logs; omit it or --from-log")
     if setpoint is not None and logs:
-        raise click.UsageError("--setpoint is for a run on the rig; leave it out, or --from-log")
+        raise click.UsageError("--setpoint applies only to a run on the rig; omit it or --from-log")
     session = Session(controller, axis_name, plan)
     if undo and (dry_run or logs):
-        raise click.UsageError("--undo does nothing else than to put the file before back; give it alone")
+        raise click.UsageError("--undo only restores the previous files; omit --dry-run and --from-log")
     if undo:
         kept = session.undo()
-        text = "\n".join(f"{path}: put back from {old.name}" for path, old in kept.items())
+        text = "\n".join(f"{path}: restored from {old.name}" for path, old in kept.items())
         _tell(as_json, {"schema": 1, "undone": str(session.path), "files": [str(path) for path in kept]}, text)
         return
     if dry_run and not logs:
@@ -170,12 +181,13 @@ def _tune(
         elif written is not None:
             for path, before in written.items():
                 click.echo(
-                    f"written: {path}" + (f"; the file before is {before.name} (back with --undo)" if before else "")
+                    f"written: {path}"
+                    + (f"; the previous file is {before.name} (restore it with --undo)" if before else "")
                 )
             if step := session.next_step(outcome):
                 click.echo(step)
         else:
-            click.echo(f"{session.path} is as it was")
+            click.echo(f"{session.path} is unchanged")
 
 
 def _on_the_rig(session: Session, asks: bool) -> Outcome:
@@ -188,7 +200,7 @@ def _on_the_rig(session: Session, asks: bool) -> Outcome:
 def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:
     """Return True if the files are to be written: only after consent, and never files that did worse."""
     if not session.worth_writing(outcome):
-        click.echo("the new file does no better on data not used for the fit: nothing is written", err=True)
+        click.echo("nothing is written: the new file is no better on data not used for the fit", err=True)
         return False
     if yes:
         return True

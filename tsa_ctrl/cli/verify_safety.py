@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("controller", metavar="CONTROLLER.toml", type=click.Path(path_type=Path))
-@click.option("--torque", type=Finite(min=0.0, min_open=True), help="N*m at the motor; default: [safety] torque.")
-@click.option("--held", is_flag=True, help="Test sign and gain of the torque on held joints instead.")
 @click.option(
-    "--record", type=click.Path(path_type=Path), help="Folder of the record; default: the folder of the logs."
+    "--torque", type=Finite(min=0.0, min_open=True), help="Torque at the motor, N*m; default: [safety] torque."
 )
-@click.option("--yes", is_flag=True, help="Do not ask before the motor pulls.")
+@click.option("--held", is_flag=True, help="Instead, test sign and gain of the torque on locked joints.")
+@click.option("--record", type=click.Path(path_type=Path), help="Folder for the record; default: the log folder.")
+@click.option("--yes", is_flag=True, help="Do not ask before the motors pull.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def command(controller: Path, torque: float | None, held: bool, record: Path | None, yes: bool, as_json: bool) -> int:
     """Hang and kill the loop at a small torque, withhold its heartbeat, and time the drive's own reaction.
@@ -73,7 +73,7 @@ def _held(configuration: Configuration, yes: bool, as_json: bool) -> int:
     pairs = zip(configuration.file.axes, configuration.models, strict=True)
     most = max(amplitude(configuration, axis, model) for axis, model in pairs)
     if not yes:
-        _confirm(most, len(configuration.file.axes), "both ways for 9 s. Is every joint held fast?")
+        _confirm(most, len(configuration.file.axes), "in both directions for 9 s. Is every joint locked?")
     found, nodes = run_held(configuration, lambda line: click.echo(line, err=True))
     path = add_to_record(configuration, nodes, held=found)
     if as_json:
@@ -91,9 +91,7 @@ def _held(configuration: Configuration, yes: bool, as_json: bool) -> int:
 def _confirm(torque: float, axes: int, question: str = "three times. Is the joint free?") -> None:
     motors = "the motor" if axes == 1 else f"all {axes} motors"
     if not sys.stdin.isatty():
-        raise UsageError(
-            f"{motors} will pull with {torque:g} N*m, which requires a confirmation in a terminal; give --yes"
-        )
+        raise UsageError(f"{motors} will pull with {torque:g} N*m; confirm this in a terminal, or give --yes")
     click.confirm(f"{motors.capitalize()} will pull with {torque:g} N*m, {question}", abort=True)
 
 
@@ -104,13 +102,15 @@ def _show(found: Verification) -> None:
     from tsa_ctrl.drills.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
-    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "by", "motor pulls", "")
+    table = Table(
+        "trial", "axis", "torque before", "zero after", "allowed", "measured by", "stopped by", "motor pulls", ""
+    )
     for column in table.columns:
         column.overflow = "fold"  # a narrow terminal must not cut a word
     for outcome in found.outcomes:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
-        zero = "never seen" if timing.zero_after is None else f"{1e3 * timing.zero_after:.0f} ms"
+        zero = "never" if timing.zero_after is None else f"{1e3 * timing.zero_after:.0f} ms"
         verdict = "[green]in time[/green]" if outcome.safe else "[bold red]NOT SAFE[/bold red]"
         allowed = f"{1e3 * outcome.limit:.0f} ms"
         seen = (timing.source or "-").upper()
@@ -127,6 +127,6 @@ def _acted(outcome: Outcome) -> str:
     """Return the watchdog that removed the torque, and its time."""
     found = outcome.watchdog
     if found.acted is None or found.after is None:
-        return "not known"
+        return "unknown"
     name = {"rpdo": "RPDO timer", "heartbeat": "heartbeat"}[found.acted]
     return f"{name}, {1e3 * found.after:.0f} ms"

@@ -68,7 +68,7 @@ def test_file_in_the_encoding_of_a_vendors_editor_is_read(tmp_path: Path) -> Non
         ("DataType=0x0006\n", "", r"section \[6072\]: No option 'DataType'"),
         ("DataType=0x0006", "DataType=u16", r"section \[6072\]: ValueError: .*'u16'"),
         ("[1018]\n", "[1017]\n", r"section \[1018sub0\]: KeyError"),
-        (GOOD, "rubbish\n", "describes no object that is used here"),
+        (GOOD, "rubbish\n", "describes no object that this controller uses"),
     ],
 )
 def test_broken_section_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -128,7 +128,7 @@ def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> 
     [
         ("DataType=0x0006", "DataType=0x0007", r"section \[6072\]: DataType is 0x0007, .* has 0x0006 \(u16\)"),
         ("AccessType=rw", "AccessType=const\nDefaultValue=500", r"\[6072\]: .* is 'const' with 500, but must be 1000"),
-        ("HighLimit=3000", "HighLimit=500", r"section \[6072\]: .* shall be 1000, allowed is 0 to 500"),
+        ("HighLimit=3000", "HighLimit=500", r"section \[6072\]: .* must be 1000, but the EDS allows 0 to 500"),
     ],
 )
 def test_plan_that_contradicts_the_eds_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

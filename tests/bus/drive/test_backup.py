@@ -80,7 +80,7 @@ def test_any_name_in_a_backup_is_read_again(tmp_path: Path, name: str) -> None:
 
 def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) -> None:
     text = run(nodes, "diff")
-    assert "0x6072:0 max torque: drive 0xbb8, wanted 0x3e8" in text
+    assert "0x6072:0 max torque: drive 0xbb8, required 0x3e8" in text
     configure(nodes)
     assert "0 differ" in run(nodes, "diff")
 
@@ -104,8 +104,8 @@ def test_dump_and_diff_list_what_acts_on_the_torque(nodes: Bench, tmp_path: Path
     found = {item.index: item.value for item in load_backup(file).object}
     assert (found[0x60B2], found[0x60E0]) == (120, 400)
     text = run(nodes, "diff")
-    assert "0x60B2:0 torque offset: drive 0x78, wanted 0x0" in text
-    assert "positive torque limit (0x60E0) is 400 per mille of the rated torque: the drive delivers no more" in text
+    assert "0x60B2:0 torque offset: drive 0x78, required 0x0" in text
+    assert "positive torque limit (0x60E0) is 400 per mille of the rated torque: the drive delivers at most" in text
     configure(nodes)
     assert nodes.get(1, 0x60B2, 0) == 0
 
@@ -189,4 +189,4 @@ def test_restore_maps_pdos_by_the_procedure() -> None:
 
 def test_no_drive_named_is_a_usage_error() -> None:
     result = CliRunner().invoke(command, ["dump"])
-    assert "which drive?" in str(result.exception)
+    assert "no drive selected" in str(result.exception)

@@ -83,7 +83,7 @@ def test_report_shows_what_was_changed_and_what_is_missing() -> None:
         text = "\n".join(start(nodes).lines())
     assert "0x6072:0 max torque: 0xbb8 -> 0x3e8" in text
     assert "axis 'knee' drive node 1: device type 0x20192, vendor 0xf0f, product code 0x402" in text
-    assert "not there: " in text
+    assert "absent: " in text
     assert "RPDO3 COB-ID, RPDO4 COB-ID" in text
 
 
@@ -142,13 +142,13 @@ def test_value_that_does_not_stick_is_refused() -> None:
 
 def test_remembered_errors_are_shown() -> None:
     with bench(drive={(0x1003, 0): (5, 1), (0x1003, 1): (U32, 0x00003210)}) as nodes:
-        assert "newest remembered error 0x3210 (DC link over-voltage)" in start(nodes).nodes[0].notes
+        assert "newest error in its history 0x3210 (DC link over-voltage)" in start(nodes).nodes[0].notes
 
 
 def test_encoder_with_another_resolution_is_refused() -> None:
     with (
         bench(encoder={(0x6001, 0): (U32, 4096)}) as nodes,
-        pytest.raises(UsageError, match=r"is 4096, the configuration has 1048576; correct counts_per_revolution"),
+        pytest.raises(UsageError, match=r"is 4096, but the configuration has 1048576; correct counts_per_revolution"),
     ):
         start(nodes)
 
@@ -156,9 +156,12 @@ def test_encoder_with_another_resolution_is_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({(0x607E, 0): (U8, 0xE0)}, r"turns the sign of position and velocity and torque; write polarity = 0xE0"),
-        ({(0x607E, 0): (U8, 0x20)}, r"polarity \(0x607E\) is 0x20, the drive turns the sign of torque"),
-        ({(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}, r"counts 4096 in a revolution .* has 65536; correct"),
+        ({(0x607E, 0): (U8, 0xE0)}, r"reverses the sign of position and velocity and torque; write polarity = 0xE0"),
+        ({(0x607E, 0): (U8, 0x20)}, r"polarity \(0x607E\) is 0x20, the drive reverses the sign of torque"),
+        (
+            {(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)},
+            r"has 4096 counts per motor rev.* has 65536; correct",
+        ),
         ({(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1)}, r"gear ratio \(0x6091\) is 7, .* write absent = "),
         (
             {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 2), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},
@@ -207,7 +210,7 @@ def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
     """-1 is manufacturer-specific, so it is unknown whether the fault reaction ends without torque."""
     with bench(drive={(0x605E, 0): (I16, -1)}) as nodes:
         nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
-        with pytest.raises(BusError, match=r"refuses 0x605E:0 fault reaction: Attempt to write a read only object"):
+        with pytest.raises(BusError, match=r"rejects 0x605E:0 fault reaction: Attempt to write a read only object"):
             start(nodes)
 
 
@@ -252,12 +255,12 @@ def test_rate_that_the_bit_rate_cannot_carry_is_refused_before_anything_is_sent(
 
 def test_two_nodes_with_one_id_are_refused() -> None:
     axis = AxisNodes(name="knee", drive=DriveSettings(node_id=127))
-    with bench() as nodes, pytest.raises(UsageError, match=r"node_id 127 is also that of \[bus\] host_node_id"):
+    with bench() as nodes, pytest.raises(UsageError, match=r"node_id 127 is also used by \[bus\] host_node_id"):
         start(nodes, axis)
 
 
 def test_rpdo_timeout_below_two_periods_is_refused() -> None:
-    with bench() as nodes, pytest.raises(UsageError, match="less than two periods"):
+    with bench() as nodes, pytest.raises(UsageError, match="shorter than two periods"):
         start(nodes, axis_nodes(rpdo_timeout=0.001))
 
 

@@ -56,7 +56,7 @@ def test_a_clamp_beyond_its_object_is_refused() -> None:
     clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
     profile = DriveProfile(absent=["max torque"], torque_clamp=clamp)
     drive = DriveSettings(node_id=1, max_torque=2.1)
-    with pytest.raises(UsageError, match=r"which takes 0 to 65535; lower max_torque in \[axis.drive\]"):
+    with pytest.raises(UsageError, match=r"whose range is 0 to 65535; lower max_torque in \[axis.drive\]"):
         drive_plan(
             AxisNodes(name="knee", drive=drive), profile, drive_scale(drive, profile, "axis"), BusSettings(), 0.001
         )
@@ -80,15 +80,15 @@ def test_generic_needs_no_file(tmp_path: Path) -> None:
 
 
 def test_unknown_profile_is_answered_with_the_known_ones() -> None:
-    with pytest.raises(UsageError, match=r"no such drive profile 'epos5'; known here: copley, elmo_gold, "):
+    with pytest.raises(UsageError, match=r"no such drive profile 'epos5'; available: copley, elmo_gold, "):
         load_profile("epos5", CONFIG)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[torque_clamp]\nindex = 0x207F", "torque_clamp: give rated_index, the object that holds its value"),
-        ("[torque_clamp]\nindex = 0x207F\nrated = 1\nrated_index = 0x2000", "and not both"),
+        ("[torque_clamp]\nindex = 0x207F", "torque_clamp: give either rated_index"),
+        ("[torque_clamp]\nindex = 0x207F\nrated = 1\nrated_index = 0x2000", "or rated (that value itself)"),
         ("absent = ['max torqe']", "absent: unknown object 'max torqe'; did you mean 'max torque'?"),
         (
             _OFFSET.format(0x60B2),

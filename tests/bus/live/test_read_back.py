@@ -86,7 +86,7 @@ def test_what_was_changed_is_found_in_the_round_in_which_it_is_asked_for_twice()
     found = node.run(1.0)
     assert found is not None
     assert found < 0.1
-    assert node.reader.altered == {1: "0x1400:5 RPDO event timer is 0x0, at the start it was 0x14"}
+    assert node.reader.altered == {1: "0x1400:5 RPDO event timer is 0x0, but was 0x14 at startup"}
 
 
 def test_one_wrong_answer_accuses_nobody() -> None:

@@ -31,7 +31,7 @@ def test_node_that_does_not_answer_is_named(silent: int, name: str) -> None:
 def test_node_that_answers_twice_is_refused() -> None:
     rig, bus, nodes = one_axis_rig()
     bus.answer = lambda frame: nodes.frames() * 2 if frame[0] == 0x080 else []
-    with pytest.raises(BusError, match="more PDOs than 50 SYNCs asked for; another node may have the same id"):
+    with pytest.raises(BusError, match="more PDOs than 50 SYNCs requested; another node may have the same id"):
         check_startup(rig, 0.001, 50)
 
 

@@ -144,7 +144,7 @@ def test_a_frame_that_nobody_has_room_for_is_dropped_and_counted(channel: str) -
 
 def test_a_full_bus_is_one_line_and_has_room_again_when_somebody_leaves(channel: str) -> None:
     buses = [DatagramBus(channel) for _ in range(MOST_PARTICIPANTS)]
-    with pytest.raises(BusError, match=f"{MOST_PARTICIPANTS} participants are on this bus; end one") as error:
+    with pytest.raises(BusError, match=f"this bus already has {MOST_PARTICIPANTS} participants; stop one") as error:
         DatagramBus(channel)
     assert "\n" not in str(error.value)
     buses.pop(3).close()
@@ -189,5 +189,5 @@ def test_the_configured_interface_opens_it_and_takes_no_options(channel: str) ->
     assert is_simulated("datagram", channel)
     bus.close()
     bus.close()
-    with pytest.raises(UsageError, match='mean nothing to interface "datagram"'):
+    with pytest.raises(UsageError, match='do not apply to interface "datagram"'):
         open_bus(BusSettings(interface="datagram", channel=channel, options={"fd": True}))

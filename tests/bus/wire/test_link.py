@@ -109,7 +109,7 @@ def test_a_vcan_is_made_up_switched_and_seen(vcan: str) -> None:
         (Interface(True, "can", 128, 1_000_000, CanState.BUS_OFF), "state bus_off"),
         (
             Interface(True, "can", 128, 1_000_000, CanState.ERROR_ACTIVE, (0, 8)),
-            r"error counters are 0 \(tx\) and 8 \(rx\), required are 0",
+            r"error counters are 0 \(tx\) and 8 \(rx\), required: 0",
         ),
     ],
 )

@@ -148,7 +148,7 @@ def test_bus_that_cannot_be_opened_is_one_line(interface: str, channel: str) -> 
 
 
 def test_options_mean_nothing_to_socketcan() -> None:
-    with pytest.raises(UsageError, match="options: fd mean nothing"):
+    with pytest.raises(UsageError, match="options: fd do not apply"):
         open_bus(BusSettings(options={"fd": True}))
 
 

@@ -216,7 +216,7 @@ def test_kernel_without_can_is_one_line() -> None:
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except (OSError, AttributeError):
-        with pytest.raises(BusError, match="this kernel offers no SocketCAN"):
+        with pytest.raises(BusError, match="this kernel has no SocketCAN"):
             SocketCan("vcan0")
     else:
         pytest.skip("this kernel has CAN")

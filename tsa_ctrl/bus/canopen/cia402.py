@@ -59,7 +59,7 @@ class Effect(Enum):
     ADDS = "adds to the command"
     LIMITS = "limits the torque"
     RAMPS = "ramps the torque"
-    SCALES = "scales the torque or turns its sign"
+    SCALES = "scales the torque or reverses its sign"
 
 
 @dataclass(frozen=True)

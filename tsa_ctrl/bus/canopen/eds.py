@@ -86,7 +86,7 @@ def _lines(text: str, notes: list[str]) -> list[str]:
         if heading:
             name = _name(heading[1])
             if name in seen:
-                notes.append(f"its EDS has section [{name}] twice; the later values count")
+                notes.append(f"its EDS has section [{name}] twice; the later values apply")
             seen.add(name)
             kept.append(f"[{heading[1].strip()}]")
         elif not line.strip() or line.lstrip().startswith((";", "#")):
@@ -123,7 +123,7 @@ def _values(section: str, values: dict[str, str], notes: list[str]) -> dict[str,
     if _OBJECT.match(section.strip()):
         mended.setdefault("ParameterName", _name(section))
         if "AccessType" not in mended and "DataType" in mended:
-            notes.append(f"its EDS does not define who may write [{_name(section)}]")
+            notes.append(f"its EDS has no AccessType in [{_name(section)}]; rw is assumed")
             mended["AccessType"] = "rw"
     return mended
 
@@ -183,7 +183,9 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
     except configparser.Error as error:
         raise UsageError(f"{path}: EDS file: {_one_line(error)}; repair it, or work without an EDS") from None
     if not any(is_used(section) for section in parser.sections()):
-        raise UsageError(f"{path}: EDS file: it describes no object that is used here; repair it, or work without one")
+        raise UsageError(
+            f"{path}: EDS file describes no object that this controller uses; repair it, or work without one"
+        )
     while True:
         dictionary, error_text = _try(parser, parser.sections())
         if dictionary is not None:
@@ -191,7 +193,7 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
         section = _first_broken(parser)
         if is_used(section) or len(notes) > _MOST_NOTES:
             raise UsageError(f"{path}: EDS file: section [{section}]: {error_text}; repair it, or work without an EDS")
-        notes.append(f"its EDS cannot be read in section [{section}] ({error_text}), which is left out")
+        notes.append(f"section [{section}] of its EDS cannot be read ({error_text}) and is ignored")
         parser.remove_section(section)
 
 
@@ -213,10 +215,10 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
         if variable.data_type != entry.type.number:
             if _BYTES.get(variable.data_type) != entry.type.size:
                 raise UsageError(
-                    f"{path}: section {section}: DataType is 0x{variable.data_type:04X}, {entry} has "
+                    f"{path}: section {section}: DataType is 0x{variable.data_type:04X}, but {entry} has "
                     f"0x{entry.type.number:04X} ({entry.type.name.lower()}); repair the EDS, or work without one"
                 )
-            notes[f"its EDS has {entry} with another sign (DataType 0x{variable.data_type:04X})"] = None
+            notes[f"its EDS gives {entry} another signedness (DataType 0x{variable.data_type:04X})"] = None
         if not variable.writable:
             default = None if entry.type.real else variable.default
             if default is not None and default not in (write.value, *write.fine) and not write.kept:
@@ -231,8 +233,8 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
             continue  # an empty range is not a limit
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):
             raise UsageError(
-                f"{path}: section {section}: {entry} shall be {write.value}, allowed is {low} to {high}; "
-                "correct the setting it comes from"
+                f"{path}: section {section}: {entry} must be {write.value}, but the EDS allows {low} to {high}; "
+                "correct the setting that determines it"
             )
     return list(notes)
 

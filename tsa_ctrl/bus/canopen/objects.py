@@ -103,7 +103,7 @@ class Object:
         if not self.type.low <= value <= self.type.high:
             raise UsageError(
                 f"{self}: value {value} does not fit {self.type.name.lower()} "
-                f"({self.type.low} to {self.type.high}); correct the setting it comes from"
+                f"({self.type.low} to {self.type.high}); correct the setting that determines it"
             )
         return value.to_bytes(self.type.size, "little", signed=self.type.signed)
 

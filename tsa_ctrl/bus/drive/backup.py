@@ -103,8 +103,8 @@ class Difference:
     found: int | None
 
     def __str__(self) -> str:
-        found = "not there" if self.found is None else self.entry.shown(self.found)
-        return f"{self.entry}: drive {found}, wanted {self.entry.shown(self.wanted)}"
+        found = "absent" if self.found is None else self.entry.shown(self.found)
+        return f"{self.entry}: drive {found}, required {self.entry.shown(self.wanted)}"
 
 
 def load_backup(path: str | Path) -> Backup:
@@ -180,7 +180,7 @@ def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
     name = f"node {node_id}"
     if backup.node_id != node_id:
         raise UsageError(
-            f"{name}: the backup is of node {backup.node_id} and holds the identifiers of its PDOs; "
+            f"{name}: the backup is of node {backup.node_id} and contains that node's PDO identifiers; "
             "restore a backup of this node, or give the drive the node id of the backup"
         )
     for entry, wanted in ((objects.VENDOR_ID, backup.vendor_id), (objects.PRODUCT_CODE, backup.product_code)):
@@ -188,7 +188,7 @@ def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
         if found != wanted:
             raise BusError(
                 f"{name}: {entry.name} is 0x{found:08X}, the backup is of 0x{wanted:08X}; "
-                "a backup fits the same model only: give another file or node"
+                "a backup fits only the same model: use another file or node"
             )
     state = cia402.decode(session.read(node_id, objects.STATUSWORD))
     if state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE):
@@ -198,7 +198,9 @@ def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
 
 
 def _cure(entry: Object, code: int | None) -> str:
-    return "the drive rejects its earlier values: it may be locked, or have another firmware; correct the backup"
+    return (
+        "the drive rejects its earlier value: it may be locked or have other firmware; unlock it or correct the backup"
+    )
 
 
 def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:

@@ -92,7 +92,7 @@ def write_all(
             if error.code in _READ_ONLY and before is not None and before in write.fine:
                 rows[entry.key] = Row(entry, before, before)
                 if notes is not None:
-                    notes.append(f"{entry} cannot be written; its {entry.shown(before)} does as well")
+                    notes.append(f"{entry} cannot be written; its value {entry.shown(before)} is also sufficient")
                 continue
             holds = "" if before is None else f"; it holds {entry.shown(before)}"
             raise BusError(f"{name}: {error}{holds}; {cure(entry, error.code)}") from None
@@ -198,9 +198,9 @@ def _check_polarity(session: Session, node: Node) -> None:
     turned = [name for bit, name in _TURNED if found is not None and found & bit]
     if turned:
         raise UsageError(
-            f"{node.name}: polarity (0x607E) is 0x{found:02X}, the drive turns the sign of {' and '.join(turned)}; "
-            f"write polarity = 0x{found:02X} in [axis.drive], if torque_sign and position_sign were found with that, "
-            "or polarity = 0 to have it written, and find the signs again"
+            f"{node.name}: polarity (0x607E) is 0x{found:02X}, the drive reverses the sign of {' and '.join(turned)}; "
+            f"write polarity = 0x{found:02X} in [axis.drive] if torque_sign and position_sign were determined with it, "
+            "or write polarity = 0 and determine the signs again"
         )
 
 
@@ -215,18 +215,18 @@ def _check_counts(session: Session, node: Node) -> None:
     wanted = node.axis.drive.counts_per_revolution
     if gear != 1 and (feed is None or feed / gear != wanted):
         raise UsageError(
-            f"{node.name}: its gear ratio (0x6091) is {gear}, so the meaning of its positions is not known; set it "
-            f'to 1 with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file}, if '
-            "it leaves 0x6064 and 0x6071 as the motor's, and be sure of counts_per_revolution in [axis.drive]"
+            f"{node.name}: its gear ratio (0x6091) is {gear}, so the scale of its positions is unknown; set it "
+            f'to 1 with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file} if '
+            "0x6064 and 0x6071 still refer to the motor, and verify counts_per_revolution in [axis.drive]"
         )
     known = [float(value) for value in (increments, None if feed is None else feed / gear) if value is not None]
     if known and wanted not in known:
         shown = " or ".join(f"{value:g}" for value in dict.fromkeys(known))
         raise UsageError(
-            f"{node.name}: it counts {shown} in a revolution of the motor (0x608F, 0x6092), the configuration has "
+            f"{node.name}: it has {shown} counts per motor revolution (0x608F, 0x6092), but the configuration has "
             f'{wanted}; correct counts_per_revolution in [axis.drive], or write absent = ["'
-            f'{objects.ENCODER_INCREMENTS.name}", "{objects.FEED.name}"] in {node.profile_file}, if its 0x6064 counts '
-            "otherwise"
+            f'{objects.ENCODER_INCREMENTS.name}", "{objects.FEED.name}"] in {node.profile_file} if its 0x6064 has '
+            "another unit"
         )
 
 
@@ -253,10 +253,12 @@ def check_twins(nodes: Sequence[Node], reports: Sequence[NodeReport]) -> None:
         serials = [report.identity.get(objects.SERIAL_NUMBER.name) for report in (first, second)]
         if None in serials or serials[0] == serials[1]:
             for report in (first, second):
-                report.notes.append("an equal drive is on this bus, and no serial number (0x1018:4) distinguishes them")
+                report.notes.append(
+                    "another drive of this model is on the bus, and no serial number (0x1018:4) distinguishes them"
+                )
         elif one.settings.serial_number is None or other.settings.serial_number is None:
             raise UsageError(
-                f"{one.name} and {other.name} are equal drives: exchanged ids would exchange the joints; write "
+                f"{one.name} and {other.name} are drives of one model: swapped node ids would swap the joints; write "
                 f"serial_number = {serials[0]} and serial_number = {serials[1]} into their [axis.drive] tables, or run "
                 "tsa doctor CONTROLLER.toml --serial-numbers"
             )
@@ -385,7 +387,7 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell, identify: Iden
     for node in nodes:
         if node.node_id in silent:
             continue
-        tell(f"asking {node.name} who it is")
+        tell(f"reading the identity of {node.name}")
         if session.ask(node.node_id, objects.DEVICE_TYPE) is None:
             silent.add(node.node_id)  # off, booting or stopped: checked after its reset
             continue
@@ -422,16 +424,16 @@ def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int
     name = wire_of(bus, node.node_id).name
     names = ", ".join(node.name for node in late)
     if any(node.node_id in there for node in late):
-        where = "its profile or [axis.drive]" if node.role is Role.DRIVE else "its table of the configuration"
+        where = "its profile or [axis.drive]" if node.role is Role.DRIVE else "its table in the configuration"
         return (
-            f"{name}: {names} answered before it was reset, and did not boot up within {node.boot_timeout:g} s; "
-            f"it is slow: give it more boot_timeout in {where}"
+            f"{name}: {names} answered before the reset but did not boot up within {node.boot_timeout:g} s; "
+            f"the boot-up is slow: increase boot_timeout in {where}"
         )
     heard = ", ".join(str(node_id) for node_id in sorted(session.heard))
     if heard:
-        advice = "check its power, its wiring and node_id, or, if it is only slow, give it more boot_timeout"
+        advice = "check its power, wiring and node_id, or increase boot_timeout if it is only slow"
     else:
-        advice = "check power, wiring, bit rate and node_id, or, if it is only slow, give it more boot_timeout"
+        advice = "check power, wiring, bit rate and node_id, or increase boot_timeout if it is only slow"
     return f"{name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'no node'}); {advice}"
 
 
@@ -474,11 +476,13 @@ def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> Non
     if missing:
         late = [node for node in nodes if node.node_id in missing]
         guarded = any(node.role is Role.DRIVE and not node.is_guarded for node in late)
-        hint = f', or supervision = "guarding" in {late[0].profile_file} if it has no heartbeat' if guarded else ""
+        hint = (
+            f', or write supervision = "guarding" in {late[0].profile_file} if it has no heartbeat' if guarded else ""
+        )
         name = wire_of(bus, late[0].node_id).name
         raise BusError(
             f"{name}: {', '.join(node.name for node in late)} did not become operational within "
-            f"{START_TIMEOUT:g} s; power it off and on, and start again{hint}"
+            f"{START_TIMEOUT:g} s; power-cycle it and start again{hint}"
         )
     for node in nodes:
         if node.role is Role.DRIVE and node.profile.mode_shows == "operational":

@@ -153,9 +153,9 @@ def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float, others:
     if result.worst > settings.max_load:
         remedies = suggestions(settings, axes, rate, others) or ["fewer axes on this bus"]
         raise UsageError(
-            f"{settings.header} bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} axis/axes needs "
-            f"{100 * result.least:.0f} to {100 * result.worst:.0f} % of it, allowed is {100 * settings.max_load:.0f} % "
-            f"(max_load), which is at most {int(result.highest_rate(settings.max_load))} Hz; choose "
-            f"{', or '.join(remedies)}"
+            f"{settings.header} bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} "
+            f"{'axis' if len(axes) == 1 else 'axes'} needs {100 * result.least:.0f} to {100 * result.worst:.0f} % of "
+            f"it, but {100 * settings.max_load:.0f} % is allowed (max_load), i.e. at most "
+            f"{int(result.highest_rate(settings.max_load))} Hz; choose {', or '.join(remedies)}"
         )
     return result

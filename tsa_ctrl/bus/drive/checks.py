@@ -44,22 +44,27 @@ _SETTINGS = {  # key of the controller file that determines the value of an obje
     objects.POLARITY.key: "polarity in [axis.drive]",
     objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
 }
+<<<<<<< HEAD
 _SPECIAL = {  # objects that need more than a line in `absent`
     objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile}, if it knows node guarding alone',
+=======
+_SPECIAL = {  # objects for which `absent` alone is not enough
+    objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile} if it supports only node guarding',
+>>>>>>> m2
     **dict.fromkeys(
         (entry.key for entry in OFFSETS),
-        "allowed is 0, because the drive adds this object to the command and the motor would turn at command 0; set it "
-        "to 0 and store it with the maker's tool, and remove it from the drive's own PDOs and programs",
+        "only 0 is allowed, because the drive adds this object to the command and the motor would turn at command 0; "
+        "set it to 0 and store it with the maker's tool, and remove it from the drive's own PDOs and programs",
     ),
     objects.VELOCITY_UNIT.key: 'write absent = ["SI unit velocity"] and the unit of its 0x606C as [units] velocity in '
     '{profile}, or velocity_source = "position" in [axis.drive]',
     objects.MAX_TORQUE.key: 'write absent = ["max torque"] and [torque_clamp] in {profile}: the object that limits the '
-    "torque instead, and the one that holds its value at rated torque",
+    "torque instead, and the object that holds its value at rated torque",
     objects.MODE.key: "set up its motor and sensors for torque with the maker's tool, or use another drive: this one "
-    "takes no cyclic synchronous torque mode (10) as it is",
-    objects.INTERPOLATION_PERIOD.key: "choose a rate in [controller] whose period it takes, or write absent = "
-    '["interpolation period", "interpolation period exponent"] in {profile}, if it needs none for torque',
-    objects.INTERPOLATION_EXPONENT.key: "choose a rate in [controller] whose period is whole milliseconds (1000, 500, "
+    "does not accept cyclic synchronous torque mode (10) as it is",
+    objects.INTERPOLATION_PERIOD.key: "choose a rate in [controller] whose period it accepts, or write absent = "
+    '["interpolation period", "interpolation period exponent"] in {profile} if it needs none for torque',
+    objects.INTERPOLATION_EXPONENT.key: "choose a rate in [controller] whose period is in whole ms (1000, 500, "
     '250, 200, 125, 100 Hz), or write absent = ["interpolation period", "interpolation period exponent"] in {profile}',
 }
 
@@ -67,20 +72,20 @@ _SPECIAL = {  # objects that need more than a line in `absent`
 def profile_of(drive: DriveSettings) -> str:
     """Return the name of the drive's profile file for a remedy."""
     if drive.profile == "generic":
-        return "a separate profile (tsa drive probe writes one; profile in [axis.drive] names it)"
+        return "a separate profile (write one with tsa drive probe, and give it as profile in [axis.drive])"
     return drive.profile if drive.profile.endswith(".toml") else f"drives/{drive.profile}.toml"
 
 
 def cure(entry: Object, node: NodeSettings, profile: DriveProfile, code: int | None = None) -> str:
     """Return the remedy for an object that a node rejected with this abort code; None: accepted, but not stored."""
     if not isinstance(node, DriveSettings):
-        return "check that this is the sensor that the configuration means: node_id, vendor_id, product_code"
+        return "check that this is the configured sensor: node_id, vendor_id, product_code"
     plain = entry.of(2 - node.slot) if node.slot > 1 else entry
     text = _advice(plain, node, profile, code).format(profile=profile_of(node))
     if code in _STATE:
         return (
-            "end the maker's tool, unlock it, power it off and on (it does not take that in its present state); if "
-            f"that does not help, {text}"
+            "close the maker's tool, unlock the drive, power-cycle it (its present state does not permit this "
+            f"write); if that does not help, {text}"
         )
     return text
 
@@ -90,10 +95,12 @@ def _advice(entry: Object, node: DriveSettings, profile: DriveProfile, code: int
     if entry.index in range(0x1400, 0x1C00):
         return _of_a_pdo(entry, code)
     if key in _REACTIONS:
-        return f'write {_REACTIONS[key]} = "keep", or a value that it takes, under [reactions] in {{profile}}'
+        return f'write {_REACTIONS[key]} = "keep", or a value that it accepts, under [reactions] in {{profile}}'
     special, setting = _SPECIAL.get(key), _SETTINGS.get(key)
     if setting is not None and code not in _NO_OBJECT and code not in _READ_ONLY:
-        return f"correct {setting}: it does not take this value" + ("" if special is None else f"; or {special}")
+        return f"correct {setting}: the drive does not accept this value" + (
+            "" if special is None else f"; or {special}"
+        )
     return special or _absent(entry)
 
 
@@ -101,23 +108,23 @@ def _of_a_pdo(entry: Object, code: int | None) -> str:
     received = entry.index in range(0x1400, 0x1800)
     number = entry.index % 0x40 + 1
     if received and number > _COUNTED_RPDOS:
-        return "switch this RPDO off and store that with the maker's tool: only this controller may command torque"
+        return "disable this RPDO and store that with the maker's tool: only this controller may command torque"
     if number > (1 if received else 2):
         name = "rpdo_count" if received else "tpdo_count"
-        return f"write {name} = {number - 1} in {{profile}}: this PDO is not used, and was only to be switched off"
+        return f"write {name} = {number - 1} in {{profile}}: this PDO is unused and only had to be disabled"
     if entry.subindex == 5 and received:
         name = objects.RPDO_EVENT_TIMER.name
         return f'correct rpdo_timeout in [axis.drive], or write absent = ["{name}"] in {{profile}}'
     if "mapped object" in entry.name and code in _NOT_MAPPABLE | _NO_OBJECT and not received and number == 2:
         return (
-            f'write absent = ["{objects.ERROR_CODE.name}"] in {{profile}}, if it has no 0x603F; else look for another '
+            f'write absent = ["{objects.ERROR_CODE.name}"] in {{profile}} if it has no 0x603F; otherwise use other '
             "firmware: it cannot map the objects that this controller needs into one PDO"
         )
     if code in _NOT_MAPPABLE:
-        return "look for another firmware: it cannot map the objects that this controller needs into one PDO"
+        return "use other firmware: it cannot map the objects that this controller needs into one PDO"
     return (
-        "map this PDO so with the maker's tool, store it there, and start again: a correct object is not written, and "
-        "this drive rejects changes"
+        "map this PDO as required with the maker's tool, store it, and start again: correct objects are not written, "
+        "and this drive rejects changes"
     )
 
 
@@ -143,7 +150,7 @@ class Row:
 
     def __str__(self) -> str:
         if self.after is None:
-            return f"{self.entry}: not there"
+            return f"{self.entry}: absent"
         before = "?" if self.before is None else self.entry.shown(self.before)
         after = self.entry.shown(self.after)
         return f"{self.entry}: {before} -> {after}" if self.changed else f"{self.entry}: {after}"
@@ -173,7 +180,7 @@ class NodeReport:
         lines = [f"{self.name}: {identity}; {len(self.rows) - len(absent)} objects verified, {len(changed)} changed"]
         lines += [f"  {text}" for text in [*self.notes, *changed]]
         if absent:
-            lines.append(f"  not there: {', '.join(absent)}")
+            lines.append(f"  absent: {', '.join(absent)}")
         return lines
 
 
@@ -294,7 +301,7 @@ def _check_device_type(session: Session, node: Node, found: int) -> None:
         found = ours
     raise BusError(
         f"{node.name}: device type is 0x{found:08X}, required is CiA {expected.value} "
-        f"(low word 0x{expected.value:04X}); another device has this node id: correct node_id"
+        f"(low word 0x{expected.value:04X}); this node id belongs to another device: correct node_id"
     )
 
 
@@ -302,7 +309,7 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
     found = report.identity.get(entry.name)
     if allowed and found not in allowed:
         wanted = " or ".join(f"0x{value:08X}" for value in allowed)
-        shown = "not there" if found is None else f"0x{found:08X}"
+        shown = "absent" if found is None else f"0x{found:08X}"
         key = {objects.VENDOR_ID.name: "vendor_id", objects.PRODUCT_CODE.name: "product_code"}.get(
             entry.name, "serial_number"
         )
@@ -321,7 +328,7 @@ def read_errors(session: Session, node: Node, report: NodeReport) -> None:
         report.notes.append(f"error register 0x{register:02X} ({words})")
     if session.read_if_there(node_id, objects.ERROR_HISTORY_COUNT):
         newest = session.read_if_there(node_id, objects.ERROR_HISTORY) or 0
-        report.notes.append(f"newest remembered error 0x{newest & 0xFFFF:04X} ({cia301.text(newest & 0xFFFF)})")
+        report.notes.append(f"newest error in its history 0x{newest & 0xFFFF:04X} ({cia301.text(newest & 0xFFFF)})")
 
 
 def is_on(session: Session, node: Node) -> bool:
@@ -335,7 +342,7 @@ def switch_off(session: Session, node: Node) -> None:
         return
     node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
     if not _poll(session, lambda: not is_on(session, node), _OFF_TIMEOUT):
-        raise BusError(f"{node.name}: is enabled and does not switch off; cut its power")
+        raise BusError(f"{node.name}: enabled and does not switch off; cut its power")
 
 
 def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
@@ -346,9 +353,9 @@ def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
     node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
     node.write(session, objects.CONTROLWORD, Controlword.FAULT_RESET)
     if not _poll(session, lambda: node.state(session) not in _FAULTY, _OFF_TIMEOUT):
-        raise BusError(f"{node.name}: {found} is still there and cannot be reset; remove its cause, and start again")
+        raise BusError(f"{node.name}: {found} cannot be reset; remove its cause and start again")
     node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
-    report.notes.append(f"was in fault: {found}; reset as asked")
+    report.notes.append(f"was in fault: {found}; reset as requested")
 
 
 def _error(session: Session, node: Node) -> str:
@@ -370,12 +377,12 @@ def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) 
         UsageError: the rated torque differs from the configuration.
     """
     if node.state(session) in _FAULTY:
-        what = "it is reset now" if resets else "it must be reset before it can enable: --reset-faults"
+        what = "it will now be reset" if resets else "it must be reset before it can be enabled: --reset-faults"
         report.notes.append(f"in fault: {_error(session, node)}; {what}")
     if node.profile.has(objects.SUPPORTED_MODES):
         modes = node.look(session, objects.SUPPORTED_MODES)
         if modes is None:
-            report.notes.append("does not report which modes it supports (0x6502)")
+            report.notes.append("does not report its supported modes (0x6502)")
         elif not modes & cia402.CST_SUPPORTED:
             raise BusError(f"{node.name}: supported modes 0x{modes:08X}{_instead(modes)}")
     _check_rated_torque(session, node, report)
@@ -392,9 +399,9 @@ def _instead(modes: int) -> str:
     others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]
     has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
     return (
-        f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission a position error is an "
-        f"unlimited torque; use another drive or firmware, or, if the drive has the mode and does not report it, "
-        f'absent = ["{objects.SUPPORTED_MODES.name}"] in its profile'
+        f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission, a position error causes "
+        f"unlimited torque; use another drive or firmware, or, if the drive has the mode but does not report it, "
+        f'write absent = ["{objects.SUPPORTED_MODES.name}"] in its profile'
     )
 
 
@@ -407,15 +414,15 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
     digits = node.look(session, objects.RATED_TORQUE)
     if digits is None:
         raise BusError(
-            f"{node.name}: it has no rated torque (0x6076) to compare with; write absent = "
-            f'["{objects.RATED_TORQUE.name}"] in {node.profile_file}, and be sure of rated_torque in [axis.drive]: '
-            "nothing checks it then"
+            f"{node.name}: has no rated torque (0x6076) to compare with; write absent = "
+            f'["{objects.RATED_TORQUE.name}"] in {node.profile_file}, and verify rated_torque in [axis.drive]: '
+            "it is then not checked"
         )
     found, wanted = digits * unit, drive.rated_torque
     if abs(found - wanted) <= max(_RATED_TOLERANCE * wanted, 0.5 * unit):
         return
     raise UsageError(
-        f"{node.name}: rated torque is {digits} digits of {unit:g} N*m = {found:g} N*m, the configuration has "
+        f"{node.name}: rated torque is {digits} digits of {unit:g} N*m = {found:g} N*m, but the configuration has "
         f"{wanted:g} N*m{rated_torque_hint(found, wanted)}; correct rated_torque in [axis.drive], or "
         f"[units] rated_torque in {node.profile_file}"
     )
@@ -427,9 +434,9 @@ def rated_torque_hint(found: float, wanted: float) -> str:
         return ""
     ratio = found / wanted
     for factor, meaning in (
-        (1000.0, "the drive counts in another power of ten: mN*m against uN*m or N*m"),
-        (1e6, "the drive counts in another power of ten: uN*m against N*m"),
-        (math.sqrt(2.0), "one is the peak value, the other the root mean square"),
+        (1000.0, "the drive's unit is another power of ten: mN*m instead of uN*m or N*m"),
+        (1e6, "the drive's unit is another power of ten: uN*m instead of N*m"),
+        (math.sqrt(2.0), "one is the peak value, the other the RMS value"),
     ):
         for candidate, sign in ((factor, ""), (1.0 / factor, "1/")):
             if abs(ratio / candidate - 1.0) < 0.02:
@@ -447,7 +454,7 @@ def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None
         found = session.read_if_there(encoder.node_id, entry)
         wraps_at_32_bits = entry is objects.TOTAL_RANGE and wanted == 1 << 32 and found in (0, 0xFFFFFFFF)
         if found is not None and found != wanted and not wraps_at_32_bits:
-            raise UsageError(f"{name}: {entry} is {found}, the configuration has {wanted}; correct {key}")
+            raise UsageError(f"{name}: {entry} is {found}, but the configuration has {wanted}; correct {key}")
 
 
 def confirm_mode(session: Session, node: Node, now: str) -> None:
@@ -465,8 +472,8 @@ def confirm_mode(session: Session, node: Node, now: str) -> None:
         later = '"enabled"' if when == "operational" else '"operational" or "enabled"'
         raise BusError(
             f"{node.name}: mode of operation display (0x6061) is {found}, required is 10 (cyclic synchronous torque) "
-            f"within {_MODE_TIMEOUT:g} s of being {now}; if this drive shows its mode later, mode_shows = {later} in "
-            f"{node.profile_file}; else set its motor and sensors up for torque with the maker's tool"
+            f"within {_MODE_TIMEOUT:g} s of being {now}; if this drive shows its mode later, write mode_shows = "
+            f"{later} in {node.profile_file}; otherwise set up its motor and sensors for torque with the maker's tool"
         )
 
 
@@ -480,19 +487,19 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
     if watched and node.axis.drive.require_watchdog:
         raise BusError(
             f"{node.name}: has a watchdog, but no reaction to a lost connection (0x6007), so its reaction is "
-            "unknown if this computer fails; use another drive, or try it (tsa verify-safety) with "
+            "unknown if this computer fails; use another drive, or test it (tsa verify-safety) with "
             "require_watchdog = false"
         )
     if watched:
-        report.notes.append("has a watchdog, but its reaction (0x6007) is not known: try tsa verify-safety")
+        report.notes.append("has a watchdog, but its reaction (0x6007) is unknown: test it with tsa verify-safety")
         return
     if node.axis.drive.require_watchdog:
         raise BusError(
             f"{node.name}: has neither a heartbeat consumer (0x1016) nor an RPDO event timer (0x1400:5), so it would "
-            f'go on when this computer dies; write supervision = "guarding" in {node.profile_file}, if it has life '
-            "guarding (0x100D); else use another drive, or accept it with require_watchdog = false"
+            f'keep running if this computer fails; write supervision = "guarding" in {node.profile_file} if it has '
+            "life guarding (0x100D); otherwise use another drive, or accept it with require_watchdog = false"
         )
-    report.notes.append("has no watchdog: it would go on when this computer dies")
+    report.notes.append("has no watchdog: it would keep running if this computer fails")
 
 
 def _poll(session: Session, reached: Callable[[], bool], timeout: float) -> bool:
@@ -528,7 +535,7 @@ def check_torque_path(
         try:
             found = session.read_if_there(node.node_id, entry)
         except SdoRefusedError:
-            notes.append(f"{entry} cannot be read, so its effect on the torque is not known")
+            notes.append(f"{entry} cannot be read, so its effect on the torque is unknown")
             continue
         if found is None:
             continue
@@ -547,12 +554,12 @@ def _effect(influence: Influence, found: int, node: Node) -> str:
     rated = drive.rated_torque * drive.gear_ratio / PER_MILLE
     if influence.effect is Effect.LIMITS and found < most:
         return (
-            f"the drive delivers no more than {found * rated:.3g} N*m, and max_torque in [axis.drive] is "
+            f"the drive delivers at most {found * rated:.3g} N*m, but max_torque in [axis.drive] is "
             f"{most * rated:.3g} N*m; raise the limit with the maker's tool, or lower max_torque"
         )
     if influence.effect is Effect.RAMPS and influence.unit and 0 < found * _SLOW_RAMP < most:
         return (
-            f"{most / found:.3g} s from zero to max_torque; CiA 402 applies it in the profile torque mode only, but "
-            "some drives also apply it in cyclic torque; raise it with the maker's tool if the torque lags"
+            f"{most / found:.3g} s from zero to max_torque; in CiA 402 it applies only in profile torque mode, but "
+            "some drives also apply it in cyclic torque mode; raise it with the maker's tool if the torque lags"
         )
     return ""

@@ -55,18 +55,20 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
     _send(bus, _SWITCH, _CONFIGURING)
     try:
         _confirmed(
-            bus, bytes((_NODE_ID, node_id)), f"does not take node id {node_id}: use its switches or its maker's tool"
+            bus, bytes((_NODE_ID, node_id)), f"does not accept node id {node_id}: use its switches or the maker's tool"
         )
         _confirmed(
-            bus, bytes((_STORE,)), "cannot keep its node id: it is lost with its power; use its switches or tool"
+            bus,
+            bytes((_STORE,)),
+            "cannot store its node id and loses it at power-off: use its switches or the maker's tool",
         )
     finally:
         _send(bus, _SWITCH, _WAITING)
     if found.node_id is not None:
-        say(f"the drive had node id {found.node_id}: it takes the new one with its next reset or power cycle")
+        say(f"the drive had node id {found.node_id}: the new one takes effect at its next reset or power cycle")
         return found
     if not _wait(bus, cia301.HEARTBEAT + node_id, _BOOT_TIMEOUT):
-        say(f"the drive took node id {node_id} and did not boot up within {_BOOT_TIMEOUT:g} s: power it off and on")
+        say(f"the drive accepted node id {node_id} but did not boot up within {_BOOT_TIMEOUT:g} s: power-cycle it")
     return found
 
 
@@ -84,8 +86,8 @@ def _quiet(bus: Bus) -> None:
     if masters or len({can_id & 0x7F for can_id in heard}) > 1:
         frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
         raise BusError(
-            f"{bus.name}: others talk here (heard {frames}): every node in reach would take the new id; leave the one "
-            "drive alone on the bus, and start again"
+            f"{bus.name}: other nodes are active (heard {frames}) and would also take the new node id; leave only this "
+            "drive on the bus, and start again"
         )
 
 
@@ -101,11 +103,11 @@ def _ask(bus: Bus, request: bytes) -> bytes:
     first = _receive(bus, request[0], _ANSWER_TIMEOUT)
     if first is None:
         raise BusError(
-            f"{bus.name}: no node answers to LSS; check power, wiring and bit rate; a drive whose id is set by "
-            "switches or by its maker's tool does not know LSS"
+            f"{bus.name}: no node answers to LSS; check power, wiring and bit rate; a drive whose node id is set by "
+            "switches or the maker's tool does not support LSS"
         )
     if _receive(bus, request[0], _SECOND) is not None:
-        raise BusError(f"{bus.name}: more than one node answers to LSS; leave the one drive alone on the bus")
+        raise BusError(f"{bus.name}: more than one node answers to LSS; leave only this drive on the bus")
     return first
 
 

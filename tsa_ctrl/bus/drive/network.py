@@ -49,7 +49,7 @@ def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
             owner, other = owners.setdefault(node.node_id, (name, node))
             if owner != name and not (other is not None and _may_share(node, other)):
                 raise UsageError(
-                    f"{name}: node_id {node.node_id} is also that of {owner}; give every node its own"
+                    f"{name}: node_id {node.node_id} is also used by {owner}; give each node its own"
                     f"{_how_to_share(node, other)}"
                 )
     for axis in axes:
@@ -71,9 +71,9 @@ def _may_share(node: NodeSettings, other: NodeSettings) -> bool:
 
 def _how_to_share(node: NodeSettings, other: NodeSettings | None) -> str:
     if isinstance(node, DriveSettings) and isinstance(other, DriveSettings):
-        return " (axes of one device: give each its slot)"
+        return " (axes of one device: give each its own slot)"
     if isinstance(node, EncoderSettings) and isinstance(other, EncoderSettings):
-        return " (one encoder of two axes: counts, heartbeat and identity must be the same in both)"
+        return " (one encoder for two axes: counts, heartbeat and identity must be the same in both)"
     return ""
 
 
@@ -82,13 +82,13 @@ def _check_identifiers(axis: AxisNodes, owners: dict[int, tuple[str, NodeSetting
     name = f"axis '{axis.name}' drive"
     if drive.slot > _OWN_IDENTIFIERS and drive.pdo_node_id is None:
         raise UsageError(
-            f"{name}: slot {drive.slot} without pdo_node_id: a node has PDO identifiers for two axes; give a "
-            "pdo_node_id that no node of the bus has"
+            f"{name}: slot {drive.slot} without pdo_node_id: a node has PDO identifiers for only two axes; choose a "
+            "pdo_node_id that no node on the bus has"
         )
     taken = owners.get(drive.pdo_node_id or 0)
     if taken is not None and drive.pdo_node_id != drive.node_id:
         raise UsageError(
-            f"{name}: pdo_node_id {drive.pdo_node_id} is the id of {taken[0]}; give one that no node of the bus has"
+            f"{name}: pdo_node_id {drive.pdo_node_id} is the id of {taken[0]}; choose one that no node on the bus has"
         )
 
 
@@ -108,8 +108,8 @@ def _check_slots(axes: Sequence[AxisNodes]) -> None:
             other = identifiers.setdefault(can_id, axis.name)
             if other != axis.name:
                 raise UsageError(
-                    f"axis '{axis.name}' drive: its PDO identifier 0x{can_id:03X} is also one of axis '{other}'; "
-                    "give one of them another pdo_node_id"
+                    f"axis '{axis.name}' drive: its PDO identifier 0x{can_id:03X} is also used by axis '{other}'; "
+                    "give one of the axes another pdo_node_id"
                 )
 
 
@@ -136,27 +136,29 @@ def check_buses(buses: Sequence[BusSettings], axes: Sequence[AxisNodes]) -> None
         if not name:
             raise UsageError(f"[[bus]] number {number} has no name; give each bus a name")
         if names.count(name) > 1:
-            raise UsageError(f"[[bus]]: {names.count(name)} buses are named '{name}'; give each its own name")
+            raise UsageError(f"[[bus]]: {names.count(name)} buses have the name '{name}'; give each its own name")
     listed = ", ".join(names)
     for axis in axes:
         if axis.bus is None and len(buses) > 1:
-            raise UsageError(f"axis '{axis.name}': names no bus; write bus with one of {listed}")
+            raise UsageError(f"axis '{axis.name}': bus is missing; set it to one of {listed}")
         if axis.bus is not None and axis.bus not in names:
-            raise UsageError(f"axis '{axis.name}': no bus '{axis.bus}'; choose one of {listed}")
+            raise UsageError(f"axis '{axis.name}': there is no bus '{axis.bus}'; choose one of {listed}")
     places: dict[tuple[str, str], str] = {}
     for bus in buses:
         if not axes_of(bus, axes):
-            raise UsageError(f"[[bus]] '{bus.name}': no axis is on it; write bus = \"{bus.name}\" in one, or remove it")
+            raise UsageError(
+                f"[[bus]] '{bus.name}': no axis uses it; write bus = \"{bus.name}\" in an axis, or remove it"
+            )
         other = places.setdefault((bus.interface, bus.channel), bus.name)
         if other != bus.name:
             raise UsageError(
-                f"[[bus]] '{bus.name}': channel '{bus.channel}' is also that of '{other}'; give each bus its own"
+                f"[[bus]] '{bus.name}': channel '{bus.channel}' is also used by '{other}'; give each bus its own"
             )
         for key in bus.__struct_fields__:
             if key not in OWN and getattr(bus, key) != getattr(buses[0], key):
                 raise UsageError(
-                    f"[[bus]] '{bus.name}': {key} differs from that of '{names[0]}'; one cycle runs over all buses, "
-                    "write the same in each"
+                    f"[[bus]] '{bus.name}': {key} differs from bus '{names[0]}', but one cycle serves all buses; "
+                    "write the same value in each"
                 )
     _check_nodes(axes)
 
@@ -169,8 +171,8 @@ def _check_nodes(axes: Sequence[AxisNodes]) -> None:
             owner = owners.setdefault(node.node_id, axis)
             if owner.bus != axis.bus:
                 raise UsageError(
-                    f"axis '{axis.name}' on bus '{axis.bus}': node_id {node.node_id} is also one of axis "
-                    f"'{owner.name}' on bus '{owner.bus}'; give every node of all buses its own"
+                    f"axis '{axis.name}' on bus '{axis.bus}': node_id {node.node_id} is also used by axis "
+                    f"'{owner.name}' on bus '{owner.bus}'; give each node its own, across all buses"
                 )
 
 

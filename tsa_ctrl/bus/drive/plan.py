@@ -152,9 +152,9 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
     value = clamp.zero + int((clamp.rated - clamp.zero) * per_mille / PER_MILLE)  # rounded towards zero torque
     if not type_.low <= value <= type_.high:
         raise UsageError(
-            f"{where}: max_torque is {per_mille} per mille of the rated torque, {value} of '{clamp.name}', which takes "
-            f"{type_.low} to {type_.high}; lower max_torque in [axis.drive], or correct rated in its profile's "
-            "[torque_clamp]"
+            f"{where}: max_torque is {per_mille} per mille of the rated torque, i.e. {value} in '{clamp.name}', "
+            f"whose range is {type_.low} to {type_.high}; lower max_torque in [axis.drive], or correct rated in its "
+            "profile's [torque_clamp]"
         )
     return Write(entry, value)
 
@@ -243,13 +243,14 @@ def milliseconds(seconds: float) -> int:
 def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, where: str) -> None:
     if drive.rpdo_timeout < 2.0 * period:
         raise UsageError(
-            f"{where}: drive rpdo_timeout {drive.rpdo_timeout:g} s is less than two periods of {period:g} s; "
-            f"give at least {2.0 * period:g} s"
+            f"{where}: drive rpdo_timeout {drive.rpdo_timeout:g} s is shorter than two periods of {period:g} s; "
+            f"set it to at least {2.0 * period:g} s"
         )
     if drive.host_timeout < 2.0 * settings.host_heartbeat_period:
         raise UsageError(
-            f"{where}: drive host_timeout {drive.host_timeout:g} s is less than two of our heartbeats "
-            f"({settings.host_heartbeat_period:g} s); give at least {2.0 * settings.host_heartbeat_period:g} s"
+            f"{where}: drive host_timeout {drive.host_timeout:g} s is shorter than two heartbeat periods "
+            f"({settings.host_heartbeat_period:g} s each); set it to at least "
+            f"{2.0 * settings.host_heartbeat_period:g} s"
         )
 
 

@@ -105,8 +105,8 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
     if missing:
         lacks = ", ".join(str(entry) for entry in missing)
         raise BusError(
-            f"node {node_id}: device type is 0x{first:08X}, and there is no {lacks}: it is not a CiA 402 drive with "
-            "torque; correct --node (or --slot, of a device with several axes)"
+            f"node {node_id}: device type is 0x{first:08X}, and {lacks} is missing: it is not a CiA 402 drive with "
+            "torque mode; correct --node (or --slot, for a device with several axes)"
         )
     found.slots = [n for n in range(1, _SLOTS + 1) if session.ask(node_id, objects.STATUSWORD.of(n)) is not None]
     found.rpdos = _count(session, node_id, slot, received=True)
@@ -183,9 +183,9 @@ def profile_text(found: Probe, where: str) -> str:
 
 def _lines(found: Probe, where: str) -> Iterator[str]:
     texts = found.texts
-    name = texts.get("device name") or "drive of an unknown kind"
-    yield f"# Written by tsa drive probe: node {found.node_id} on {where}, read without moving anything."
-    yield f"# Complete each line with {_ASK.strip()}: a drive does not report this value, or not reliably."
+    name = texts.get("device name") or "unknown drive"
+    yield f"# Written by tsa drive probe: node {found.node_id} on {where}, read without any motion."
+    yield f"# Complete each line with {_ASK.strip()}: drives do not report this value, or not reliably."
     yield f"name = {json.dumps(name, ensure_ascii=False)}"
     version = ", ".join(f"{key} {texts[key]}" for key in ("hardware version", "software version") if texts.get(key))
     yield f"sources = [{json.dumps(f'values that the drive reported: {version or name}', ensure_ascii=False)}]"
@@ -201,7 +201,7 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
     if found.rpdos < 1 or found.tpdos < 2:
         yield f"# {_ASK}it has {found.rpdos} RPDOs and {found.tpdos} TPDOs; one and two are needed"
     for pdo, entries in found.mapped.items():
-        yield f"# {pdo} carries now: {', '.join(f'0x{entry:08X}' for entry in entries) or 'nothing'}"
+        yield f"# {pdo} now maps: {', '.join(f'0x{entry:08X}' for entry in entries) or 'nothing'}"
     yield ""
     yield from _identity(found)
     yield ""
@@ -215,16 +215,16 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
 
 
 def _state(found: Probe) -> Iterator[str]:
-    yield f"# Its state was {found.state}, statusword 0x{found.values[objects.STATUSWORD]:04X}."
+    yield f"# The drive was in state {found.state}, statusword 0x{found.values[objects.STATUSWORD]:04X}."
     code = found.get(objects.ERROR_CODE)
     if code:
         yield f"# Its error code was 0x{code:04X} ({cia301.text(code)})."
     for said in found.emcys:
-        yield f"# It sent {said} meanwhile."
+        yield f"# It sent {said} during the probe."
     if len(found.slots) > 1:
-        yield f"# The device has axes in the slots {', '.join(map(str, found.slots))}; this is slot {found.slot}."
+        yield f"# The device has axes in slots {', '.join(map(str, found.slots))}; this is slot {found.slot}."
     for entry, length in found.lengths.items():
-        yield f"# {_ASK}0x{entry.index:04X}:{entry.subindex} answers with {length} bytes, {entry.type.size} are usual"
+        yield f"# {_ASK}0x{entry.index:04X}:{entry.subindex} has {length} bytes instead of the usual {entry.type.size}"
 
 
 def _absent(found: Probe) -> Iterator[str]:
@@ -238,7 +238,7 @@ def _absent(found: Probe) -> Iterator[str]:
     yield f"absent = {json.dumps(names)}"
     others = [entry.name for entry in _OPTIONAL if not found.has(entry) and entry.name not in names]
     if others:
-        yield f"# Not there either, and not needed: {', '.join(others)}"
+        yield f"# Also absent, but not needed: {', '.join(others)}"
 
 
 def _modes(found: Probe) -> Iterator[str]:
@@ -251,7 +251,7 @@ def _modes(found: Probe) -> Iterator[str]:
             yield f"# {_ASK}no cyclic synchronous torque (bit 9): this controller cannot use it as it is"
     asked, shown = found.get(objects.MODE), found.get(objects.MODE_DISPLAY)
     if asked and shown != asked:
-        yield f"# 0x6060 is {asked} and 0x6061 shows {shown} while it is {found.state}: it shows its mode later"
+        yield f"# 0x6060 is {asked} and 0x6061 shows {shown} in state {found.state}: it shows its mode later"
         yield f'mode_shows = "enabled"          # {_ASK}or "operational"'
         return
     yield 'mode_shows = "written"          # else "operational" or "enabled"; startup reports if it must be changed'
@@ -269,7 +269,7 @@ def _watchdogs(found: Probe) -> Iterator[str]:
         names.append("life guarding 0x100D")
     yield f"# Watchdogs: {', '.join(names) or 'none'}; try them with tsa verify-safety."
     reaction = found.get(objects.CONNECTION_LOSS)
-    yield "# Reaction to a lost connection 0x6007: " + ("not there" if reaction is None else f"{reaction} as found")
+    yield "# Reaction to a lost connection 0x6007: " + ("absent" if reaction is None else f"{reaction} as found")
     if not found.has(objects.HEARTBEAT_PRODUCER):
         yield 'supervision = "guarding"        # the drive has no heartbeat 0x1017'
     elif not consumers and held is None and found.has(objects.LIFE_TIME_FACTOR):
@@ -282,9 +282,9 @@ def _sync(found: Probe) -> Iterator[str]:
         yield "produces_sync = true            # 0x1005 bit 30 was set: it sends SYNC; startup disables that"
     for entry in (objects.SYNC_PERIOD, objects.SYNC_COUNTER, objects.SYNC_WINDOW):
         if found.get(entry):
-            yield f"# {entry} is {found.get(entry)} and is set to 0 at the start"
+            yield f"# {entry} is {found.get(entry)}; startup sets it to 0"
     if found.get(objects.SYNC_PERIOD):
-        yield f"needs_sync_period = false       # {_ASK}true, if its manual wants 0x1006 to be the period"
+        yield f"needs_sync_period = false       # {_ASK}true, if its manual requires the period in 0x1006"
 
 
 def _torque_path(found: Probe) -> Iterator[str]:
@@ -293,7 +293,7 @@ def _torque_path(found: Probe) -> Iterator[str]:
         value = found.get(influence.entry)
         if value is None:
             continue
-        change = "" if influence.restored in (None, value) else f"; the start sets it to {influence.restored}"
+        change = "" if influence.restored in (None, value) else f"; startup sets it to {influence.restored}"
         unit = f" {influence.unit}" if influence.unit else ""
         yield f"# {influence.entry} is {value}{unit}; it {influence.effect.value}{change}"
 
@@ -301,7 +301,7 @@ def _torque_path(found: Probe) -> Iterator[str]:
 def _timing(found: Probe) -> Iterator[str]:
     patience = max(0.5, round(3.0 * found.slowest, 1))
     yield f"answer_timeout = {patience:g}            # s; its slowest answer took {1e3 * found.slowest:.0f} ms"
-    yield "boot_timeout = 3.0              # s; how long it takes to boot was not tried: that would have reset it"
+    yield "boot_timeout = 3.0              # s; boot time not measured: that would have reset the drive"
 
 
 def _identity(found: Probe) -> Iterator[str]:
@@ -331,18 +331,18 @@ def _units(found: Probe) -> Iterator[str]:
 def _velocity(found: Probe) -> Iterator[str]:
     code = found.get(objects.VELOCITY_UNIT)
     if code is None:
-        yield f"# {_ASK}the drive lacks 0x60A9; its manual has the unit of 0x606C, drives/generic.toml the name"
+        yield f"# {_ASK}the drive lacks 0x60A9: see its manual for the unit of 0x606C, drives/generic.toml for its name"
         yield 'velocity = "counts/s"'
         return
     known = {unit.si_code: unit for unit in VelocityUnit if unit.si_code is not None}
     unit = known.get(code)
-    name = unit.value if unit is not None else "a unit that is not known here"
+    name = unit.value if unit is not None else "unknown unit"
     yield f"# 0x60A9 is 0x{code:08X}: {name}; finer is better near zero."
     yield 'velocity = "mrpm"               # value for 0x60A9; coarser if startup reports that it is rejected'
 
 
 def _reactions(found: Probe) -> Iterator[str]:
-    yield '[reactions]                      # as found in the comments; 0 lets the motor coast, "keep" leaves it'
+    yield '[reactions]                      # 0: the motor coasts; "keep": unchanged; comments: values as found'
     for entry, key in _REACTIONS:
         value = found.get(entry)
         if value is None:
@@ -360,10 +360,10 @@ def _clamp(found: Probe) -> Iterator[str]:
         yield "[torque_clamp]                   # the drive lacks 0x6072: the output current limit, mA"
         yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "output current limit", "")
         return
-    yield f"# {_ASK}the drive lacks 0x6072: name the object that limits the torque, and the one that holds its value at"
-    yield "# rated torque (or that value itself: rated = ..., and zero = ... at none); without them this does not load."
+    yield f"# {_ASK}the drive lacks 0x6072: give the object that limits the torque, and the one that holds its value at"
+    yield "# rated torque (or the values: rated = ..., zero = ... at no torque); the file does not load without them."
     yield "# [torque_clamp]"
-    yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "what it is", "# ")
+    yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "name of this object", "# ")
 
 
 def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator[str]:
@@ -376,8 +376,13 @@ def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
+<<<<<<< HEAD
     """Yield the keys for [axis.drive] as comments, because they are specific to this drive and its motor."""
     yield "# For [axis.drive] of the controller's file:"
+=======
+    """Yield the keys for [axis.drive] as comments, because they belong to this drive and its motor."""
+    yield "# For [axis.drive] in the controller file:"
+>>>>>>> m2
     yield f"#   node_id = {found.node_id}"
     if found.slot > 1:
         yield f"#   slot = {found.slot}"
@@ -395,6 +400,6 @@ def _for_the_controller(found: Probe) -> Iterator[str]:
         yield f"#   counts_per_revolution = {increments // turns}  # 0x608F"
     motor, shaft = found.get(objects.GEAR_MOTOR), found.get(objects.GEAR_SHAFT)
     if motor and shaft and motor != shaft:
-        yield f"#   its own gear 0x6091 is {motor}:{shaft}; this controller wants positions and torques of the motor"
+        yield f"#   its own gear 0x6091 is {motor}:{shaft}; this controller requires positions and torques of the motor"
     if found.get(objects.POLARITY):
-        yield f"#   its polarity 0x607E is 0x{found.get(objects.POLARITY):02X}: some signs are turned in the drive"
+        yield f"#   its polarity 0x607E is 0x{found.get(objects.POLARITY):02X}: the drive reverses some signs"

@@ -173,8 +173,8 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
     if not path.exists():
         known = sorted({"generic", *(found.stem for found in path.parent.glob("*.toml"))})
         raise UsageError(
-            f"{path}: no such drive profile '{name}'; known here: {', '.join(known)}; correct profile in "
-            "[axis.drive], or have one written: tsa drive probe"
+            f"{path}: no such drive profile '{name}'; available: {', '.join(known)}; correct profile in "
+            "[axis.drive], or write one with tsa drive probe"
         )
     profile = settings.load(path, DriveProfile)
     names = {entry.name for entry in objects.TABLE}
@@ -197,12 +197,14 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
                 "to the command; allowed is 0; remove this entry"
             )
     if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
-        raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
+        raise UsageError(
+            f"{path}: no object limits the drive's torque; write [torque_clamp] for a drive without 0x6072"
+        )
     clamp = profile.torque_clamp
     if clamp is not None and (clamp.rated_index is None) is (clamp.rated is None):
         raise UsageError(
-            f"{path}: torque_clamp: give rated_index, the object that holds its value at rated torque, or that value "
-            "itself as rated, and not both"
+            f"{path}: torque_clamp: give either rated_index (the object that holds the value at rated torque) or rated "
+            "(that value itself)"
         )
     if profile.eds is None:
         return profile

@@ -274,7 +274,7 @@ class Session:
             except SdoAbortedError as error:
                 reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
                 raise SdoRefusedError(
-                    f"{name}: node {node_id} refuses {entry}: {reason} (abort code 0x{error.code:08X})",
+                    f"{name}: node {node_id} rejects {entry}: {reason} (abort code 0x{error.code:08X})",
                     error.code,
                 ) from None
             except SdoCommunicationError:
@@ -284,8 +284,8 @@ class Session:
             if self._bus.fault is not None:
                 raise self._failed()
         raise BusError(
-            f"{name}: node {node_id} does not answer to SDO requests ({entry}) within {client.patience:g} s; "
-            "check that it is powered, its node id and its bit rate; a slow one needs more answer_timeout"
+            f"{name}: node {node_id} does not answer SDO requests ({entry}) within {client.patience:g} s; "
+            "check its power, node id and bit rate; increase answer_timeout if it is only slow"
         )
 
     def _failed(self) -> BusError:
@@ -339,12 +339,12 @@ def another_master(name: str, heard: Collection[int]) -> str:
     if set(heard) == {cia301.SYNC}:
         return (
             f"{name}: SYNC (0x080) is on the bus, from another master or a drive that sends it (0x1005 bit 30); "
-            "stop the other program, or write produces_sync = true into that drive's profile: startup then "
+            "stop the other program, or write produces_sync = true in that drive's profile, so that startup "
             "disables its SYNC"
         )
     return (
-        f"{name}: another master is active (heard its frames {frames}); nothing was sent: "
-        "stop the other program, or give this one another bus"
+        f"{name}: another master is active (heard {frames}); nothing was sent: "
+        "stop the other program, or use another bus"
     )
 
 
@@ -361,8 +361,8 @@ def release_heartbeat(session: Session, node_id: int, host: int) -> None:
         found = session.read(node_id, entry)
         if found:
             raise BusError(
-                f"node {node_id}: {entry} stays {found:#x} although 0 was written; the drive will report "
-                "that we are gone: start with --reset-faults next time"
+                f"node {node_id}: {entry} stays {found:#x} after 0 was written; the drive will report a lost "
+                "connection: start with --reset-faults next time"
             )
 
 

@@ -109,7 +109,7 @@ class StopInput:
         """Check at each request (`now` in s) if an answer is overdue."""
         self._due = min(self._due, now + UNREAD)
         if now >= self._due and self._image.pressed is None:
-            self._image.pressed = f"{self._image.nodes[0]}: no answer about {self.entry} for {UNREAD:g} s"
+            self._image.pressed = f"{self._image.nodes[0]}: no answer for {self.entry} within {UNREAD:g} s"
 
     def answered(self, value: int) -> None:
         """Evaluate the value of 0x60FD."""
@@ -277,7 +277,7 @@ class ReadBack:
         else:
             self._again = None
             self.altered[node_id] = (
-                f"{asked.entry} is {asked.entry.shown(found)}, at the start it was {asked.entry.shown(asked.value)}"
+                f"{asked.entry} is {asked.entry.shown(found)}, but was {asked.entry.shown(asked.value)} at startup"
             )
             return True
         return False

@@ -404,8 +404,8 @@ def check_startup(rig: Rig, period: float, cycles: int = 50) -> None:
         more = health.repeated - repeated - _MOST_PDOS * (health.missed - missed)  # late ones arrive with the next
         if more > (1.0 - _LEAST_ANSWERED) * cycles:
             raise BusError(
-                f"axis '{name}' {health}: sent {more} more PDOs than {cycles} SYNCs asked for; "
-                f"another node may have the same id: give each its own (its switches, its maker's tool, or "
+                f"axis '{name}' {health}: sent {more} more PDOs than {cycles} SYNCs requested; "
+                f"another node may have the same id: give each its own (switches, maker's tool or "
                 f"tsa drive set-node-id){_said(health, '')}"
             )
 
@@ -414,4 +414,4 @@ def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in
     """Return the last emergency of a node as the end of a message, or `otherwise` if it sent none."""
     if health.emcy is None:
         return otherwise
-    return f"; it sent {health.emcy}: remove the reported cause, power the node off and on, and start again"
+    return f"; it sent {health.emcy}: remove the reported cause, power-cycle the node and start again"

@@ -36,7 +36,7 @@ class DatagramBus(BusInProcess):
     def __init__(self, channel: str, send_queue: int = 32) -> None:
         where = f"[bus] channel '{channel}'"
         if not _NAME.fullmatch(channel):
-            raise BusError(f"{where}: not a name of a datagram bus; use 1 to 64 letters, digits, '.', '_' or '-'")
+            raise BusError(f"{where}: invalid name of a datagram bus; use 1 to 64 letters, digits, '.', '_' or '-'")
         super().__init__(f"datagram:{channel}")
         self._received: deque[Frame] = deque()
         self._accepted: frozenset[int] | None = None
@@ -55,7 +55,9 @@ class DatagramBus(BusInProcess):
                 break
         else:
             self.close()
-            raise BusError(f"{where}: {MOST_PARTICIPANTS} participants are on this bus; end one, or use another name")
+            raise BusError(
+                f"{where}: this bus already has {MOST_PARTICIPANTS} participants; stop one, or use another name"
+            )
         del self._receivers[own]
         self._listener.listen(MOST_PARTICIPANTS)
         self._poll.register(self._listener, select.EPOLLIN)

@@ -203,19 +203,19 @@ def check(channel: str, bitrate: int) -> None:
     restart = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bitrate}"
     if found.bitrate is not None and found.bitrate != bitrate:
         raise BusError(
-            f"[bus] channel '{channel}': its bit rate is {found.bitrate} bit/s, the configuration has {bitrate}; "
-            f"correct bitrate, or: {restart}"
+            f"[bus] channel '{channel}': its bit rate is {found.bitrate} bit/s, but the configuration has {bitrate}; "
+            f"correct bitrate, or run: {restart}"
         )
     if found.state is not None and found.state is not CanState.ERROR_ACTIVE:
         counters = "" if found.errors is None else f", error counters {found.errors[0]} (tx) and {found.errors[1]} (rx)"
         raise BusError(
             f"[bus] channel '{channel}': the controller is in state {found.state.name.lower()}{counters}; "
-            f"check cable, termination and bit rate, then: {restart}"
+            f"check cable, termination and bit rate, then run: {restart}"
         )
     if found.errors is not None and any(found.errors):
         raise BusError(
             f"[bus] channel '{channel}': its error counters are {found.errors[0]} (tx) and {found.errors[1]} (rx), "
-            f"required are 0: something disturbs the bus; check cable, termination and bit rate, then: {restart}"
+            f"required: 0; the bus has errors: check cable, termination and bit rate, then run: {restart}"
         )
 
 
@@ -245,7 +245,7 @@ def open_bus(settings: BusSettings) -> Bus:
     """
     if settings.interface in ("socketcan", "datagram") and settings.options:
         raise UsageError(
-            f'[bus] options: {", ".join(settings.options)} mean nothing to interface "{settings.interface}"; remove '
+            f'[bus] options: {", ".join(settings.options)} do not apply to interface "{settings.interface}"; remove '
             "them (the bit rate of a SocketCAN interface is set with 'ip link')"
         )
     if settings.interface == "datagram":

@@ -122,7 +122,7 @@ def opened(interface: str, channel: str, bitrate: int, options: Mapping[str, Opt
         reason = " ".join(str(error).split()) or type(error).__name__
         raise BusError(
             f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
-            "check interface, channel and options against python-can's documentation of this interface"
+            "check interface, channel and options in python-can's documentation of this interface"
         ) from None
     if interface == "udp_multicast":
         _hear_own_group_only(bus.fileno())

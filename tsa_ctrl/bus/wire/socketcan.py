@@ -116,8 +116,8 @@ class SocketCan:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
             raise BusError(
-                f"[bus] channel '{channel}': this kernel offers no SocketCAN ({error.strerror}); "
-                "load the module can_raw, or choose another [bus] interface"
+                f"[bus] channel '{channel}': this kernel has no SocketCAN ({error.strerror}); "
+                "load the kernel module can_raw, or choose another [bus] interface"
             ) from None
         try:
             self._open(channel, send_queue)
