@@ -114,13 +114,8 @@ def command(
         _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
     if hidden:
-<<<<<<< HEAD
-        raise UsageError("demo: --hidden belongs to --full; give both")
-    from tsa_ctrl.demo import rig  # imports plant, loop and pictures, which --help does not need
-=======
         raise UsageError("demo: --hidden requires --full; add --full")
-    from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
->>>>>>> m2
+    from tsa_ctrl.demo import rig  # imports plant, loop and pictures, which --help does not need
     from tsa_ctrl.demo.rig import from_file, play_for
     from tsa_ctrl.demo.run import demo
 

@@ -44,13 +44,8 @@ _SETTINGS = {  # key of the controller file that determines the value of an obje
     objects.POLARITY.key: "polarity in [axis.drive]",
     objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
 }
-<<<<<<< HEAD
-_SPECIAL = {  # objects that need more than a line in `absent`
-    objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile}, if it knows node guarding alone',
-=======
 _SPECIAL = {  # objects for which `absent` alone is not enough
     objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile} if it supports only node guarding',
->>>>>>> m2
     **dict.fromkeys(
         (entry.key for entry in OFFSETS),
         "only 0 is allowed, because the drive adds this object to the command and the motor would turn at command 0; "

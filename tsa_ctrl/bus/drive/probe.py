@@ -376,13 +376,8 @@ def _clamp_lines(limit: Object, rated: Object, name: str, mark: str) -> Iterator
 
 
 def _for_the_controller(found: Probe) -> Iterator[str]:
-<<<<<<< HEAD
     """Yield the keys for [axis.drive] as comments, because they are specific to this drive and its motor."""
-    yield "# For [axis.drive] of the controller's file:"
-=======
-    """Yield the keys for [axis.drive] as comments, because they belong to this drive and its motor."""
     yield "# For [axis.drive] in the controller file:"
->>>>>>> m2
     yield f"#   node_id = {found.node_id}"
     if found.slot > 1:
         yield f"#   slot = {found.slot}"
