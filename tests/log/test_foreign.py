@@ -110,6 +110,9 @@ def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
         ("tau_n=b", "did you mean 'tau_m'"),
         ("tau_m=B", "its columns are 't', 'b'"),
         ("tau_m=b|furlong", "unit 'furlong' is not known; allowed are N*m"),
+        ("tau_m=b|F*2", "unit 'F' belongs to another quantity; allowed are N*m, Nm"),
+        ("tau_m=b|date*2", "unit 'date' belongs to another quantity; allowed are N*m, Nm"),
+        ("temperature=b|rpm*2", "unit 'rpm' belongs to another quantity; allowed are degC"),
         ("tau_m=b|A*0", "the scale not 0"),
         ("tau_m", "write NAME=HEADER"),
     ],
@@ -122,6 +125,24 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("column", "values"),
+    [
+        ("temperature=b|F", [-155 / 9, -50 / 3]),
+        ("temperature=b|degF", [-155 / 9, -50 / 3]),
+        ("temperature=b|V*20", [20.0, 40.0]),
+        ("tau_j=b|N*0.05", [0.05, 0.1]),  # a load cell on a lever arm of 50 mm
+    ],
+)
+def test_a_unit_of_the_quantity_a_device_or_a_lever_arm_is_converted(
+    column: str, values: list[float], tmp_path: Path
+) -> None:
+    (tmp_path / "x.csv").write_text("t,b\n0,1\n1,2\n")
+    name, settings = mapping.parse_column(column)
+    (found,) = mapping.resolve(read_foreign(tmp_path / "x.csv"), {name: settings}, "x")
+    np.testing.assert_allclose(found.values(read_foreign(tmp_path / "x.csv")), values)
 
 
 @pytest.mark.parametrize(
