@@ -159,6 +159,28 @@ def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: 
         read_foreign(tmp_path / "x.csv")
 
 
+@pytest.mark.parametrize(("line", "rows"), [(1, 30_000), (2, 30_000), (3, 30_000), (3, 10), (300, 30_000)])
+def test_an_open_quote_is_named_by_its_line(line: int, rows: int, tmp_path: Path) -> None:
+    """Any number of rows after the quote would be part of one field."""
+    lines = ["t;tau_m", *(f"{i};{i}" for i in range(rows + line))]
+    lines[line - 1] = '"' + lines[line - 1]
+    (tmp_path / "x.csv").write_text("\n".join(lines))
+    with pytest.raises(UsageError, match=f"line {line}: a quote .* is not closed"):
+        read_foreign(tmp_path / "x.csv")
+
+
+def test_a_quoted_field_may_have_a_line_break(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text('t;"motor torque\n[Nm]"\n0;1\n1;2\n')
+    np.testing.assert_array_equal(read_foreign(tmp_path / "x.csv").numbers("motor torque[Nm]"), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("separator", ["ab", '\\"', "\\n"])
+def test_a_separator_is_one_character_other_than_a_quote(separator: str, tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(f'[table]\nseparator = "{separator}"\n')
+    with pytest.raises(UsageError, match="one character"):
+        mapping.load_map(tmp_path / "map.toml")
+
+
 def test_a_cell_that_is_no_number_is_named_by_its_line(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("# by hand\nt,tau_m\n0,1\n1,zwei\n")
     with pytest.raises(UsageError, match="column 'tau_m', line 4: 'zwei'"):

@@ -77,11 +77,14 @@ WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
+Separator = Annotated[str, Meta(pattern=r'^[^"\r\n]?\Z', description='one character, or " " for any white space')]
+
+
 class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[table] of a mapping file. Missing keys are determined from the table."""
 
     encoding: str | None = None
-    separator: str | None = None  # one character, or " " for any white space
+    separator: Separator | None = None
     decimal: str | None = None  # "." or ","
     header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
 
