@@ -15,21 +15,22 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).resolve().parent
+OF_VCAN = ("guest/vcan", "guest/init")  # started by tools/vcan and as the first process of its guest
 USAGE = "usage: tools/run NAME [ARGUMENT...]"
 
 
 def commands() -> dict[str, str]:
-    """Return the first line of the docstring of each command, by name.
+    """Return the first line of the docstring of each command, by name."""
+    paths = sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/*.py")])
+    names = [path.relative_to(FOLDER).with_suffix("").as_posix() for path in paths]
+    return {name: line for name in names if (line := first_line(name))}
 
-    A module is a command if its docstring contains its call with `tools/run`.
-    """
-    found = {}
-    for path in sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/*.py")]):
-        name = path.relative_to(FOLDER).with_suffix("").as_posix()
-        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        if f"tools/run {name} " in " ".join([*text.split(), ""]):
-            found[name] = text.splitlines()[0]
-    return found
+
+def first_line(name: str) -> str:
+    """Return the first line of the docstring of a command, or "" if the docstring has no call with `tools/run`."""
+    path = FOLDER / f"{name}.py"
+    text = (path.is_file() and ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))) or ""
+    return text.splitlines()[0] if f"tools/run {name} " in " ".join([*text.split(), ""]) else ""
 
 
 def listing() -> str:
@@ -46,7 +47,7 @@ def main(arguments: list[str]) -> int:
         print(listing())
         return 0
     name = arguments[0].removeprefix("tools/").removesuffix(".py")
-    if not (FOLDER / f"{name}.py").is_file() or ("/" not in name and name not in commands()):
+    if name not in OF_VCAN and not first_line(name):
         near = difflib.get_close_matches(name.replace("_", "/"), commands(), n=1)
         hint = f"did you mean '{near[0]}'?" if near else "tools/run alone lists what there is"
         print(f"tools/run {name}: no such command; {hint}", file=sys.stderr)

@@ -10,6 +10,8 @@ import pytest
 from tests.log.logs import write_log
 from tsa_ctrl.cli import main
 
+MODEL = Path(__file__).resolve().parents[2] / "config/actuator.toml"
+
 
 @pytest.fixture
 def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
@@ -72,6 +74,8 @@ def test_convert_prints_the_files_that_it_wrote(log: str, capsys: pytest.Capture
         (("info", "empty.csv"), "is empty"),
         (("info", "notime.csv"), "column t is missing (found: tau_m)"),
         (("info", "back.csv"), "column t, row 3 (line 4): time 0.5 s does not increase"),
+        (("info", "still.csv"), "column t: all 3 times are 5 s"),
+        (("trend", "still", "--model", str(MODEL)), "column t: all 3 times are 5 s"),
         (("info", "run.mcap:elbow"), "holds no axis 'elbow'"),
         (("info", "bad.parquet"), "is not a readable Parquet file"),
         (("convert", "run.mcap", "--out", "x.txt"), "unknown kind of file"),
@@ -85,6 +89,9 @@ def test_a_mistake_is_one_line_and_code_2(
     Path("empty.csv").touch()
     Path("notime.csv").write_text("tau_m\n1\n2\n")
     Path("back.csv").write_text("t,tau_m\n0,1\n1,1\n0.5,1\n")
+    Path("still").mkdir()
+    for path in (Path("still.csv"), Path("still/x.csv")):
+        path.write_text("t,tau_m\n5,1\n5,1\n5,1\n")
     Path("bad.parquet").write_text("x")
     assert tsa("log", *arguments) == 2
     output = capsys.readouterr()

@@ -110,6 +110,9 @@ def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
         ("tau_n=b", "did you mean 'tau_m'"),
         ("tau_m=B", "its columns are 't', 'b'"),
         ("tau_m=b|furlong", "unit 'furlong' is not known; allowed are N*m"),
+        ("tau_m=b|F*2", "unit 'F' belongs to another quantity; allowed are N*m, Nm"),
+        ("tau_m=b|date*2", "unit 'date' belongs to another quantity; allowed are N*m, Nm"),
+        ("temperature=b|rpm*2", "unit 'rpm' belongs to another quantity; allowed are degC"),
         ("tau_m=b|A*0", "the scale not 0"),
         ("tau_m", "write NAME=HEADER"),
     ],
@@ -125,6 +128,24 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
 
 
 @pytest.mark.parametrize(
+    ("column", "values"),
+    [
+        ("temperature=b|F", [-155 / 9, -50 / 3]),
+        ("temperature=b|degF", [-155 / 9, -50 / 3]),
+        ("temperature=b|V*20", [20.0, 40.0]),
+        ("tau_j=b|N*0.05", [0.05, 0.1]),  # a load cell on a lever arm of 50 mm
+    ],
+)
+def test_a_unit_of_the_quantity_a_device_or_a_lever_arm_is_converted(
+    column: str, values: list[float], tmp_path: Path
+) -> None:
+    (tmp_path / "x.csv").write_text("t,b\n0,1\n1,2\n")
+    name, settings = mapping.parse_column(column)
+    (found,) = mapping.resolve(read_foreign(tmp_path / "x.csv"), {name: settings}, "x")
+    np.testing.assert_allclose(found.values(read_foreign(tmp_path / "x.csv")), values)
+
+
+@pytest.mark.parametrize(
     ("data", "said"),
     [
         (b"", "is empty"),
@@ -136,6 +157,28 @@ def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: 
     (tmp_path / "x.csv").write_bytes(data)
     with pytest.raises(UsageError, match=said):
         read_foreign(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize(("line", "rows"), [(1, 30_000), (2, 30_000), (3, 30_000), (3, 10), (300, 30_000)])
+def test_an_open_quote_is_named_by_its_line(line: int, rows: int, tmp_path: Path) -> None:
+    """Any number of rows after the quote would be part of one field."""
+    lines = ["t;tau_m", *(f"{i};{i}" for i in range(rows + line))]
+    lines[line - 1] = '"' + lines[line - 1]
+    (tmp_path / "x.csv").write_text("\n".join(lines))
+    with pytest.raises(UsageError, match=f"line {line}: a quote .* is not closed"):
+        read_foreign(tmp_path / "x.csv")
+
+
+def test_a_quoted_field_may_have_a_line_break(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text('t;"motor torque\n[Nm]"\n0;1\n1;2\n')
+    np.testing.assert_array_equal(read_foreign(tmp_path / "x.csv").numbers("motor torque[Nm]"), [1.0, 2.0])
+
+
+@pytest.mark.parametrize("separator", ["ab", '\\"', "\\n"])
+def test_a_separator_is_one_character_other_than_a_quote(separator: str, tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(f'[table]\nseparator = "{separator}"\n')
+    with pytest.raises(UsageError, match="one character"):
+        mapping.load_map(tmp_path / "map.toml")
 
 
 def test_a_cell_that_is_no_number_is_named_by_its_line(tmp_path: Path) -> None:

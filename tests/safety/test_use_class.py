@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tsa_ctrl.bus.settings import DriveSettings
 from tsa_ctrl.safety.limiter import LimiterSettings
-from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits, with_torque
 
 SPEEDS = st.floats(0.1, 20.0)
 RATIOS = st.floats(0.2, 5.0)
@@ -38,6 +38,13 @@ def test_the_clamps_of_the_drive_are_the_limits(speed: float, geared: float, tor
     limits = wearer_limits(LimiterSettings(torque=torque), {"torque"}, SafetySettings(wearer_speed=speed), geared, 0.0)
     drive = drive_clamps(DriveSettings(node_id=1, max_torque=10.0), {"node_id", "max_torque"}, limits)
     assert (drive.max_torque, drive.max_speed) == (limits.torque, limits.motor_over_speed)
+
+
+def test_a_share_gives_no_torque_above_the_largest_limit_of_a_file() -> None:
+    drive = DriveSettings(node_id=1, rated_torque=300.0, gear_ratio=2.0, max_torque=5000.0)
+    assert with_torque(LimiterSettings(torque_share=0.5), drive).torque == pytest.approx(300.0)
+    with pytest.raises(ValueError, match=r"torque_share 2 is 1200 N\*m; allowed are up to 1000 N\*m"):
+        with_torque(LimiterSettings(torque_share=2.0), drive)
 
 
 @given(st.tuples(ENDS, ENDS), st.tuples(ENDS, ENDS))

@@ -14,7 +14,7 @@ from tsa_ctrl.sensors.reader import MOST_LINE, LineParser
 
 
 def settings(**changes: object) -> SerialSensorSettings:
-    return SerialSensorSettings(port="/dev/null", quantity="tau_j", **changes)  # type: ignore[arg-type]
+    return SerialSensorSettings(**{"port": "/dev/null", "quantity": "tau_j", **changes})  # type: ignore[arg-type]
 
 
 def parser(**changes: object) -> LineParser:
@@ -81,6 +81,7 @@ def test_values_do_not_depend_on_how_the_bytes_arrive(values: list[float], data:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"port": "relay://1"}, 'port "relay://1": .*not known; give a device'),
         ({"pattern": "("}, "not a regular expression"),
         ({"pattern": r"\d+"}, "no group 'value'"),
         ({"unit": "kg"}, "no group 'unit'"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import types
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -92,13 +92,27 @@ def test_without_the_library_a_gpio_output_is_refused_with_the_remedy(monkeypatc
         check_output(OutputSettings(gpio="gpiochip0:17"), "[monitor] output")
 
 
+@pytest.mark.parametrize("use", [TorqueOff, check_output])
+def test_a_url_of_an_unknown_kind_is_refused_with_the_remedy(use: Callable[[OutputSettings, str], None]) -> None:
+    with pytest.raises(UsageError, match=r'^output: port "relay://1": .*not known; give a device such as /dev/ttyUSB0'):
+        use(OutputSettings(serial="relay://1"), "output")
+
+
 def test_a_command_that_is_no_program_is_refused() -> None:
     with pytest.raises(UsageError, match=r"output: command \"/no/such/program\" is not a program here"):
         check_output(OutputSettings(command=("/no/such/program",)), "output")
 
 
 @pytest.mark.parametrize(
-    "text", ["{}", '{"command": ["a"], "gpio": "gpiochip0:1"}', '{"gpio": "17"}', '{"serial": ""}', '{"relay": 1}']
+    "text",
+    [
+        "{}",
+        '{"command": ["a"], "gpio": "gpiochip0:1"}',
+        '{"gpio": "17"}',
+        '{"serial": ""}',
+        '{"serial": "a\\u0000"}',
+        '{"relay": 1}',
+    ],
 )
 def test_an_output_is_exactly_one_of_three(text: str) -> None:
     with pytest.raises(msgspec.ValidationError):

@@ -58,6 +58,7 @@ def test_the_default_wheel_fits_every_machine(wheel: Path) -> None:
 def test_every_direct_dependency_stands_in_the_list_with_a_licence_that_fits() -> None:
     listed = json.loads(licences.FILE.read_text(encoding="utf-8"))
     assert {name for name, row in listed.items() if row["direct"]} == set(licences.runtime())
+    assert {"foxglove-sdk", "gpiod", "mujoco-core"} <= listed.keys()  # of the extras live, gpio and limb
     assert [name for name, row in listed.items() if not licences.COMPATIBLE.search(row["licence"])] == []
 
 

@@ -29,6 +29,8 @@ def test_alone_it_lists_every_command_with_its_first_line() -> None:
     [
         ("bench_diagnose", "did you mean 'bench/diagnose'?"),
         ("xyz", "tools/run alone lists what there is"),
+        ("figures/look", "no such command"),  # a part of commands
+        ("bench/../bench/cycle", "no such command"),
     ],
 )
 def test_a_name_that_is_none_is_one_line(name: str, hint: str) -> None:

@@ -16,19 +16,21 @@ from pathlib import Path
 
 from tools import command
 from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
 
 FILE = Path(__file__).with_name("licences.json")
-# All of these allow use by a program under any licence; any-OSI (apsw) lets the user choose. LGPL (python-can, nptdms)
-# requires a separate library that the user can replace; an import from site-packages fulfils this.
+DEVELOPMENT = ("docs", "dev")  # extras that no user installs
+# All of these allow use by a program under any licence; any-OSI (apsw) lets the user choose. LGPL (gpiod, nptdms,
+# python-can) requires a separate library that the user can replace; an import from site-packages fulfils this.
 COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zlib|CC0|HPND|any-OSI")
 
 
 def runtime() -> list[str]:
-    """Return the names of the direct dependencies of the package and of its extras dashboard, fleet and formats."""
+    """Return the names of the direct dependencies of the package and of all extras that its users install."""
     project = tomllib.loads((command.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"], *extras["formats"]]
-    return sorted({_name(line) for line in lines})
+    lines = [line for extra, lines in extras.items() if extra not in DEVELOPMENT for line in lines]
+    return sorted({_name(line) for line in [*project["dependencies"], *lines]})
 
 
 def _name(requirement: str) -> str:
@@ -66,13 +68,11 @@ def needed(names: list[str]) -> list[str]:
 def main() -> int:
     command.parser(__name__, __doc__).parse_args()
     direct = runtime()
+    if missing := sorted(set(direct) - set(needed(direct))):
+        raise UsageError(f"{', '.join(missing)}: not installed, so the licence is unknown; pip install each of them")
     rows = {name: {"licence": licence(name), "direct": name in direct} for name in needed(direct)}
     settings.write_text(FILE, json.dumps(rows, indent=1, sort_keys=True) + "\n")
     strange = [name for name, row in rows.items() if not COMPATIBLE.search(str(row["licence"]))]
     for name in strange:
         print(f"{name}: {rows[name]['licence']}: check if this licence is compatible")
     return int(bool(strange))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -190,7 +190,7 @@ def _axis_info(table: Table, columns: _Columns, longest_skip: float, empty: bool
     if len(t) < 2:
         raise UsageError(f"{table.label}: holds {len(t)} rows; a rate needs at least 2: give a longer log")
     check_increasing(table, t, doubled=True)
-    grid = fit_grid(np.unique(t), longest_skip) if np.ptp(t) > 0.0 else fit_grid(t)
+    grid = fit_grid(np.unique(t), longest_skip)
     ranges = columns.ranges(empty)
     return AxisInfo(
         table.axis, grid.rate, float(t[-1] - t[0]), len(t), grid.jitter, grid.skipped, ranges, table.left_out

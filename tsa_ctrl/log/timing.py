@@ -98,7 +98,7 @@ def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
 
 
 def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
-    """Raise UsageError if a time is not a number, repeats or decreases.
+    """Raise UsageError if a time is not a number, repeats or decreases, or if all times are equal.
 
     Args:
         table: table of the times, for messages.
@@ -118,6 +118,10 @@ def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = Fal
         raise UsageError(
             f"{table.label}: column t, {table.place(row + first)}: time {t[row]:.9g} s does not increase (before it "
             f"{t[row - 1]:.9g} s); {cure}"
+        )
+    if len(steps) and not steps.any():
+        raise UsageError(
+            f"{table.label}: column t: all {len(t)} times are {t[0]:.9g} s; log the time of each row with more digits"
         )
 
 

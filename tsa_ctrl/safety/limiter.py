@@ -19,7 +19,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-Torque = Annotated[float, Meta(gt=0.0, le=1000.0)]  # N*m
+MOST_TORQUE = 1000.0  # N*m, largest limit of a file
+Torque = Annotated[float, Meta(gt=0.0, le=MOST_TORQUE)]  # N*m
 Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
@@ -64,9 +65,9 @@ MEANINGS = {
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.limits]: the limits of one axis' motor torque. Only `torque` has no default."""
+    """[axis.limits]: the limits of one axis' motor torque. A file has `torque` or `torque_share`."""
 
-    torque: Torque  # N*m at the motor, absolute
+    torque: Torque = 0.0  # N*m at the motor, absolute; 0, which permits no torque, until `with_torque`
     torque_share: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None  # 1, of the rated torque, in place of torque
     rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
     distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
@@ -77,8 +78,10 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
 
     def __post_init__(self) -> None:
-        if self.torque_share is not None:  # `resolve_torque` replaces it unless the file also has `torque`
+        if self.torque > 0.0 and self.torque_share is not None:
             raise ValueError("both torque and torque_share are given; keep one of them")
+        if self.torque == 0.0 and self.torque_share is None:
+            raise ValueError("key 'torque' is missing; add it, or torque_share")
         if self.travel is not None and self.travel[1] - self.travel[0] <= 2.0 * self.travel_margin:
             raise ValueError(
                 f"travel {list(self.travel)} rad is not wider than two travel margins of "

@@ -20,6 +20,7 @@ from msgspec import Meta
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.system.process_supervisor import Child
+from tsa_ctrl.system.serial_port import Port, check_port
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 
 NUMBER = r"^\s*(?P<value>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*$"
@@ -28,7 +29,7 @@ NUMBER = r"^\s*(?P<value>[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?)\s*$"
 class SerialSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One sensor. A text line that matches `pattern` is converted to value * scale + offset in SI units."""
 
-    port: str  # device, or a URL of pyserial
+    port: Port  # device, or a URL of pyserial
     # tau_j: N*m at the joint; t1, t3: N of tendon a, b at the motor; theta, temperature: rad, degC of the sheath
     quantity: Literal["tau_j", "t1", "t3", "theta", "temperature"]
     baud_rate: Annotated[int, Meta(ge=50, le=12_000_000)] = 115_200
@@ -44,7 +45,8 @@ class SerialSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
 
 def check(settings: SerialSensorSettings, where: str) -> None:
-    """Raise UsageError if settings contradict each other or the pattern cannot extract a value."""
+    """Raise UsageError if settings contradict each other, or port or pattern cannot work."""
+    check_port(settings.port, where)
     try:
         groups = re.compile(settings.pattern).groupindex
     except re.error as error:

@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.system.serial_port import Port, check_port
 
 _PERMIT, _OFF = b"1", b"0"  # bytes on the serial line, in addition to the modem line
 _BAUD_RATE = 9600  # bit/s
@@ -24,7 +25,7 @@ class OutputSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     command: tuple[str, ...] = ()  # program and arguments, started again until it ends with 0
     gpio: Annotated[str, Meta(pattern=r"^\w+:\d+$")] | None = None  # chip:line, active while torque is permitted
-    serial: Annotated[str, Meta(min_length=1)] | None = None  # port, with its modem line on while torque is permitted
+    serial: Port | None = None  # with its modem line on while torque is permitted
     line: Literal["dtr", "rts"] = "dtr"  # modem line of that port
 
     def __post_init__(self) -> None:
@@ -47,7 +48,9 @@ class MonitorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 def check_output(output: OutputSettings, where: str) -> None:
-    """Raise UsageError if this computer lacks a package or a program for the output. Switch nothing."""
+    """Raise UsageError if this computer cannot open a URL or lacks a package or a program. Switch nothing."""
+    if output.serial is not None:
+        check_port(output.serial, where)
     if output.gpio is not None and importlib.util.find_spec("gpiod") is None:
         raise UsageError(f"{where}: gpio \"{output.gpio}\" needs the package gpiod; install it: pip install '.[gpio]'")
     if output.command and shutil.which(output.command[0]) is None:
@@ -78,9 +81,9 @@ class TorqueOff:
                 self._open_serial(output.serial, output.line)
             else:
                 self.off = lambda: self._run(output.command)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             name = output.gpio or output.serial
-            reason = error.strerror or " ".join(str(error).split())
+            reason = getattr(error, "strerror", None) or " ".join(str(error).split())
             raise UsageError(f'{where}: "{name}" cannot be opened ({reason}); correct the name or its rights') from None
 
     def _open_gpio(self, chip: str, line: str) -> None:

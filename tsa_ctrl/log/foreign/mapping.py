@@ -47,9 +47,10 @@ UNITS: dict[str, dict[str, float]] = {
     },
     "rad/s^2": {"rad/s^2": 1.0, "rad/s²": 1.0, "deg/s^2": math.pi / 180, "°/s²": math.pi / 180},
     "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216},
-    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0, "°F": 5 / 9, "F": 5 / 9},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0, "°F": 5 / 9, "degF": 5 / 9, "F": 5 / 9},
 }  # fmt: skip
-SHIFT = {"K": -273.15, "°F": -160 / 9, "F": -160 / 9}  # degC, added after the scale
+SHIFT = {"K": -273.15, "°F": -160 / 9, "degF": -160 / 9, "F": -160 / 9}  # degC, added after the scale
+LEVER_ARM = {"N", "N*m"}  # units of quantities between which a lever arm or a pulley radius converts, as scale
 DEVICE_UNITS = {"a": "N*m per A", "ma": "N*m per mA", "%": "SI per %", "permille": "SI per mille",
                 "‰": "SI per mille", "counts": "rad per count", "cnt": "rad per count", "inc": "rad per increment",
                 "v": "SI per V", "mv": "SI per mV", "digits": "SI per digit"}  # fmt: skip
@@ -76,11 +77,14 @@ WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
+Separator = Annotated[str, Meta(pattern=r'^[^"\r\n]?\Z', description='one character, or " " for any white space')]
+
+
 class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[table] of a mapping file. Missing keys are determined from the table."""
 
     encoding: str | None = None
-    separator: str | None = None  # one character, or " " for any white space
+    separator: Separator | None = None
     decimal: str | None = None  # "." or ","
     header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
 
@@ -278,19 +282,19 @@ def _source(table: ForeignTable, wanted: str, where: str) -> str:
 
 
 def _mapped(name: str, source: str, unit: str, scale: float | None, offset: float, where: str) -> Mapped:
-    known: Mapping[str, Any] = UNITS.get(COLUMNS[name].unit, {"1": 1.0})
+    si = COLUMNS[name].unit
+    known: Mapping[str, Any] = UNITS.get(si, {"1": 1.0})
     here = f"{where}: {name} from '{source}'"
+    if scale is None and unit.lower() in DEVICE_UNITS:
+        raise UsageError(f"{here}: the unit '{unit}' is the device's own; give scale ({DEVICE_UNITS[unit.lower()]})")
+    other = any(unit in units for quantity, units in UNITS.items() if {quantity, si} != LEVER_ARM)
+    if unit not in known and (scale is None or other):
+        wrong = "belongs to another quantity" if other else "is not known"
+        found = f"unit '{unit}' {wrong}" if unit else "no unit"
+        raise UsageError(
+            f"{here}: {found}; allowed are {', '.join(known)}, or a unit of your device with scale ({si} per unit)"
+        )
     if scale is None:
-        if unit.lower() in DEVICE_UNITS:
-            raise UsageError(
-                f"{here}: the unit '{unit}' is the device's own; give scale ({DEVICE_UNITS[unit.lower()]})"
-            )
-        if unit not in known:
-            si = COLUMNS[name].unit
-            found = f"unit '{unit}' is not known" if unit else "no unit"
-            raise UsageError(
-                f"{here}: {found}; allowed are {', '.join(known)}, or any other with scale ({si} per unit)"
-            )
         scale = float(known[unit])
     if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):
         raise UsageError(f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers, the scale not 0")

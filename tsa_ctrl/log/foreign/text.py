@@ -11,6 +11,7 @@ import csv
 import gzip
 import importlib
 import io
+import itertools
 import json
 import math
 import re
@@ -250,6 +251,7 @@ def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
 LARGEST = 1 << 30  # bytes of text, because a foreign table is read into memory
 SEPARATORS = ";\t,|"  # in order of preference: a comma may be a decimal sign
 LOOKED_AT = 200  # lines from which header and separator are determined
+csv.field_size_limit(LARGEST)  # `_rows` reports a field that an open quote makes too long
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 
 
@@ -358,7 +360,8 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     if not any(line.strip() for line in lines):
         raise UsageError(f"{path}: is empty; give a table with a line of names and rows of numbers")
     told = _told(path, lines, encoding) if shape is None else shape
-    rows = _rows(lines[max(0, told.header - 1) :], told.separator)
+    above = max(0, told.header - 1)
+    rows = _rows(lines[above:], told.separator, path, above)
     if told.header == 0:
         width = Counter(len(row) for row in rows).most_common(1)[0][0]
         rows.insert(0, [f"column {i}" for i in range(1, width + 1)])
@@ -450,11 +453,13 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
             if best is None or (count, -len(separator.strip())) > (best[0] * 1.1, 0):
                 best = (count, width, separator)
     if best is None:
+        _rows(lines, SEPARATORS[0], path)  # an open quote hides the rows below it
         raise UsageError(f"{path}: one column only; give a table with at least a time and a torque")
     _, width, separator = best
     rows = _rows(some, separator)
     numeric = next((i for i, row in enumerate(rows) if len(row) == width and _mostly_numbers(row)), None)
     if numeric is None:
+        _rows(lines, separator, path)
         raise UsageError(f"{path}: no row of numbers in the first {len(some)} lines; give a table of numbers")
     named = [i for i in range(numeric) if len(rows[i]) == width and any(re.search("[^\\W\\d]", c) for c in rows[i])]
     header = (named[0] if len(named) < 3 else named[-1]) if named else -1  # a line of units may follow the names
@@ -464,10 +469,24 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     return Shape(encoding, separator, "," if separator != "," and commas > points else ".", header + 1)
 
 
-def _rows(lines: Sequence[str], separator: str) -> list[list[str]]:
+def _rows(lines: Sequence[str], separator: str, path: Path | None = None, above: int = 0) -> list[list[str]]:
+    """Return the fields of all lines.
+
+    Args:
+        lines: lines of the text.
+        separator: one character, or " " for any white space.
+        path: file, if `lines` end with it.
+        above: number of lines above the first one.
+
+    Raises:
+        UsageError: A quote is not closed before the end of the file.
+    """
     if separator == " ":
         return [line.split() for line in lines]
-    return list(csv.reader(lines, delimiter=separator))
+    rows = list(csv.reader(itertools.chain(lines, [""]), delimiter=separator))
+    if rows.pop() and path is not None:  # the empty line at the end became a part of a quoted field
+        raise UsageError(f'{path}: line {above + len(rows) + 1}: a quote (") is not closed; close or remove it')
+    return rows
 
 
 def _is_number(cell: str) -> bool:
