@@ -77,6 +77,28 @@ def test_a_formula_gets_the_temperature_and_the_time(expression: str) -> None:
     assert estimator.found == pytest.approx(1.0, abs=0.01)
 
 
+def test_an_unknown_joint_torque_does_not_stay_in_the_filter() -> None:
+    """With the kind "motor", the estimate recovers from a joint torque that was unknown for a second."""
+    model = ACTUATOR.with_effects({"custom": {"expression": "0.02*(temperature - 25)*omega_j"}})
+    estimator = KalmanEstimator(model, EstimatorSettings(kind="motor", use=True), PERIOD)
+    t, omega, sigma, _, _ = sliding()
+    x, r_m, r_j = ACTUATOR.friction_angle, ACTUATOR.motor_pulley_radius, ACTUATOR.joint_pulley_radius
+    taken = 0.02 * (WARM - 25.0) * omega
+    tau_m = 2.0 * ACTUATOR.pretension * r_m * np.tanh(x) * sigma + taken * r_m / r_j / np.cosh(x)
+    for s, w, motor, time in zip(*(each.tolist() for each in (sigma, omega, tau_m, t)), strict=True):
+        temperature = np.nan if 4.0 < time < 5.0 else WARM
+        estimator.update(Sample(s, w, 0.0, motor, np.nan, True, 0.1, 0.1, temperature=temperature, t=time))
+    assert estimator.state is EstimateState.ESTIMATED
+    assert estimator.found == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_missing_speed_does_not_stay_in_the_acceleration() -> None:
+    bare = Bare(ACTUATOR.with_effects({"inertia": {"inertia": 0.1}}), PERIOD)
+    for omega in (0.5, np.nan, 0.5, 0.5):
+        bare.measure(Sample(1.0, omega, 0.0, 0.0, 0.0, True, 0.1, 0.1))
+    assert bare.joint(0.2) == pytest.approx(0.2)
+
+
 def test_a_temperature_that_is_not_measured_prevents_an_estimate() -> None:
     model = ACTUATOR.with_effects({"custom": {"expression": "0.02*(temperature - 25)*omega_j"}})
     assert "custom depends on the temperature, which this axis does not measure" in why_not(model)

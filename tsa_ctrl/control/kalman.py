@@ -68,7 +68,7 @@ class Bare:
         """Store the measurements of one cycle."""
         state, omega_j = self._state, seen.omega_j
         self._memories.begin(self._period)
-        if self._last == self._last:
+        if math.isfinite(omega_j - self._last):
             state.acceleration += self._gain * ((omega_j - self._last) / self._period - state.acceleration)
         self._last = omega_j
         state.sigma, state.q_j, state.q_m = seen.sigma, seen.q_j, seen.q_m
@@ -254,7 +254,7 @@ class KalmanEstimator:
 
     def _learn(self, a: float, b: float, y: float) -> None:
         """Do one Kalman step for y = a h + b s + c."""
-        if not math.isfinite(y):
+        if not math.isfinite(b + y):
             self.residual = math.inf
             return
         p00, p01, p02, p11, p12, p22 = self._p
