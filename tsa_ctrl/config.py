@@ -302,7 +302,10 @@ def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> t
     axes, notes = [], []
     for axis, model in zip(file.axes, models, strict=True):
         follows = axis.bending.source != "fixed"
-        estimator, note = chosen(axis.estimator, model, axis.encoder is not None, axis.has_torque_sensor, follows)
+        has_temperature = axis.temperature.source != "none"
+        estimator, note = chosen(
+            axis.estimator, model, axis.encoder is not None, axis.has_torque_sensor, follows, has_temperature
+        )
         if routing_of(axis.bending, model.routing) is not None and axis.estimator.kind in (None, "fixed"):
             # The model file has a routing, which determines friction and pretension.
             estimator, note = msgspec.structs.replace(estimator, kind="map"), ""
@@ -386,8 +389,13 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         raise UsageError(f'{where}: estimator.kind "tension" {reason}')
     if estimator.kind == "stretch":
         _check_stretch(where, axis, model)
-    if estimator.kind in ("sensor", "motor", "tension") and estimator.use and (reason := beside(model)):
-        raise UsageError(f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false')
+    if estimator.kind in ("sensor", "motor", "tension") and estimator.use:
+        # Kind "tension" uses only the effects at the motor, and none of them depends on the temperature.
+        reason = beside(model, axis.temperature.source != "none" or estimator.kind == "tension")
+        if reason:
+            raise UsageError(
+                f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false'
+            )
     if model.routing is not None:
         _check_routing(where, axis, model, file)
     routed = routing_of(bending, model.routing) is not None

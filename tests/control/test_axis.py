@@ -187,7 +187,7 @@ class Calls(list[tuple[Any, ...]]):
 
 def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each part gets the command that was sent, and the measured values."""
-    axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0})
+    axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0, "temperature": lambda now: 23.0})
     calls = Calls(axis, monkeypatch)
     monkeypatch.setattr(type(axis.direction), "follows", True)
     axis.follow(2.0)
@@ -207,7 +207,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
             pytest.approx(expected, rel=1e-12),
             0.0,
         ),
-        ("estimator", Sample(1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0)),
+        ("estimator", Sample(1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0, temperature=23.0, t=1.0)),
         ("guard", Observed(0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True)),
     ]
     assert axis.terms.theta == 1.5

@@ -183,6 +183,17 @@ def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
         load_configuration(path)
 
 
+def test_sensor_estimator_needs_the_temperature_of_the_models_formula(folder: Path) -> None:
+    """The estimator kind "sensor" is rejected, and not selected, if a formula needs an unmeasured temperature."""
+    with (folder / "actuator.toml").open("a") as model:
+        model.write('\n[effects.custom]\nexpression = "0.01*(temperature - 25)*omega_j"\n')
+    selected = load_configuration(folder / "controller.toml").file.axes[0].estimator
+    assert selected.kind == "stretch"
+    path = edit(folder, r'^# kind = "sensor" ', 'kind = "sensor"\nuse = true ')
+    with pytest.raises(UsageError, match=r"custom depends on the temperature.*\[axis.temperature\] a source"):
+        load_configuration(path)
+
+
 def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     """The estimator kind "stretch" is rejected without a joint encoder and if the sheath bends at the joint."""
     edit(folder, r'^# kind = "sensor" ', 'kind = "stretch" ')

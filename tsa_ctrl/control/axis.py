@@ -351,6 +351,8 @@ class ControlAxis:
         sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
         sample.q_j, sample.q_m, sample.t1, sample.t3 = terms.q_j, image.q_m, instruments.t1, instruments.t3
         sample.fading = self.bending.fading
+        sample.temperature = self.law.temperature
+        sample.t = self.since_enable(now)
         self.estimator.update(sample)
         self.adapt()
         self._watch()

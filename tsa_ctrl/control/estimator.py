@@ -119,6 +119,8 @@ class Sample:
     t1: float = math.nan  # N, of tendon a at the motor
     t3: float = math.nan  # N, of tendon b
     fading: bool = False  # the change of theta is already a fade
+    temperature: float = math.nan  # degC, as the law uses it
+    t: float = 0.0  # s since the enable, as the law uses it
 
 
 class Estimator(Protocol):

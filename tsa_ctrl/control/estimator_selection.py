@@ -31,15 +31,21 @@ _KNOWN = frozenset({"elongation_coupling"})  # the observer's tendons include it
 
 
 def chosen(
-    settings: EstimatorSettings, model: TendonSheath, has_encoder: bool, has_torque_sensor: bool, follows_bending: bool
+    settings: EstimatorSettings,
+    model: TendonSheath,
+    has_encoder: bool,
+    has_torque_sensor: bool,
+    follows_bending: bool,
+    has_temperature: bool = False,
 ) -> tuple[EstimatorSettings, str]:
     """Return the settings with a kind and a use, and the reason in one line if the default is "fixed".
 
     `follows_bending`: True if the bending angle is measured or commanded, which only kind "map" uses.
+    `has_temperature`: True if the axis measures the temperature.
     """
     if settings.kind is not None:
         return (settings if settings.use is not None else msgspec.structs.replace(settings, use=False)), ""
-    if has_torque_sensor and not follows_bending and _has_friction(model) and not beside(model):
+    if has_torque_sensor and not follows_bending and _has_friction(model) and not beside(model, has_temperature):
         return msgspec.structs.replace(settings, kind="sensor", use=settings.use is not False), ""
     reason = why_fixed(model, has_encoder)
     if reason or follows_bending:

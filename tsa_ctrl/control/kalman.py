@@ -64,14 +64,15 @@ class Bare:
         self._state = unmoved(self._theta)
         self._last = math.nan
 
-    def measure(self, sigma: float, omega_j: float, q_j: float, q_m: float) -> None:
-        """Store the motion of one cycle: sigma in 1, omega_j in rad/s, q_j and q_m in rad."""
-        state = self._state
+    def measure(self, seen: Sample) -> None:
+        """Store the measurements of one cycle."""
+        state, omega_j = self._state, seen.omega_j
         self._memories.begin(self._period)
-        if self._last == self._last:
+        if math.isfinite(omega_j - self._last):
             state.acceleration += self._gain * ((omega_j - self._last) / self._period - state.acceleration)
         self._last = omega_j
-        state.sigma, state.q_j, state.q_m = sigma, q_j, q_m
+        state.sigma, state.q_j, state.q_m = seen.sigma, seen.q_j, seen.q_m
+        state.temperature, state.t = seen.temperature, seen.t
         lag = self._stack.velocity_lag
         state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)
 
@@ -94,17 +95,26 @@ class Bare:
         return tau_j if stack.load is None else stack.load.invert(SCALARS, tau_j, state.sigma)
 
 
-def why_not(model: TendonSheath) -> str:
-    """Return the reason why the model's effects prevent an estimate of friction angle and pretension, else ""."""
+def why_not(model: TendonSheath, has_temperature: bool = False) -> str:
+    """Return the reason why the model's effects prevent an estimate of friction angle and pretension, else "".
+
+    `has_temperature`: True if the axis measures the temperature.
+    """
     within = [name for name in model.effects if CATALOGUE[name].stage in _WITHIN or name == "sheath_asymmetry"]
     if Stack.of(model.effects, model.source).custom_at("motor") is not None:
         within.append("custom")
-    if not within:
-        return ""
-    return (
-        f"the model's {', '.join(within)} changes the estimated quantity, and would count twice in the law; remove it "
-        "from the model file"
-    )
+    if within:
+        return (
+            f"the model's {', '.join(within)} changes the estimated quantity, and would count twice in the law; "
+            "remove it from the model file"
+        )
+    for name, parameters in model.effects.items():
+        if not has_temperature and ("temperature",) in CATALOGUE[name].needed_live(parameters):
+            return (
+                f"the model's {name} depends on the temperature, which this axis does not measure; give "
+                "[axis.temperature] a source, or remove the effect from the model file"
+            )
+    return ""
 
 
 BLOCK = 0.01  # s, length of the means that enter the filter
@@ -175,7 +185,7 @@ class KalmanEstimator:
         sigma, omega_j, tau_m, tau_j = seen.sigma, seen.omega_j, seen.tau_m, seen.tau_j
         bare = self._bare
         if bare is not None:
-            bare.measure(sigma, omega_j, seen.q_j, seen.q_m)
+            bare.measure(seen)
             if bare.remembers:
                 bare.joint(self._load if self._motor else tau_j)
         direction = 1 if sigma > SLIDING else -1 if sigma < -SLIDING else 0
@@ -244,7 +254,7 @@ class KalmanEstimator:
 
     def _learn(self, a: float, b: float, y: float) -> None:
         """Do one Kalman step for y = a h + b s + c."""
-        if not math.isfinite(y):
+        if not math.isfinite(b + y):
             self.residual = math.inf
             return
         p00, p01, p02, p11, p12, p22 = self._p

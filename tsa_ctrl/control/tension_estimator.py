@@ -83,7 +83,7 @@ class TensionEstimator:
         """Process the data of one cycle."""
         bare, tau_m = self._bare, seen.tau_m
         if bare is not None:
-            bare.measure(seen.sigma, seen.omega_j, seen.q_j, seen.q_m)
+            bare.measure(seen)
             tau_m = bare.motor(tau_m)
         if math.isfinite(seen.t1 + seen.t3):
             self._gap = 0.0
