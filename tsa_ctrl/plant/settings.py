@@ -249,10 +249,10 @@ def _check_buses(plant: PlantSettings, path: Path) -> None:
             raise UsageError(f"{path}: axis '{axis.name}': names no bus; write bus with one of {', '.join(names)}")
         if axis.bus is not None and axis.bus not in names:
             known = ", ".join(filter(None, names)) or "a [bus] without a name"
-            raise UsageError(f"{path}: axis '{axis.name}': no bus '{axis.bus}'; the file has {known}")
+            raise UsageError(f"{path}: axis '{axis.name}': there is no bus '{axis.bus}'; the file has {known}")
     for name in names if len(names) > 1 else []:
         if all(axis.bus != name for axis in plant.axis):
-            raise UsageError(f"{path}: [[bus]] '{name}': no axis is on it; write bus = \"{name}\" in one, or remove it")
+            raise UsageError(f"{path}: [[bus]] '{name}': no axis uses it; write bus = \"{name}\" in one, or remove it")
 
 
 def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
