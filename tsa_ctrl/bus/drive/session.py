@@ -107,13 +107,11 @@ class Session:
     def __enter__(self) -> Session:
         self._bus.accept(None)
         self._bus.flush()
-        host = cia301.HEARTBEAT + self._settings.host_node_id
-        for can_id in (cia301.NMT, cia301.SYNC, host):
+        for can_id in master_frames(self._settings.host_node_id):
             self._network.subscribe(can_id, self._on_master)
         for node_id in range(1, 128):
             if node_id != self._settings.host_node_id:
                 self._network.subscribe(cia301.HEARTBEAT + node_id, self._on_heartbeat)
-            self._network.subscribe(cia301.SDO_REQUEST + node_id, self._on_master)
             self._network.subscribe(cia301.EMCY + node_id, self._on_emergency)
         return self
 
@@ -331,6 +329,12 @@ class Session:
         if self._heartbeat and now >= self._next_heartbeat:
             self._next_heartbeat = now + self._settings.host_heartbeat_period
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
+
+
+def master_frames(host: int) -> frozenset[int]:
+    """Return the identifiers that only a master with the node id `host` sends, apart from RPDOs."""
+    requests = (cia301.SDO_REQUEST + node_id for node_id in range(1, 128))
+    return frozenset((cia301.NMT, cia301.SYNC, cia301.HEARTBEAT + host, *requests))
 
 
 def another_master(name: str, heard: Collection[int]) -> str:
