@@ -19,6 +19,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.checks import (
+    COUNTED_RPDOS,
     Node,
     NodeReport,
     Report,
@@ -155,7 +156,7 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
     ]
 
 
-def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> list[Write]:
+def further_rpdos(session: Session, node_id: int, slot: int, first: int) -> list[Write]:
     """Return writes that disable each RPDO of a drive that the plan does not cover.
 
     Another tool may have mapped a target torque or a torque offset into one of them.
@@ -170,9 +171,9 @@ def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> 
     for number in range(first, PDO_OFFSET + 1):
         entry = Pdo(number, True, ()).of(slot).communication(1, Type.U32, "COB-ID")
         found = session.upload_if_there(node_id, entry)
-        if found is None:
-            break
-        if not entry.decode(found) & COB_ID_INVALID:
+        if found is None and number > COUNTED_RPDOS:
+            break  # the drive has no further ones
+        if found is not None and not entry.decode(found) & COB_ID_INVALID:
             writes.append(Write(entry, entry.decode(found) | COB_ID_INVALID))
     return writes
 
@@ -453,7 +454,7 @@ def _configure(
         check_signs(session, node)
         find_inputs(session, node, report)
         plan = [
-            *further_rpdos(session, node.node_id, node.axis.drive.slot),
+            *further_rpdos(session, node.node_id, node.axis.drive.slot, node.profile.rpdo_count + 1),
             *with_consumer(session, node.node_id, plan, settings.host_node_id),
         ]
     if isinstance(node.settings, EncoderSettings):
