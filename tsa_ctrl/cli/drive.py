@@ -133,6 +133,8 @@ def dump_command(out: Path | None, **options: Any) -> None:
     target = find_target(**options)
     with target.session() as session:
         backup = dump(session, target.node_id, entries_of(target.plan(), target.axis.drive.slot))
+    for name in backup.unreadable:
+        click.echo(f"node {target.node_id}: {name} cannot be read and is not in the backup", err=True)
     if out is None:
         click.echo(backup.text(), nl=False)
         return

@@ -54,7 +54,7 @@ class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The identity and the objects of one drive."""
+    """The identity and the objects of one drive. `unreadable` lists the objects that the drive has and did not send."""
 
     format: Literal[1] = 1
     node_id: NodeId
@@ -62,6 +62,7 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     product_code: Word
     revision: Word = 0
     serial_number: Word = 0
+    unreadable: list[str] = []
     object: Annotated[list[StoredObject], Meta(min_length=1)]
 
     def text(self) -> str:
@@ -73,6 +74,8 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
         document["node_id"] = self.node_id
         for name in ("vendor_id", "product_code", "revision", "serial_number"):
             document[name] = _hexadecimal(getattr(self, name), 8)
+        if self.unreadable:
+            document["unreadable"] = self.unreadable
         objects = tomlkit.aot()
         for stored in self.object:
             table = tomlkit.table()
@@ -141,14 +144,15 @@ def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
 
 
 def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
-    """Return a backup of these objects and of the identity, without the objects that the drive lacks."""
+    """Return a backup of these objects and of the identity, without the objects that the drive lacks or refuses."""
     stored = []
+    unreadable: list[Object] = []
     mapped: dict[int, int] = {}  # mapping parameter -> number of valid entries; further entries are ignored
     for entry in entries:
         index, subindex = entry.key
         if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
             continue
-        value = session.read_if_there(node_id, entry)
+        value = session.read_if_readable(node_id, entry, unreadable)
         if _communication_of(index) not in (None, index) and subindex == 0:
             mapped[index] = value or 0
         if value is not None:
@@ -156,7 +160,7 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
             number = entry.type.number_of(value)
             stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=number, name=entry.name))
     vendor, product, revision, serial = (
-        session.read_if_there(node_id, entry) or 0
+        session.read_if_readable(node_id, entry, unreadable) or 0
         for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
     )
     return Backup(
@@ -165,6 +169,7 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
         product_code=product,
         revision=revision,
         serial_number=serial,
+        unreadable=[str(entry) for entry in unreadable],
         object=stored,
     )
 

@@ -221,12 +221,22 @@ class Session:
         """Return an object read by SDO; raise SdoRefusedError or BusError if that fails."""
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
-    def upload_if_there(self, node_id: int, entry: Object) -> bytes | None:
-        """Return the bytes of an object, or None if the node rejects the request."""
+    def upload_if_there(self, node_id: int, entry: Object, unreadable: list[Object] | None = None) -> bytes | None:
+        """Return the bytes of an object, or None if the node rejects the request.
+
+        `unreadable` receives the object if the reason is another one than its absence.
+        """
         try:
             return self._transfer(node_id, entry, lambda client: client.upload(*entry.key))
-        except SdoRefusedError:
+        except SdoRefusedError as error:
+            if unreadable is not None and error.code not in ABSENT:
+                unreadable.append(entry)
             return None
+
+    def read_if_readable(self, node_id: int, entry: Object, unreadable: list[Object] | None = None) -> int | None:
+        """Return an object, or None if the node rejects the request; `unreadable` as in `upload_if_there`."""
+        data = self.upload_if_there(node_id, entry, unreadable)
+        return None if data is None else entry.decode(data)
 
     def read_text(self, node_id: int, entry: Object) -> str:
         """Return a text object, or an empty text if the node rejects the request."""
