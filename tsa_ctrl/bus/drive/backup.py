@@ -23,7 +23,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.drive.bring_up import write_all
 from tsa_ctrl.bus.drive.checks import Row
 from tsa_ctrl.bus.drive.profile import PER_MILLE, Index, NumberType, Subindex
-from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.session import RELEASED, Session
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
 
@@ -224,28 +224,38 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
     return plan
 
 
-def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tuple[Object, int]]:
-    """Return the value of each object after a plan, without the optional objects that the drive lacks."""
+def wanted_by(
+    session: Session, node_id: int, plan: Iterable[Write], unreadable: list[Object]
+) -> list[tuple[Object, int]]:
+    """Return the value of each object after a plan, without the optional objects that the drive lacks.
+
+    A value that the startup accepts instead, or that a shutdown leaves, counts as the planned one. `unreadable`
+    receives the objects that the drive refuses to send.
+    """
     wanted: dict[tuple[int, int], tuple[Object, int]] = {}
     for write in plan:
         entry, value = write.entry, write.value
         if write.rated is not None:
             value = value * session.read(node_id, write.rated) // PER_MILLE
         if write.optional or write.kept:
-            before = session.read_if_there(node_id, entry)
+            before = session.read_if_readable(node_id, entry, unreadable)
             if before is None and write.optional:
                 continue
-            value |= (before or 0) & write.kept
+            before = before or 0
+            accepted = before in write.fine or (before == 0 and entry.index in RELEASED)
+            value = before if accepted else value | before & write.kept
         wanted[entry.key] = entry, value
     return [pair for key, pair in wanted.items() if key not in _COMMANDS]
 
 
-def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]) -> list[Difference]:
-    """Return the objects whose value at the drive differs from the required value."""
+def compare(
+    session: Session, node_id: int, wanted: Iterable[tuple[Object, int]], unreadable: list[Object]
+) -> list[Difference]:
+    """Return the objects whose value at the drive differs from the required value; `unreadable` as in `wanted_by`."""
     differences = []
     for entry, value in wanted:
-        found = session.read_if_there(node_id, entry)
-        if found != value:
+        found = session.read_if_readable(node_id, entry, unreadable)
+        if found != value and entry not in unreadable:
             differences.append(Difference(entry, value, found))
     return differences
 

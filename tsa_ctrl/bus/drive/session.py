@@ -362,6 +362,9 @@ def another_master(name: str, heard: Collection[int]) -> str:
     )
 
 
+RELEASED = frozenset({objects.HEARTBEAT_CONSUMER.index, objects.LIFE_TIME_FACTOR.index})  # 0 after a shutdown
+
+
 def release_heartbeat(session: Session, node_id: int, host: int) -> None:
     """Disable the heartbeat consumer (0x1016) for `host` and life guarding (0x100D), and read both back.
 
