@@ -9,14 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import can
+import msgspec
 import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.bus.nodes import axis_nodes
 from tests.conftest import ROOT
 from tests.drives.rig import STILL, served
+from tsa_ctrl.bench.responder import standing_in
 from tsa_ctrl.bench.run import HIGHEST, LOWEST, Measured, Times, bounds, holds, rounded_down
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.rig import Rig, check_startup
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.cli import cli, main
 
 QUICK = Times(1e-5, 2e-5, 3e-5, 9e-5)
@@ -100,6 +107,34 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
     assert found["rate"]["fits"] is (found["rate"]["highest"] >= 50.0)
     busy = found["measured"][0]["busy"]
     assert 0.0 < busy["p50"] <= busy["p99"] <= busy["p999"] <= busy["worst"]
+
+
+@pytest.mark.parametrize(
+    ("drive", "profile"),
+    [
+        ({}, {}),
+        ({"pdo": "lean"}, {}),
+        ({"slot": 2}, {}),
+        ({"pdo_node_id": 9}, {}),
+        ({}, {"absent": ["error code"]}),
+        ({"pdo": "lean"}, {"absent": ["error code"], "supervision": "guarding"}),
+    ],
+)
+def test_simulated_nodes_send_the_frames_that_the_loop_expects(
+    drive: dict[str, object], profile: dict[str, object]
+) -> None:
+    """Each node answers each SYNC in time, with the mode, and with alternating answers to node guarding."""
+    axes, profiles = [axis_nodes(**drive)], [msgspec.convert(profile, DriveProfile)]
+    settings = BusSettings(interface="virtual", channel="stand-in")
+    bus = open_bus(settings)
+    with standing_in(settings, axes, profiles):
+        rig = Rig(bus, settings, axes, profiles)
+        rig.start()
+        check_startup(rig, 0.01)
+    bus.close()
+    image = rig.axes[0].image
+    assert image.mode == 10
+    assert [node.untoggled for node in image.nodes] == [0, 0, 0]
 
 
 def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

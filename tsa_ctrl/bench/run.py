@@ -316,7 +316,7 @@ def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[
     """Provide nodes that answer SYNC during the block."""
     file = configuration.file
     if simulated:
-        with standing_in(file.bus, file.axes):
+        with standing_in(file.bus, file.axes, configuration.profiles):
             yield
         return
     bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)  # undoes its writes if it fails
