@@ -9,13 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import can
+import msgspec
 import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.bus.nodes import axis_nodes
 from tests.conftest import ROOT
+from tests.drives.rig import STILL, served
+from tsa_ctrl.bench.responder import standing_in
 from tsa_ctrl.bench.run import HIGHEST, LOWEST, Measured, Times, bounds, holds, rounded_down
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.rig import Rig, check_startup
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.cli import cli, main
 
 QUICK = Times(1e-5, 2e-5, 3e-5, 9e-5)
@@ -101,6 +109,34 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
     assert 0.0 < busy["p50"] <= busy["p99"] <= busy["p999"] <= busy["worst"]
 
 
+@pytest.mark.parametrize(
+    ("drive", "profile"),
+    [
+        ({}, {}),
+        ({"pdo": "lean"}, {}),
+        ({"slot": 2}, {}),
+        ({"pdo_node_id": 9}, {}),
+        ({}, {"absent": ["error code"]}),
+        ({"pdo": "lean"}, {"absent": ["error code"], "supervision": "guarding"}),
+    ],
+)
+def test_simulated_nodes_send_the_frames_that_the_loop_expects(
+    drive: dict[str, object], profile: dict[str, object]
+) -> None:
+    """Each node answers each SYNC in time, with the mode, and with alternating answers to node guarding."""
+    axes, profiles = [axis_nodes(**drive)], [msgspec.convert(profile, DriveProfile)]
+    settings = BusSettings(interface="virtual", channel="stand-in")
+    bus = open_bus(settings)
+    with standing_in(settings, axes, profiles):
+        rig = Rig(bus, settings, axes, profiles)
+        rig.start()
+        check_startup(rig, 0.01)
+    bus.close()
+    image = rig.axes[0].image
+    assert image.mode == 10
+    assert [node.untoggled for node in image.nodes] == [0, 0, 0]
+
+
 def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A missing bus gives exit code 1 and one line on stderr."""
     shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
@@ -117,17 +153,20 @@ def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
     [
         (can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False), "drive node 17 (active nodes: 1)"),
         (can.Message(arbitration_id=0x080, is_extended_id=False), "another master"),
+        (can.Message(arbitration_id=0x000, data=b"\x01\x11", is_extended_id=False), "another master"),
+        (can.Message(arbitration_id=0x605, data=bytes(8), is_extended_id=False), "another master"),
+        (can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False), "another master"),
     ],
-    ids=["other nodes", "a master"],
+    ids=["other nodes", "SYNC", "NMT", "SDO", "heartbeat"],
 )
 def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: can.Message, words: str
 ) -> None:
     """With foreign nodes or another master on the bus, the command ends with a one-line error.
 
-    It sends at most one kind of frame, the SDO requests that look for the configured drive.
+    It sends nothing next to another master, and otherwise only the SDO requests that look for the configured drive.
     """
-    path, channel = tmp_path / "controller.toml", words[:12]
+    path, channel = tmp_path / "controller.toml", tmp_path.name
     shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
     text = path.read_text(encoding="utf-8")
     for before, after in (('"socketcan"', '"virtual"'), ('"vcan0"', f'"{channel}"'), ("node_id = 1 ", "node_id = 17 ")):
@@ -145,4 +184,21 @@ def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     said = capsys.readouterr()
     assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)
     assert words in said.err
-    assert set(heard) <= {0x611}
+    assert set(heard) <= ({0x611} if "drive node" in words else set())
+
+
+def test_a_drive_that_is_not_the_configured_one_is_only_read(tmp_path: Path) -> None:
+    """A drive with another serial number gets no SYNC, no RPDO, no NMT command and no SDO write."""
+    drive = "[[axis]]\nname = 'joint'\ndrive.node_id = 1\ndrive.serial_number = 5\n"
+    heard: list[can.Message] = []
+    edits = ('interface = "socketcan"', 'interface = "virtual"'), ("node_id = 1 ", "serial_number = 6\nnode_id = 1 ")
+    with (
+        served(tmp_path, drive + STILL) as channel,
+        can.Bus(interface="virtual", channel=channel) as other,
+        can.Notifier(other, [heard.append]),
+    ):
+        run = bench(tmp_path, *edits, ('"vcan0"', f'"{channel}"'))
+    assert "serial number is 0x00000005, required is 0x00000006" in str(run.exception)
+    sent = [message for message in heard if message.arbitration_id in (0x000, 0x080, 0x201, 0x601, 0x77F)]
+    assert {message.arbitration_id for message in sent} == {0x601}
+    assert {message.data[0] >> 5 for message in sent} <= {2, 3}  # SDO uploads

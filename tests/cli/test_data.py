@@ -65,8 +65,11 @@ def test_a_set_is_fetched_converted_and_kept(home: tuple[str, Path], tmp_path: P
     assert "MIT" in (done.folder / "SOURCE.txt").read_text()
     again = fetch(ONE, tmp_path / "out", "http://127.0.0.1:9")  # sends no request
     assert (again.written, again.kept) == (0, 1)
-    (done.folder / "steady/p099.csv.gz").write_bytes(b"torn")
-    assert fetch(ONE, tmp_path / "out", address).written == 1
+    path = done.folder / "steady/p099.csv.gz"
+    whole = path.read_bytes()
+    for damaged in (b"torn", whole[:-9], whole[:10] + b"\xff" + whole[11:]):
+        path.write_bytes(damaged)
+        assert fetch(ONE, tmp_path / "out", address).written == 1
 
 
 def test_other_bytes_than_the_published_ones_are_refused_and_nothing_is_kept(

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from tests.daemon.serving import Serving
 from tests.virtual.files import controller, plant, write
 from tests.virtual.serving import ServedRun
 from tsa_ctrl.cli import tuning
 from tsa_ctrl.cli.tuning import Live
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.connection import CLIENTS
 from tsa_ctrl.tune.procedure import PHASES, phase
 
 
@@ -48,6 +51,20 @@ def test_torque_and_angle_come_from_the_daemon_that_runs(tmp_path: Path, monkeyp
 def test_where_no_daemon_answers_nothing_is_shown(tmp_path: Path) -> None:
     live = Live("joint", str(tmp_path / "tsa.sock"))
     assert live.words() == live.words() == ""
+
+
+def test_a_rejection_by_the_daemon_shows_nothing(tmp_path: Path) -> None:
+    """The daemon closes the connection that has been silent longest, with a rejection. The display connects again."""
+    serving = Serving(tmp_path / "tsa.sock", ["joint"])
+    live = Live("joint", serving.path)
+    assert "rad" in live.words()
+    with contextlib.ExitStack() as others:
+        for _ in range(CLIENTS):
+            others.enter_context(Client(serving.path)).measure()
+        assert live.words() == ""
+        assert "rad" in live.words()
+    live.close()
+    serving.end()
 
 
 def test_each_phase_says_its_place() -> None:

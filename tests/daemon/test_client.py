@@ -137,6 +137,30 @@ def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_f
             client.measure()
 
 
+def test_a_late_answer_is_never_taken_for_that_of_another_request(serving: Serving) -> None:
+    """A measurement of cycle 1 times out and arrives late. Each later request returns its own, new answer."""
+    with Client(serving.path, timeout=0.5) as client:
+        serving.mailbox.measure(time.monotonic(), 1, 2, [Reading(), Reading()])
+        os.kill(serving.worker, signal.SIGSTOP)
+        with pytest.raises(BusError, match="does not answer"):
+            client.measure()
+        os.kill(serving.worker, signal.SIGCONT)
+        time.sleep(0.3)
+        serving.mailbox.measure(time.monotonic(), 2, 2, [Reading(), Reading()])
+        assert client.measure().cycle == 2
+        assert client.events() == []
+
+
+def test_a_stop_does_not_wait_for_a_late_answer(serving: Serving) -> None:
+    """A command waits for the loop, and times out. A stop request reaches the mailbox at once."""
+    with Client(serving.path, timeout=0.5) as client:
+        serving.publish(LoopPhase.FAULTED)
+        with pytest.raises(BusError, match="does not answer"):
+            client.recover()
+        client.stop()
+        assert serving.mailbox.stop_requested
+
+
 def test_after_a_restart_a_new_client_takes_a_new_lease(serving: Serving) -> None:
     """After a restart of the daemon the old lease remains lost, and a new client can get a lease."""
     with Client(serving.path) as client:

@@ -25,6 +25,8 @@ from tsa_ctrl.dashboard import server
 from tsa_ctrl.dashboard.server import Feed, application, serve
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server_process
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.connection import CLIENTS
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 TOKEN, PORT = "secret-of-the-test", 8402
@@ -234,6 +236,18 @@ def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:
     answer = client.post("/set", json={"name": "knee.compensation", "value": 0.5}, headers=ALLOWED)
     assert (answer.status_code, "daemon" in answer.json()["error"]) == (503, True)
     assert "error" in Feed(daemon.path).status()
+
+
+def test_a_rejected_status_request_is_an_error_of_the_page(daemon: Played) -> None:
+    """The daemon closes the connection that has been silent longest, with a rejection. The page connects again."""
+    feed = Feed(daemon.path)
+    assert feed.status()["schema"] == 1
+    with contextlib.ExitStack() as others:
+        for _ in range(CLIENTS):
+            others.enter_context(Client(daemon.path)).measure()
+        assert "others are open" in feed.status()["error"]
+        assert until(lambda: feed.status().get("schema") == 1)
+    feed.close()
 
 
 def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.bus.fake import FakeBus
-from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.bus.wire.link import CanState, Interface
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.can_interface import Check, Result
@@ -54,11 +54,16 @@ def test_each_line_of_an_interface_can_say_no(
     assert (line.result, found in line.found, fix in line.fix) == (result, True, True)
 
 
-@pytest.mark.parametrize("can_id", [0x080, 0x201, 0x27F])
+def judged(bus: FakeBus) -> Check:
+    axis = AxisNodes(name="knee", drive=DriveSettings(node_id=1, slot=2))
+    return can_interface.judged(bus, can_interface.listen(bus), BusSettings(), [axis], "")
+
+
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x27F, 0x301, 0x605, 0x77F])
 def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
     bus = FakeBus()
     bus.waiting.extend([(0x181, bytes(8)), (can_id, b"")])
-    check = can_interface.judged(bus, can_interface.listen(bus), "")
+    check = judged(bus)
     assert check.result is Result.FAIL
     assert f"another master sends 0x{can_id:03X}" in check.found
     assert "tsa stop" in check.fix
@@ -67,7 +72,7 @@ def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
 def test_a_bus_with_answers_alone_passes() -> None:
     bus = FakeBus()
     bus.waiting.extend([(0x181, bytes(8)), (0x701, b"\x05")])
-    assert can_interface.judged(bus, can_interface.listen(bus), "").result is Result.PASS
+    assert judged(bus).result is Result.PASS
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,10 +16,13 @@ from click.testing import CliRunner
 from tests.conftest import ROOT
 from tests.drives.rig import STILL, Foreign, refused, served
 from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.drive.backup import dump, entries_of, load_backup
+from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.probe import Probe, probe, profile_text
-from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.drive.profile import DriveProfile, drive_scale, load_profile
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.cli import cli
+from tsa_ctrl.plant.dictionary import Access
 
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
 FINISH = {  # lines that a user completes in the profile: before, after
@@ -42,6 +46,12 @@ def looked_at(foreign: Foreign, slot: int = 1) -> Probe:
         found = probe(session, "wire", 1, slot)
         assert session.touched == set()
     return found
+
+
+def refuse(foreign: Foreign, index: int) -> None:
+    """Let the drive refuse to send an object that it has."""
+    entries = foreign.node.dictionary.entries
+    entries.update({key: replace(entry, access=Access.WO) for key, entry in entries.items() if key[0] == index})
 
 
 def written(folder: Path, foreign: Foreign, kind: str = "generic") -> DriveProfile:
@@ -122,6 +132,31 @@ def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str],
     foreign.wait(0.05)
     text = profile_text(looked_at(foreign), "here")
     assert any(found.startswith(line) for found in text.splitlines()), text
+
+
+@pytest.mark.parametrize("index", [0x6071, 0x1400, 0x1600, 0x1016, 0x6041])
+def test_an_object_that_cannot_be_read_is_listed_and_all_others_are_read(tmp_path: Path, index: int) -> None:
+    foreign = Foreign(tmp_path)
+    refuse(foreign, index)
+    text = profile_text(looked_at(foreign), "here")
+    assert f"# FINISH: 0x{index:04X}:" in text
+    assert "# FINISH: 0x6077" not in text
+    assert "tpdo_count = 4" in text.splitlines()
+
+
+@pytest.mark.parametrize("index", [0x6072, 0x1600, 0x1016, 0x1018])
+def test_a_dump_lists_what_cannot_be_read(tmp_path: Path, index: int) -> None:
+    foreign = Foreign(tmp_path)
+    refuse(foreign, index)
+    scale = drive_scale(foreign.axis.drive, foreign.profile, "knee")
+    plan = drive_plan(foreign.axis, foreign.profile, scale, foreign.settings, 0.002)
+    with Session(foreign.wire.host, foreign.settings) as session:
+        backup = dump(session, 1, entries_of(plan))
+    assert {name[:6] for name in backup.unreadable} == {f"0x{index:04X}"}
+    assert 0x6080 in {item.index for item in backup.object}
+    file = tmp_path / "drive.toml"
+    file.write_text(backup.text(), encoding="utf-8")
+    assert load_backup(file) == backup
 
 
 def test_a_drive_whose_only_watchdog_is_life_guarding_is_guarded(tmp_path: Path) -> None:

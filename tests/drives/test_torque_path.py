@@ -89,3 +89,17 @@ def test_an_rpdo_of_another_tool_beyond_the_fourth_is_switched_off(tmp_path: Pat
     report = foreign.start()
     assert node.values[0x1404, 1] == 0x80000301
     assert (0x1404 in {row.entry.index for found in report.nodes for row in found.rows}) is on
+
+
+def test_an_rpdo_that_is_on_is_switched_off_whatever_the_profile_counts(tmp_path: Path) -> None:
+    """The profile counts one RPDO. The drive lacks the second one, and its third one is on."""
+    foreign = Foreign(tmp_path, "absent = [0x1401]", "objects = {'0x1402:1' = 0x401}")
+    foreign.start(DriveProfile(rpdo_count=1))
+    assert foreign.node.values[0x1402, 1] == 0x80000401
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_an_rpdo_that_stays_on_is_a_rejected_start(tmp_path: Path, count: int) -> None:
+    foreign = Foreign(tmp_path, "read_only = ['0x1401:1']", "objects = {'0x1401:1' = 0x301}")
+    with refused("0x1401:1", "it holds 0x301; switch this RPDO off and store that with the maker's tool"):
+        foreign.start(DriveProfile(rpdo_count=count))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import threading
@@ -17,6 +18,8 @@ import pytest
 from tests.daemon.serving import PATIENCE, Serving
 from tests.daemon.test_server import loop_taking
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.connection import CLIENTS
 from tsa_ctrl.ipc.mailbox import Command, Reading
 from tsa_ctrl.ipc.protocol import Event
 
@@ -163,6 +166,29 @@ def test_a_settable_parameter_passes_the_daemon_and_its_bounds(loop: Loop) -> No
             reader.socket.send(json.dumps(change))
             reader.answer("parameterValues")
         assert commands == taken
+
+
+def test_parameters_need_no_connection_that_stays_open(loop: Loop) -> None:
+    """The daemon closes the connection that has been silent longest, as it closes one that is idle."""
+    reader = Reader(loop.publisher.port)
+    for number in ("1", "2"):
+        reader.socket.send(json.dumps({"op": "getParameters", "parameterNames": ["knee.compensation"], "id": number}))
+        (parameter,) = reader.answer("parameterValues")["parameters"]
+        assert parameter["value"] == 0.95
+        with contextlib.ExitStack() as others:
+            for _ in range(CLIENTS):
+                others.enter_context(Client(loop.serving.path)).measure()
+
+
+@pytest.mark.parametrize("loop", [True], indirect=True)
+@pytest.mark.parametrize("value", ["on", True])
+def test_a_value_that_is_no_number_is_rejected_with_this_reason(loop: Loop, value: object) -> None:
+    reader = Reader(loop.publisher.port)
+    reader.subscribe("/events")
+    change = {"op": "setParameters", "parameters": [{"name": "knee.compensation", "value": value}], "id": "2"}
+    reader.socket.send(json.dumps(change))
+    assert b"knee.compensation: the value is not a number" in reader.message()[2]
+    assert loop.serving.mailbox.take() is None
 
 
 def test_a_port_that_is_taken_is_one_line(loop: Loop) -> None:

@@ -137,6 +137,20 @@ def test_what_is_no_report_is_one_line(tmp_path: Path, content: bytes, words: st
         assert isinstance(tsa(*line).exception, UsageError)
 
 
+@pytest.mark.slow
+def test_a_damaged_or_encrypted_report_is_one_line(tmp_path: Path) -> None:
+    """Each byte of a small report is changed in turn; the flags of its entry then also mean encryption."""
+    path = tmp_path / "x.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as report:
+        report.writestr("log.mcap", b"records" * 3)
+    content = path.read_bytes()
+    for place in range(len(content)):
+        path.write_bytes(content[:place] + bytes((content[place] ^ 0xFF,)) + content[place + 1 :])
+        error = tsa("simulate-loop", path).exception
+        assert isinstance(error, UsageError), f"byte {place}: {error!r}"
+        assert "\n" not in str(error)
+
+
 def test_the_files_of_a_configuration_are_those_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "drives").mkdir()
     (tmp_path / "a.toml").write_text(

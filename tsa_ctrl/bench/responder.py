@@ -1,7 +1,7 @@
 """Simulated nodes for a bus without nodes: they answer each SYNC, and statusword and torque follow the commands.
 
-`python -m tsa_ctrl.bench.responder` reads the bus settings and the axes' node ids as JSON on stdin. It prints `ready`,
-and ends when its stdin closes.
+`python -m tsa_ctrl.bench.responder` reads the bus settings and the frames of the axes as JSON on stdin. It prints
+`ready`, and ends when its stdin closes.
 """
 
 from __future__ import annotations
@@ -13,14 +13,17 @@ import struct
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import msgspec
 
-from tsa_ctrl.bus.canopen import cia301, pdo
+from tsa_ctrl.bus.canopen import cia301, objects, pdo
+from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode
+from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
+from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.bus.wire.bus import Bus, Frame
+from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.process_supervisor import READY, Child
@@ -33,57 +36,79 @@ DISABLED = 0x1250  # statusword: switch on disabled
 STATUSWORDS = {Controlword.SHUTDOWN: 0x1231, Controlword.SWITCH_ON: 0x1233, Controlword.ENABLE_OPERATION: 0x1237}
 
 
-_POSITIONS = tuple(pdo.POSITION.struct.pack(count, Mode.CYCLIC_SYNC_TORQUE, 0) for count in (0, 1))
+class SentPdo(msgspec.Struct, frozen=True):
+    """One TPDO: its identifier, the names of its objects, their struct format, and its number of SYNCs."""
+
+    can_id: int
+    objects: tuple[str, ...]
+    format: str
+    every: int
 
 
-class Ids(msgspec.Struct, frozen=True):
-    """Node ids of one axis."""
+class AxisFrames(msgspec.Struct, frozen=True):
+    """The frames of one axis: the identifier of its commands, its TPDOs, and the ids of its nodes."""
 
-    drive: int
-    encoder: int | None
-    torque_sensor: int | None
+    command: int
+    answers: tuple[SentPdo, ...]
+    nodes: tuple[int, ...]
 
 
 class Task(msgspec.Struct, frozen=True):
     """Settings of the process, received on stdin."""
 
     bus: BusSettings
-    axes: tuple[Ids, ...]
+    axes: tuple[AxisFrames, ...]
 
 
-def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
-    """Return the node ids of each axis."""
-    return tuple(
-        Ids(
-            axis.drive.node_id,
-            None if axis.encoder is None else axis.encoder.node_id,
-            None if axis.torque_sensor is None else axis.torque_sensor.node_id,
+def frames_of(axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]) -> tuple[AxisFrames, ...]:
+    """Return the frames of each axis, from the tables that the loop uses."""
+    found = []
+    for axis, profile in zip(axes, profiles, strict=True):
+        layout = layout_of(axis.drive, profile)
+        sent = dict(zip(layout.tpdo_ids, (layout.motion, layout.position), strict=True))
+        if axis.encoder is not None:
+            sent[pdo.ENCODER.cob_id(axis.encoder.node_id)] = pdo.ENCODER
+        if axis.torque_sensor is not None:
+            sent[pdo.TORQUE_SENSOR.cob_id(axis.torque_sensor.node_id)] = torque_sensor_pdo(axis.torque_sensor)
+        answers = tuple(
+            SentPdo(can_id, tuple(entry.name for entry in table.objects), table.struct.format, table.every)
+            for can_id, table in sent.items()
         )
-        for axis in axes
-    )
+        found.append(AxisFrames(layout.rpdo_id, answers, tuple(node.node_id for _, node in axis.nodes())))
+    return tuple(found)
 
 
 class Responder:
     """Nodes of axes at rest. Their positions change by one count, because a constant position counts as frozen."""
 
-    def __init__(self, bus: Bus, axes: Sequence[Ids]) -> None:
+    def __init__(self, bus: Bus, axes: Sequence[AxisFrames]) -> None:
         self._bus = bus
         self._syncs = 0
         self._beat = 0.0
-        self._status = {0x200 + axis.drive: 0x180 + axis.drive for axis in axes}
-        self._answers: dict[int, bytes] = {}
-        self._positions = [0x280 + axis.drive for axis in axes]
-        self._beats: list[Frame] = []
+        self._toggle = 0  # bit that changes in each answer to node guarding
+        self._axes = {axis.command: axis for axis in axes}
+        self._nodes = sorted({node for axis in axes for node in axis.nodes})
+        self._values = {
+            axis.command: {objects.STATUSWORD.name: DISABLED, objects.MODE_DISPLAY.name: int(Mode.CYCLIC_SYNC_TORQUE)}
+            for axis in axes
+        }
+        self._every = {answer.can_id: answer.every for axis in axes for answer in axis.answers}
+        self._frames: dict[int, bytes] = {}
         for axis in axes:
-            self._answers[0x180 + axis.drive] = pdo.MOTION.struct.pack(DISABLED, 0, 0)
-            self._answers[0x280 + axis.drive] = _POSITIONS[0]
-            if axis.encoder is not None:
-                self._answers[0x180 + axis.encoder] = struct.pack("<I", 0)
-            if axis.torque_sensor is not None:
-                self._answers[0x180 + axis.torque_sensor] = struct.pack("<i", 0)
-            nodes = (axis.drive, axis.encoder, axis.torque_sensor)
-            self._beats += [(cia301.HEARTBEAT + node, b"\x05") for node in nodes if node is not None]
-        bus.accept([cia301.SYNC, *self._status])
+            for answer in axis.answers:
+                self._pack(axis, answer)
+        bus.accept([cia301.SYNC, *self._axes])
+
+    def _pack(self, axis: AxisFrames, answer: SentPdo) -> None:
+        values = self._values[axis.command]
+        self._frames[answer.can_id] = struct.pack(answer.format, *(values.get(name, 0) for name in answer.objects))
+
+    def _set(self, axis: AxisFrames, values: Mapping[str, int]) -> None:
+        """Change values of an axis in its next answers."""
+        self._values[axis.command].update(values)
+        for answer in axis.answers:
+            if not values.keys().isdisjoint(answer.objects):
+                self._pack(axis, answer)
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer frames until `stop` returns True."""
@@ -98,25 +123,29 @@ class Responder:
                 self._take(*frame)
 
     def _take(self, can_id: int, data: bytes) -> None:
-        answer = self._status.get(can_id)
-        if answer is not None and len(data) == pdo.COMMAND.length:
+        axis = self._axes.get(can_id)
+        if axis is not None and len(data) == pdo.COMMAND.length:
             controlword, torque = pdo.COMMAND.struct.unpack(data)
-            self._answers[answer] = pdo.MOTION.struct.pack(STATUSWORDS.get(controlword, DISABLED), torque, 0)
+            status = STATUSWORDS.get(controlword, DISABLED)
+            self._set(axis, {objects.STATUSWORD.name: status, objects.TORQUE_ACTUAL.name: torque})
         elif can_id == cia301.SYNC:
-            for identifier, content in self._answers.items():
-                self._bus.send(identifier, content)
+            self._syncs += 1
+            for identifier, content in self._frames.items():
+                if self._syncs % self._every[identifier] == 0:
+                    self._bus.send(identifier, content)
             now = time.monotonic()
             if now >= self._beat:
                 self._beat = now + BEAT
-                for identifier, content in self._beats:
-                    self._bus.send(identifier, content)
-            self._syncs += 1
-            for identifier in self._positions:
-                self._answers[identifier] = _POSITIONS[self._syncs % 2]
+                self._toggle ^= cia301.TOGGLE
+                state = bytes((NmtState.OPERATIONAL | self._toggle,))
+                for node in self._nodes:
+                    self._bus.send(cia301.HEARTBEAT + node, state)
+            for axis in self._axes.values():
+                self._set(axis, {objects.POSITION_ACTUAL.name: self._syncs % 2})
 
 
 @contextlib.contextmanager
-def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
+def standing_in(settings: BusSettings, axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]) -> Iterator[None]:
     """Run simulated nodes in a separate process during the block.
 
     The python-can interface "virtual" exists within one process only, so a thread is used there.
@@ -124,14 +153,15 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
     Raises:
         BusError: the process does not start.
     """
+    frames = frames_of(axes, profiles)
     if settings.interface == "virtual":
-        with _in_a_thread(settings, axes):
+        with _in_a_thread(settings, frames):
             yield
         return
     process = Child("tsa_ctrl.bench.responder")
     assert process.stdout is not None
     try:
-        process.send(msgspec.json.encode(Task(settings, ids_of(axes))))
+        process.send(msgspec.json.encode(Task(settings, frames)))
         readable, _, _ = select.select([process.stdout], [], [], START)
         if not readable or process.failure():
             raise BusError(
@@ -143,10 +173,10 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
 
 
 @contextlib.contextmanager
-def _in_a_thread(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
+def _in_a_thread(settings: BusSettings, axes: Sequence[AxisFrames]) -> Iterator[None]:
     bus = open_bus(settings)
     done = threading.Event()
-    responder = Responder(bus, ids_of(axes))
+    responder = Responder(bus, axes)
     thread = threading.Thread(target=responder.run, args=(done.is_set,), name="stand-in nodes")
     thread.start()
     try:

@@ -294,7 +294,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
     """
     settings = configuration.file.bus
     seen = listen(bus)
-    heard = judged(bus, seen, "")
+    heard = judged(bus, seen, settings, configuration.file.axes, "")
     if heard.result is Result.FAIL:
         raise BusError(f"{bus.name}: {heard.found}; {heard.fix}")
     drives = [axis.drive.node_id for axis in configuration.file.axes]
@@ -316,11 +316,11 @@ def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[
     """Provide nodes that answer SYNC during the block."""
     file = configuration.file
     if simulated:
-        with standing_in(file.bus, file.axes):
+        with standing_in(file.bus, file.axes, configuration.profiles):
             yield
         return
+    bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)  # undoes its writes if it fails
     try:
-        bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)
         yield
     finally:
         rig = Rig(bus, file.bus, file.axes, configuration.profiles)

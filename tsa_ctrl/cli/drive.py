@@ -14,7 +14,7 @@ import click
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
-    from tsa_ctrl.bus.canopen.objects import Write
+    from tsa_ctrl.bus.canopen.objects import Object, Write
     from tsa_ctrl.bus.drive.profile import DriveProfile
     from tsa_ctrl.bus.drive.session import Session
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
@@ -37,13 +37,16 @@ class Target:
     def node_id(self) -> int:
         return self.axis.drive.node_id
 
-    def plan(self) -> list[Write]:
-        """Return the values that the configuration writes to the node."""
+    def plan(self, session: Session) -> list[Write]:
+        """Return the values that the startup writes to the node; this method only reads."""
+        from tsa_ctrl.bus.drive.bring_up import whole_plan
         from tsa_ctrl.bus.drive.plan import drive_plan
         from tsa_ctrl.bus.drive.profile import drive_scale
 
-        scale = drive_scale(self.axis.drive, self.profile, f"axis '{self.axis.name}'")
-        return drive_plan(self.axis, self.profile, scale, self.bus, self.period)
+        drive = self.axis.drive
+        scale = drive_scale(drive, self.profile, f"axis '{self.axis.name}'")
+        plan = drive_plan(self.axis, self.profile, scale, self.bus, self.period)
+        return whole_plan(session, self.node_id, plan, drive.slot, self.profile, self.bus.host_node_id)
 
     @contextmanager
     def session(self) -> Iterator[Session]:
@@ -141,7 +144,9 @@ def dump_command(out: Path | None, **options: Any) -> None:
 
     target = find_target(**options)
     with target.session() as session:
-        backup = dump(session, target.node_id, entries_of(target.plan(), target.axis.drive.slot))
+        backup = dump(session, target.node_id, entries_of(target.plan(session), target.axis.drive.slot))
+    for name in backup.unreadable:
+        click.echo(f"node {target.node_id}: {name} cannot be read and is not in the backup", err=True)
     if out is None:
         click.echo(backup.text(), nl=False)
         return
@@ -191,14 +196,17 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
 
     target = find_target(**options)
     stored = None if backup_file is None else load_backup(backup_file)
+    unreadable: list[Object] = []
     with target.session() as session:
         if stored is None:
-            wanted = wanted_by(session, target.node_id, target.plan())
+            wanted = wanted_by(session, target.node_id, target.plan(session), unreadable)
         else:
             wanted = [(item.entry, item.raw) for item in stored.object]
-        differences = compare(session, target.node_id, wanted)
+        differences = compare(session, target.node_id, wanted, unreadable)
         node = Node(target.axis, target.profile, Role.DRIVE, target.axis.drive)
         _, notes = check_torque_path(session, node, {entry.key for entry, _ in wanted if stored is None})
+    compared = sum(entry not in unreadable for entry, _ in wanted)
+    notes = [*(f"{entry} cannot be read and was not compared" for entry in dict.fromkeys(unreadable)), *notes]
     if as_json:
         found = [
             {
@@ -210,14 +218,14 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
             }
             for difference in differences
         ]
-        result = {"schema": 1, "node": target.node_id, "compared": len(wanted), "differences": found, "notes": notes}
+        result = {"schema": 1, "node": target.node_id, "compared": compared, "differences": found, "notes": notes}
         click.echo(json.dumps(result, allow_nan=False))
         return
     for difference in differences:
         click.echo(str(difference))
     for note in notes:
         click.echo(note)
-    click.echo(f"node {target.node_id}: {len(wanted)} objects compared, {len(differences)} differ")
+    click.echo(f"node {target.node_id}: {compared} objects compared, {len(differences)} differ")
 
 
 def bus_options(function: Callable[..., None]) -> Callable[..., None]:

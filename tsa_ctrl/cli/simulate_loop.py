@@ -145,8 +145,11 @@ def _log_of(report: Path, folder: Path) -> Path:
             if size > MOST_LOG:
                 raise UsageError(f"{report}: its log has {size / 1e9:.1f} GB; at most {MOST_LOG / 1e9:g} GB is allowed")
             return Path(archive.extract("log.mcap", folder))
-    except (OSError, KeyError, zipfile.BadZipFile) as error:
-        raise UsageError(f"{report}: not a field report ({error}); give a file that tsa bundle wrote") from None
+    except UsageError:
+        raise
+    except Exception as error:  # zipfile and each compression have their own errors for damage and encryption
+        reason = str(error) or "it ends early"
+        raise UsageError(f"{report}: not a field report ({reason}); give a file that tsa bundle wrote") from None
 
 
 @contextlib.contextmanager

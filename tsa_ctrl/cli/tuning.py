@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import AxisMeasured, Client
 
 PATIENCE = 0.05  # s for an answer, because requests are sent between two polls of the run
@@ -60,7 +60,7 @@ class Live:
             if self._client is None:
                 self._client = Client(self._path, timeout=PATIENCE)
             return told(self._client.measure()[self._axis])
-        except (BusError, KeyError, OSError):
+        except (BusError, UsageError, KeyError, OSError):
             self.close()
             return ""
 

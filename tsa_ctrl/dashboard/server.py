@@ -57,10 +57,10 @@ class Feed:
         self._lock = threading.Lock()
 
     def status(self) -> dict[str, Any]:
-        """Return the daemon's status, or {"error": ...} if the daemon does not answer."""
+        """Return the daemon's status, or {"error": ...} if the daemon does not answer or rejects the request."""
         try:
             return self._ask(Status())
-        except BusError as error:
+        except (BusError, UsageError) as error:
             return {"error": str(error)}
 
     def measure(self) -> dict[str, Any] | None:

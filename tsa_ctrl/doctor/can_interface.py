@@ -10,6 +10,8 @@ from enum import Enum
 import numpy as np
 
 from tsa_ctrl.bus.drive import budget
+from tsa_ctrl.bus.drive.network import layout_of
+from tsa_ctrl.bus.drive.session import master_frames
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import CanState, open_bus, read
@@ -108,14 +110,14 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
 
 def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:
     """Open the bus as the daemon would, listen for other traffic, and measure the response time of each drive."""
-    wanted = "opens; no other node sends SYNC or torque"
+    wanted = "opens; no other master is active"
     try:
         bus = open_bus(settings)
     except TsaError as error:
         yield Check("bus", Result.FAIL, str(error), wanted, "fix the lines above, or [bus] interface and channel")
         return
     try:
-        yield judged(bus, listen(bus), wanted)
+        yield judged(bus, listen(bus), settings, axes, wanted)
         for axis in axes:
             yield _round_trip(bus, axis)
     finally:
@@ -133,12 +135,13 @@ def listen(bus: Bus) -> dict[int, int]:
     return seen
 
 
-def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
+def judged(bus: Bus, seen: Mapping[int, int], settings: BusSettings, axes: Sequence[AxisNodes], wanted: str) -> Check:
     """Return the check of the frames that `listen` counted; it fails for a failed bus or another master."""
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
         return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "repair wiring and power of the bus")
-    masters = [f"0x{can_id:03X}" for can_id in seen if can_id == 0x080 or 0x200 <= can_id < 0x280]
+    known = master_frames(settings.host_node_id) | {layout_of(axis.drive).rpdo_id for axis in axes}
+    masters = [f"0x{can_id:03X}" for can_id in seen if can_id in known or 0x200 <= can_id < 0x280]
     if masters:
         text = f"{found}; another master sends {', '.join(masters)}"
         return Check("bus", Result.FAIL, text, wanted, "stop the other controller (tsa stop) before starting this one")

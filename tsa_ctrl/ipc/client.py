@@ -104,6 +104,7 @@ class Client:
         self._path = path = default_path() if path is None else path
         self._timeout = timeout
         self._received = b""
+        self._unanswered = False  # True from a request to its answer, also after a time-out or an interrupt
         self._lease: Lease | None = None
         self._next_event = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -152,15 +153,26 @@ class Client:
         self._socket.close()
 
     def ask(self, request: AnyRequest) -> dict[str, Any]:
-        """Return the object of the answer; raise UsageError if the request is rejected, BusError without an answer."""
+        """Return the object of the answer; raise UsageError if the request is rejected, BusError without an answer.
+
+        After a time-out or an interrupt, the late answer is discarded before the next request is sent.
+        """
+        end = time.monotonic() + self._timeout
+        if self._unanswered:
+            self._answer(end)
+        self._unanswered = True
         with contextlib.suppress(OSError):  # a refusal may wait to be read
             self._write(msgspec.json.encode(request) + b"\n", self._timeout)
-        end = time.monotonic() + self._timeout
+        message = self._answer(end)
+        if not message.pop("ok"):
+            raise UsageError(f"daemon: {message['error']}")
+        return message
+
+    def _answer(self, end: float) -> dict[str, Any]:
+        """Return the next answer; raise BusError if none arrives until `end` (monotonic s)."""
         while True:
             for message in self._messages():
                 if not self._take(message):
-                    if not message.pop("ok"):
-                        raise UsageError(f"daemon: {message['error']}")
                     return message
             self._read(end - time.monotonic())
 
@@ -219,20 +231,15 @@ class Client:
 
         Returns the answer, or `signalled` (a process id) and `reason`. Raises the errors of `server_process.stop`.
         """
-        return server_process.stop(self._path, lambda: self.ask(protocol.Stop()))
+        return stop_daemon(self._path, self._timeout)  # another connection: this one may wait for an answer
 
     def stream(self, lines: bytes, patience: float) -> None:
         """Send lines that have no answer, and process received events; `Lease` uses it.
 
         A server that is hundreds of values behind has `patience` s to read, then LeaseLostError is raised.
         """
-        try:
+        with contextlib.suppress(OSError):  # the next read reports the end, after earlier messages
             self._write(lines, patience)
-        except BusError:
-            self.close()  # a partly sent line cannot be withdrawn
-            raise self._ended("the socket's server does not read any longer; is it hanging?") from None
-        except OSError:
-            pass  # the next read reports the end, after earlier messages
         self._read(0.0)
         for message in self._messages():
             self._take(message)
@@ -256,7 +263,8 @@ class Client:
                 data = data[self._socket.send(data) :]
             except BlockingIOError:
                 if not select.select([], [self._socket], [], patience)[1]:
-                    raise BusError(f"{self._path}: the daemon does not read; is it hanging?") from None
+                    self.close()  # a partly sent line cannot be withdrawn
+                    raise self._ended("the socket's server does not read any longer; is it hanging?") from None
 
     def _read(self, patience: float) -> None:
         """Read the data that arrives within `patience` s (0: without waiting). Raises BusError, LeaseLostError."""
@@ -283,6 +291,7 @@ class Client:
     def _take(self, message: dict[str, Any]) -> bool:
         """Return True if the message is an event for the lease's holder rather than an answer."""
         if "event" not in message:
+            self._unanswered = False
             return False
         if self._lease is not None:
             self._lease.take(message)

@@ -24,7 +24,7 @@ from foxglove.websocket import Capability, Parameter, ServerListener
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import AxisMeasured, Client, Measured
-from tsa_ctrl.ipc.protocol import Event
+from tsa_ctrl.ipc.protocol import AnyRequest, Event
 from tsa_ctrl.outputs import beside
 from tsa_ctrl.signals import BANDED, CHARTS, SIGNALS, Kind, Place, Signal, signals_of
 
@@ -59,12 +59,14 @@ def schema_of(title: str, place: Place) -> dict[str, Any]:
 
 
 class Parameters(ServerListener):
-    """Answer requests for live parameters over a separate connection to the daemon, which checks the client's role."""
+    """Answer requests for live parameters. The daemon checks the role of each request.
+
+    Each request has its own connection, because the daemon closes one that is idle for half a minute.
+    """
 
     def __init__(self, path: str, settable: bool) -> None:
-        self._client = Client(path)
+        self._path = path
         self._settable = settable
-        self._lock = threading.Lock()  # callbacks run in the threads of the WebSocket
         self.subscribed = threading.Event()  # a client has subscribed to the events
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
@@ -74,8 +76,11 @@ class Parameters(ServerListener):
 
     def on_get_parameters(self, client: Any, param_names: list[str], request_id: str | None = None) -> list[Parameter]:
         """Return the parameters with these names, or all parameters if the list is empty."""
-        with self._lock:
-            status = self._client.ask(protocol.Status())
+        try:
+            status = self._ask(protocol.Status())
+        except TsaError as error:
+            self.rejected(f"parameters: {error}")
+            return []
         return [
             Parameter(name, value=each["value"])
             for axis in status["axes"]
@@ -89,20 +94,22 @@ class Parameters(ServerListener):
         """Set parameters as `tsa set` does, and return their values afterwards."""
         for parameter in parameters:
             value = parameter.get_value()
-            if self._settable and isinstance(value, int | float) and not isinstance(value, bool):
+            if not self._settable:
+                self.rejected(f"{parameter.name}: parameters can only be read; start tsa live with --settable")
+            elif isinstance(value, bool) or not isinstance(value, int | float):
+                self.rejected(f"{parameter.name}: the value is not a number; give a number")
+            else:
                 try:
-                    with self._lock:
-                        self._client.ask(protocol.Set(parameter.name, float(value)))
+                    self._ask(protocol.Set(parameter.name, float(value)))
                 except TsaError as error:
                     self.rejected(f"{parameter.name}: {error}")
-            else:
-                self.rejected(f"{parameter.name}: parameters can only be read; start tsa live with --settable")
         return self.on_get_parameters(client, [parameter.name for parameter in parameters])
 
     rejected: Callable[[str], None] = print
 
-    def close(self) -> None:
-        self._client.close()
+    def _ask(self, request: AnyRequest) -> dict[str, Any]:
+        with Client(self._path) as client:
+            return client.ask(request)
 
 
 class Publisher:
@@ -212,9 +219,8 @@ class Publisher:
         self._events.log(Log(timestamp=stamp, level=level, message=text, name="tsa"), log_time=wall)
 
     def close(self) -> None:
-        """Close the server and both connections."""
+        """Close the server and the connection."""
         self._server.stop()
-        self._listener.close()
         self._client.close()
 
 

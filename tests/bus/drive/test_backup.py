@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tests.bus.local_nodes import Bench, bench
+from tests.bus.local_nodes import U8, U32, Bench, Dictionary, bench
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.drive.backup import Backup, StoredObject, load_backup, restore_plan
 from tsa_ctrl.bus.drive.bring_up import bring_up
@@ -83,6 +83,37 @@ def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) ->
     assert "0x6072:0 max torque: drive 0xbb8, required 0x3e8" in text
     configure(nodes)
     assert "0 differ" in run(nodes, "diff")
+
+
+def test_diff_lists_nothing_that_the_startup_accepts_or_a_shutdown_leaves(nodes: Bench) -> None:
+    """The reaction 2 may stay, because the motor then has no torque. A shutdown sets the heartbeat consumer to 0."""
+    configure(nodes)
+    held = nodes.nodes[1].data_store
+    held[0x605A][0] = b"\x02\x00"
+    held[0x1016][1] = bytes(4)
+    assert "0 differ" in run(nodes, "diff")
+    held[0x605A][0] = b"\x05\x00"
+    assert "0x605A:0 quick stop reaction: drive 0x5, wanted 0x0\n" in run(nodes, "diff")
+
+
+def test_diff_looks_at_the_consumer_entry_and_the_rpdos_that_the_startup_uses() -> None:
+    """The first entry of 0x1016 belongs to another node, and the fifth RPDO is on."""
+    consumers: Dictionary = {(0x1016, 0): (U8, 2), (0x1016, 1): (U32, 0x0503E8), (0x1016, 2): (U32, 0x7F0400)}
+    rpdo: Dictionary = {(0x1404, 1): (U32, 0x301), (0x1404, 2): (U8, 255), (0x1604, 0): (U8, 0)}
+    with bench(drive=consumers | rpdo) as nodes:
+        text = run(nodes, "diff")
+        assert "0x1016:2 heartbeat consumer: drive 0x7f0400, wanted 0x7f0064" in text
+        assert "0x1016:1" not in text
+        assert "0x1404:1 RPDO5 COB-ID: drive 0x301, wanted 0x80000301" in text
+        configure(nodes)
+        assert "0 differ" in run(nodes, "diff")
+
+
+def test_diff_names_what_cannot_be_read_and_compares_the_rest(nodes: Bench) -> None:
+    nodes.nodes[1].object_dictionary[0x6072].access_type = "wo"
+    text = run(nodes, "diff")
+    assert "0x6072:0 max torque cannot be read and was not compared" in text
+    assert "0x60B2:0 torque offset: drive 0x78, wanted 0x0" in text
 
 
 @pytest.mark.parametrize(

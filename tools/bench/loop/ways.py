@@ -245,7 +245,7 @@ def block(samples: Samples, cycles: int, period: int, way: Way) -> None:
 
 def nodes(configuration: Configuration) -> contextlib.AbstractContextManager[None]:
     """Run the nodes of a configuration as a process that answers each SYNC, as in `tsa bench`."""
-    return standing_in(configuration.file.bus, configuration.file.axes)
+    return standing_in(configuration.file.bus, configuration.file.axes, configuration.profiles)
 
 
 def measure(table: Mapping[str, Factory], rate: float, rounds: int, cycles: int) -> dict[str, dict[str, float]]:

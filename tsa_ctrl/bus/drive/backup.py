@@ -23,7 +23,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.drive.bring_up import write_all
 from tsa_ctrl.bus.drive.checks import Row
 from tsa_ctrl.bus.drive.profile import PER_MILLE, Index, NumberType, Subindex
-from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.session import RELEASED, Session
 from tsa_ctrl.bus.settings import NodeId, Word
 from tsa_ctrl.errors import BusError, UsageError
 
@@ -54,7 +54,7 @@ class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The identity and the objects of one drive."""
+    """The identity and the objects of one drive. `unreadable` lists the objects that the drive has and did not send."""
 
     format: Literal[1] = 1
     node_id: NodeId
@@ -62,6 +62,7 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     product_code: Word
     revision: Word = 0
     serial_number: Word = 0
+    unreadable: list[str] = []
     object: Annotated[list[StoredObject], Meta(min_length=1)]
 
     def text(self) -> str:
@@ -73,6 +74,8 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
         document["node_id"] = self.node_id
         for name in ("vendor_id", "product_code", "revision", "serial_number"):
             document[name] = _hexadecimal(getattr(self, name), 8)
+        if self.unreadable:
+            document["unreadable"] = self.unreadable
         objects = tomlkit.aot()
         for stored in self.object:
             table = tomlkit.table()
@@ -141,14 +144,15 @@ def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
 
 
 def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
-    """Return a backup of these objects and of the identity, without the objects that the drive lacks."""
+    """Return a backup of these objects and of the identity, without the objects that the drive lacks or refuses."""
     stored = []
+    unreadable: list[Object] = []
     mapped: dict[int, int] = {}  # mapping parameter -> number of valid entries; further entries are ignored
     for entry in entries:
         index, subindex = entry.key
         if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
             continue
-        value = session.read_if_there(node_id, entry)
+        value = session.read_if_readable(node_id, entry, unreadable)
         if _communication_of(index) not in (None, index) and subindex == 0:
             mapped[index] = value or 0
         if value is not None:
@@ -156,7 +160,7 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
             number = entry.type.number_of(value)
             stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=number, name=entry.name))
     vendor, product, revision, serial = (
-        session.read_if_there(node_id, entry) or 0
+        session.read_if_readable(node_id, entry, unreadable) or 0
         for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
     )
     return Backup(
@@ -165,6 +169,7 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
         product_code=product,
         revision=revision,
         serial_number=serial,
+        unreadable=[str(entry) for entry in unreadable],
         object=stored,
     )
 
@@ -221,28 +226,38 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
     return plan
 
 
-def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tuple[Object, int]]:
-    """Return the value of each object after a plan, without the optional objects that the drive lacks."""
+def wanted_by(
+    session: Session, node_id: int, plan: Iterable[Write], unreadable: list[Object]
+) -> list[tuple[Object, int]]:
+    """Return the value of each object after a plan, without the optional objects that the drive lacks.
+
+    A value that the startup accepts instead, or that a shutdown leaves, counts as the planned one. `unreadable`
+    receives the objects that the drive refuses to send.
+    """
     wanted: dict[tuple[int, int], tuple[Object, int]] = {}
     for write in plan:
         entry, value = write.entry, write.value
         if write.rated is not None:
             value = value * session.read(node_id, write.rated) // PER_MILLE
         if write.optional or write.kept:
-            before = session.read_if_there(node_id, entry)
+            before = session.read_if_readable(node_id, entry, unreadable)
             if before is None and write.optional:
                 continue
-            value |= (before or 0) & write.kept
+            before = before or 0
+            accepted = before in write.fine or (before == 0 and entry.index in RELEASED)
+            value = before if accepted else value | before & write.kept
         wanted[entry.key] = entry, value
     return [pair for key, pair in wanted.items() if key not in _COMMANDS]
 
 
-def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]) -> list[Difference]:
-    """Return the objects whose value at the drive differs from the required value."""
+def compare(
+    session: Session, node_id: int, wanted: Iterable[tuple[Object, int]], unreadable: list[Object]
+) -> list[Difference]:
+    """Return the objects whose value at the drive differs from the required value; `unreadable` as in `wanted_by`."""
     differences = []
     for entry, value in wanted:
-        found = session.read_if_there(node_id, entry)
-        if found != value:
+        found = session.read_if_readable(node_id, entry, unreadable)
+        if found != value and entry not in unreadable:
             differences.append(Difference(entry, value, found))
     return differences
 

@@ -19,6 +19,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.checks import (
+    COUNTED_RPDOS,
     Node,
     NodeReport,
     Report,
@@ -144,18 +145,29 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
     """Return the plan with a suitable entry of 0x1016: one that already holds our node id, otherwise an unused one."""
     if not any(write.entry.key == objects.HEARTBEAT_CONSUMER.key for write in plan):
         return list(plan)
-    count = session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 1
+    count = session.read_if_readable(node_id, objects.HEARTBEAT_CONSUMERS) or 1
     entries = [replace(objects.HEARTBEAT_CONSUMER, subindex=number) for number in range(1, count + 1)]
-    held = {entry: session.read_if_there(node_id, entry) for entry in entries}
-    ours = [entry for entry, value in held.items() if value is not None and value >> 16 & 0x7F == host]
-    free = [entry for entry, value in held.items() if not value or not value & 0xFFFF]
+    found = {entry: session.read_if_readable(node_id, entry) for entry in entries}
+    held = {entry: value for entry, value in found.items() if value is not None}
+    ours = [entry for entry, value in held.items() if value >> 16 & 0x7F == host]
+    free = [entry for entry, value in held.items() if not value & 0xFFFF]
     chosen = [*ours, *free, objects.HEARTBEAT_CONSUMER][0]
     return [
         replace(write, entry=chosen) if write.entry.key == objects.HEARTBEAT_CONSUMER.key else write for write in plan
     ]
 
 
-def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> list[Write]:
+def whole_plan(
+    session: Session, node_id: int, plan: Sequence[Write], slot: int, profile: DriveProfile, host: int
+) -> list[Write]:
+    """Return the plan of a drive with the writes that depend on the objects that it has; this function only reads."""
+    return [
+        *further_rpdos(session, node_id, slot, profile.rpdo_count + 1),
+        *with_consumer(session, node_id, plan, host),
+    ]
+
+
+def further_rpdos(session: Session, node_id: int, slot: int, first: int) -> list[Write]:
     """Return writes that disable each RPDO of a drive that the plan does not cover.
 
     Another tool may have mapped a target torque or a torque offset into one of them.
@@ -170,9 +182,9 @@ def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> 
     for number in range(first, PDO_OFFSET + 1):
         entry = Pdo(number, True, ()).of(slot).communication(1, Type.U32, "COB-ID")
         found = session.upload_if_there(node_id, entry)
-        if found is None:
-            break
-        if not entry.decode(found) & COB_ID_INVALID:
+        if found is None and number > COUNTED_RPDOS:
+            break  # the drive has no further ones
+        if found is not None and not entry.decode(found) & COB_ID_INVALID:
             writes.append(Write(entry, entry.decode(found) | COB_ID_INVALID))
     return writes
 
@@ -454,10 +466,8 @@ def _configure(
         check_drive(session, node, report, resets_later)
         check_signs(session, node)
         find_inputs(session, node, report)
-        plan = [
-            *further_rpdos(session, node.node_id, node.axis.drive.slot),
-            *with_consumer(session, node.node_id, plan, settings.host_node_id),
-        ]
+        slot, host = node.axis.drive.slot, settings.host_node_id
+        plan = whole_plan(session, node.node_id, plan, slot, node.profile, host)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)
     report.rows = write_all(session, node.node_id, node.name, plan, node.cure, report.notes)

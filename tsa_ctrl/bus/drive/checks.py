@@ -21,7 +21,7 @@ _NO_OBJECT = frozenset({0x06020000, 0x06090011})
 _READ_ONLY = frozenset({0x06010000, 0x06010002})
 _STATE = frozenset({0x08000022, 0x08000021, 0x08000020, 0x06060000})
 _NOT_MAPPABLE = frozenset({0x06040041, 0x06040042})
-_COUNTED_RPDOS = 4  # limit of rpdo_count in a profile
+COUNTED_RPDOS = 4  # limit of rpdo_count in a profile
 
 _REACTIONS = {
     objects.QUICK_STOP_OPTION.key: "quick_stop",
@@ -102,11 +102,12 @@ def _advice(entry: Object, node: DriveSettings, profile: DriveProfile, code: int
 def _of_a_pdo(entry: Object, code: int | None) -> str:
     received = entry.index in range(0x1400, 0x1800)
     number = entry.index % 0x40 + 1
-    if received and number > _COUNTED_RPDOS:
-        return "disable this RPDO and store that with the maker's tool: only this controller may command torque"
-    if number > (1 if received else 2):
-        name = "rpdo_count" if received else "tpdo_count"
-        return f"write {name} = {number - 1} in {{profile}}: this PDO is unused and only had to be disabled"
+    if received and number > 1:
+        advice = "disable this RPDO and store that with the maker's tool: only this controller may command torque"
+        fewer = f"; if the drive lacks this RPDO, write rpdo_count = {number - 1} in {{profile}}"
+        return advice + (fewer if number <= COUNTED_RPDOS else "")
+    if number > 2:
+        return f"write tpdo_count = {number - 1} in {{profile}}: this PDO is unused and only had to be disabled"
     if entry.subindex == 5 and received:
         name = objects.RPDO_EVENT_TIMER.name
         return f'correct rpdo_timeout in [axis.drive], or write absent = ["{name}"] in {{profile}}'

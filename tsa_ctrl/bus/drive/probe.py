@@ -48,12 +48,14 @@ class Probe:
     Attributes:
         values: raw values of the objects that the drive has.
         lengths: length in bytes of each answer that differs from the size of the object's type.
+        unreadable: objects that the drive has and refuses to send.
     """
 
     node_id: int
     slot: int
     values: dict[Object, int] = field(default_factory=dict)
     lengths: dict[Object, int] = field(default_factory=dict)
+    unreadable: list[Object] = field(default_factory=list)
     texts: dict[str, str] = field(default_factory=dict)
     slots: list[int] = field(default_factory=list)  # axes of the device
     rpdos: int = 0
@@ -101,7 +103,7 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
         _read(session, found, entry)
     for text in (_NAME, _HARDWARE, _SOFTWARE):
         found.texts[text.name] = session.read_text(node_id, text)
-    missing = [entry for entry in _NEEDED if not found.has(entry)]
+    missing = [entry for entry in _NEEDED if not found.has(entry) and entry.of(slot) not in found.unreadable]
     if missing:
         lacks = ", ".join(str(entry) for entry in missing)
         raise BusError(
@@ -109,10 +111,10 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
             "torque mode; correct --node (or --slot, for a device with several axes)"
         )
     found.slots = [n for n in range(1, _SLOTS + 1) if session.ask(node_id, objects.STATUSWORD.of(n)) is not None]
-    found.rpdos = _count(session, node_id, slot, received=True)
-    found.tpdos = _count(session, node_id, slot, received=False)
+    found.rpdos = _count(session, found, received=True)
+    found.tpdos = _count(session, found, received=False)
     for pdo in (Pdo(1, True, ()), Pdo(1, False, ()), Pdo(2, False, ())):
-        found.mapped[pdo.name] = _mapping(session, node_id, pdo.of(slot))
+        found.mapped[pdo.name] = _mapping(session, found, pdo.of(slot))
     found.emcys = [str(emergency) for emergency in session.emcys(node_id)]
     return found
 
@@ -122,7 +124,7 @@ def _read(session: Session, found: Probe, entry: Object) -> None:
     if entry is objects.RPDO_EVENT_TIMER:
         here = replace(here, index=here.index + PDO_OFFSET * (found.slot - 1))
     begin = session.clock()
-    data = session.upload_if_there(found.node_id, here)
+    data = session.upload_if_there(found.node_id, here, found.unreadable)
     found.slowest = max(found.slowest, session.clock() - begin)
     if data is None:
         return
@@ -131,18 +133,20 @@ def _read(session: Session, found: Probe, entry: Object) -> None:
         found.lengths[entry] = len(data)
 
 
-def _count(session: Session, node_id: int, slot: int, received: bool) -> int:
+def _count(session: Session, found: Probe, received: bool) -> int:
     """Return the number of consecutive PDOs that can be configured, from the first one."""
     for number in range(1, _PDOS + 1):
-        entry = Pdo(number, received, ()).of(slot).communication(1, Type.U32, "COB-ID")
-        if session.read_if_there(node_id, entry) is None:
+        entry = Pdo(number, received, ()).of(found.slot).communication(1, Type.U32, "COB-ID")
+        if session.upload_if_there(found.node_id, entry, found.unreadable) is None:
             return number - 1
     return _PDOS
 
 
-def _mapping(session: Session, node_id: int, pdo: Pdo) -> list[int]:
-    count = session.read_if_there(node_id, pdo.mapping(0)) or 0
-    entries = [session.read_if_there(node_id, pdo.mapping(number)) for number in range(1, min(count, 8) + 1)]
+def _mapping(session: Session, found: Probe, pdo: Pdo) -> list[int]:
+    node_id, unreadable = found.node_id, found.unreadable
+    count = session.read_if_readable(node_id, pdo.mapping(0), unreadable) or 0
+    numbers = range(1, min(count, 8) + 1)
+    entries = [session.read_if_readable(node_id, pdo.mapping(number), unreadable) for number in numbers]
     return [entry for entry in entries if entry is not None]
 
 
@@ -215,7 +219,9 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
 
 
 def _state(found: Probe) -> Iterator[str]:
-    yield f"# The drive was in state {found.state}, statusword 0x{found.values[objects.STATUSWORD]:04X}."
+    statusword = found.get(objects.STATUSWORD)
+    if statusword is not None:
+        yield f"# The drive was in state {found.state}, statusword 0x{statusword:04X}."
     code = found.get(objects.ERROR_CODE)
     if code:
         yield f"# Its error code was 0x{code:04X} ({cia301.text(code)})."
@@ -225,6 +231,8 @@ def _state(found: Probe) -> Iterator[str]:
         yield f"# The device has axes in slots {', '.join(map(str, found.slots))}; this is slot {found.slot}."
     for entry, length in found.lengths.items():
         yield f"# {_ASK}0x{entry.index:04X}:{entry.subindex} has {length} bytes instead of the usual {entry.type.size}"
+    for entry in found.unreadable:
+        yield f"# {_ASK}{entry} cannot be read and counts as absent; correct the lines below if it is needed"
 
 
 def _absent(found: Probe) -> Iterator[str]:

@@ -107,13 +107,11 @@ class Session:
     def __enter__(self) -> Session:
         self._bus.accept(None)
         self._bus.flush()
-        host = cia301.HEARTBEAT + self._settings.host_node_id
-        for can_id in (cia301.NMT, cia301.SYNC, host):
+        for can_id in master_frames(self._settings.host_node_id):
             self._network.subscribe(can_id, self._on_master)
         for node_id in range(1, 128):
             if node_id != self._settings.host_node_id:
                 self._network.subscribe(cia301.HEARTBEAT + node_id, self._on_heartbeat)
-            self._network.subscribe(cia301.SDO_REQUEST + node_id, self._on_master)
             self._network.subscribe(cia301.EMCY + node_id, self._on_emergency)
         return self
 
@@ -223,12 +221,22 @@ class Session:
         """Return an object read by SDO; raise SdoRefusedError or BusError if that fails."""
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
-    def upload_if_there(self, node_id: int, entry: Object) -> bytes | None:
-        """Return the bytes of an object, or None if the node rejects the request."""
+    def upload_if_there(self, node_id: int, entry: Object, unreadable: list[Object] | None = None) -> bytes | None:
+        """Return the bytes of an object, or None if the node rejects the request.
+
+        `unreadable` receives the object if the reason is another one than its absence.
+        """
         try:
             return self._transfer(node_id, entry, lambda client: client.upload(*entry.key))
-        except SdoRefusedError:
+        except SdoRefusedError as error:
+            if unreadable is not None and error.code not in ABSENT:
+                unreadable.append(entry)
             return None
+
+    def read_if_readable(self, node_id: int, entry: Object, unreadable: list[Object] | None = None) -> int | None:
+        """Return an object, or None if the node rejects the request; `unreadable` as in `upload_if_there`."""
+        data = self.upload_if_there(node_id, entry, unreadable)
+        return None if data is None else entry.decode(data)
 
     def read_text(self, node_id: int, entry: Object) -> str:
         """Return a text object, or an empty text if the node rejects the request."""
@@ -333,6 +341,12 @@ class Session:
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
 
 
+def master_frames(host: int) -> frozenset[int]:
+    """Return the identifiers that only a master with the node id `host` sends, apart from RPDOs."""
+    requests = (cia301.SDO_REQUEST + node_id for node_id in range(1, 128))
+    return frozenset((cia301.NMT, cia301.SYNC, cia301.HEARTBEAT + host, *requests))
+
+
 def another_master(name: str, heard: Collection[int]) -> str:
     """Return the message for frames that only a master sends."""
     frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
@@ -346,6 +360,9 @@ def another_master(name: str, heard: Collection[int]) -> str:
         f"{name}: another master is active (heard {frames}); nothing was sent: "
         "stop the other program, or use another bus"
     )
+
+
+RELEASED = frozenset({objects.HEARTBEAT_CONSUMER.index, objects.LIFE_TIME_FACTOR.index})  # 0 after a shutdown
 
 
 def release_heartbeat(session: Session, node_id: int, host: int) -> None:
