@@ -74,7 +74,7 @@ def row_of(name: str, key: str, result: Diagnosis) -> Row:
 
 
 def known_rows(folder: Path) -> dict[str, Row]:
-    """Return the results of an earlier run by key; a line that an interruption cut short is ignored."""
+    """Return the last result of each log by its name; a line that an interruption cut short is ignored."""
     path = folder / LEDGER
     if not path.exists():
         return {}
@@ -84,7 +84,7 @@ def known_rows(folder: Path) -> dict[str, Row]:
             row = msgspec.json.decode(line, type=Row)
         except msgspec.DecodeError:
             continue
-        rows[row.key] = row
+        rows[row.log] = row
     return rows
 
 
