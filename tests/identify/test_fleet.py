@@ -187,6 +187,13 @@ class TestResumption:
         assert swept(folder, model, tmp_path)[1] == 1
         assert swept(folder, model, tmp_path)[1] == 0
 
+    def test_a_line_that_was_cut_within_a_character_is_asked_again(self, model: Path, tmp_path: Path) -> None:
+        (tmp_path / "a_\N{GREEK SMALL LETTER TAU}.csv").write_text("t\n")
+        swept(tmp_path, model, tmp_path / "out")
+        path = tmp_path / "out" / LEDGER
+        path.write_bytes(path.read_bytes().partition(b"\xcf")[0] + b"\xcf")
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 1
+
     def test_a_report_that_is_gone_is_made_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
         swept(folder, model, tmp_path)
         (tmp_path / "drive_1.csv" / "diagnosis.json").unlink()

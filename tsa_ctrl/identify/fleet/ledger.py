@@ -79,10 +79,10 @@ def known_rows(folder: Path) -> dict[str, Row]:
     if not path.exists():
         return {}
     rows = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_bytes().splitlines():
         try:
             row = msgspec.json.decode(line, type=Row)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError):
             continue
         rows[row.log] = row
     return rows
