@@ -48,7 +48,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import unsupported_reason
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings, PlausibilitySettings
-from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, wearer_limits, with_torque
 from tsa_ctrl.sensors import process as serial
 from tsa_ctrl.sensors.process import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -203,8 +203,6 @@ def load_configuration(path: str | Path) -> Configuration:
     listed = data.get("axis", [])
     tables = [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
     _check_filled(path, data, tables)
-    for table in tables:
-        resolve_torque(table)
     file = msgspec.structs.replace(settings.convert(data, ControllerFile, path), other_buses=others)
     if not file.axes:
         raise UsageError(f"{path}: no [[axis]]; give at least one")
@@ -281,7 +279,7 @@ def with_limits(
         geared = model.joint_pulley_radius / model.motor_pulley_radius
         try:
             speed = reversal_speed(model, axis.law.turn, 1.0 / file.controller.rate)
-            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared, speed)
+            limits = wearer_limits(with_torque(axis.limits, axis.drive), table["limits"], file.safety, geared, speed)
             drive = drive_clamps(axis.drive, table["drive"], limits)
         except ValueError as error:
             raise UsageError(f"{path}: axis '{axis.name}': {error}") from None

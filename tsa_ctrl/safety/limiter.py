@@ -16,7 +16,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-Torque = Annotated[float, Meta(gt=0.0, le=1000.0)]  # N*m
+MOST_TORQUE = 1000.0  # N*m, largest limit of a file
+Torque = Annotated[float, Meta(gt=0.0, le=MOST_TORQUE)]  # N*m
 Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 

@@ -15,16 +15,15 @@ load have 64 and 40 mN*m, and the imposed gait trips.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.bus.live.read_back import StopBit
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
-from tsa_ctrl.safety.limiter import LimiterSettings
+from tsa_ctrl.safety.limiter import MOST_TORQUE, LimiterSettings
 
 UseClass = Literal["bench", "worn"]
 MARGIN = 1.25  # 1, between two speeds of the chain
@@ -140,6 +139,38 @@ def wearer_limits(
     return complete
 
 
+def with_torque(limits: LimiterSettings, drive: DriveSettings) -> LimiterSettings:
+    """Return the limits with `torque` in place of `torque_share`.
+
+    Args:
+        limits: limits from the file.
+        drive: drive settings from the file.
+
+    Raises:
+        ValueError: The share gives a torque above the drive's own clamp or above the largest limit.
+    """
+    if limits.torque_share is None:
+        return limits
+    torque = limits.torque_share * drive.rated_torque * drive.gear_ratio
+    _check_clamp(f"limits.torque_share {limits.torque_share:g}, which is {torque:g} N*m,", torque, drive)
+    if torque > MOST_TORQUE:
+        raise ValueError(
+            f"limits.torque_share {limits.torque_share:g} is {torque:g} N*m; allowed are up to {MOST_TORQUE:g} N*m: "
+            "lower it, or correct drive.rated_torque and drive.gear_ratio"
+        )
+    return msgspec.structs.replace(limits, torque=torque, torque_share=None)
+
+
+def _check_clamp(limit: str, torque: float, drive: DriveSettings) -> None:
+    """Raise ValueError if the torque (N*m) of a limit is above the drive's own clamp."""
+    most = drive.rated_torque * drive.gear_ratio if drive.max_torque is None else drive.max_torque
+    if torque > most:
+        raise ValueError(
+            f"{limit} is above the drive's own clamp of {most:g} N*m "
+            "(drive.max_torque, default rated torque times gear ratio); lower it, or raise max_torque"
+        )
+
+
 def drive_clamps(drive: DriveSettings, written: Collection[str], limits: LimiterSettings) -> DriveSettings:
     """Return the drive's settings with its own clamps (0x6072, 0x6080) no wider than the controller's limits.
 
@@ -151,27 +182,10 @@ def drive_clamps(drive: DriveSettings, written: Collection[str], limits: Limiter
     Raises:
         ValueError: a limit is above a clamp of the file.
     """
-    rated = drive.rated_torque * drive.gear_ratio
-    most = rated if drive.max_torque is None else drive.max_torque
-    if limits.torque > most:
-        raise ValueError(
-            f"limits.torque {limits.torque:g} N*m is above the drive's own clamp of {most:g} N*m "
-            "(drive.max_torque, default rated torque times gear ratio); lower it, or raise max_torque"
-        )
+    _check_clamp(f"limits.torque {limits.torque:g} N*m", limits.torque, drive)
     if "max_speed" in written and limits.motor_over_speed > drive.max_speed:
         raise ValueError(
             f"limits.motor_over_speed {limits.motor_over_speed:g} rad/s is above drive.max_speed "
             f"{drive.max_speed:g} rad/s, which the drive enforces; lower it, or raise max_speed"
         )
     return msgspec.structs.replace(drive, max_torque=limits.torque, max_speed=limits.motor_over_speed)
-
-
-def resolve_torque(axis: dict[str, Any]) -> None:
-    """Put [axis.limits] torque in place where a parsed [[axis]] gives it as a share of the rated torque."""
-    limits, drive = axis.get("limits"), axis.get("drive")
-    if not (isinstance(limits, dict) and isinstance(drive, dict)) or "torque_share" not in limits or "torque" in limits:
-        return  # both of them are rejected by `LimiterSettings`
-    numbers = limits["torque_share"], drive.get("rated_torque", 1.0), drive.get("gear_ratio", 1.0)
-    if all(isinstance(number, int | float) for number in numbers):
-        limits["torque"] = math.prod(numbers)
-        del limits["torque_share"]
