@@ -87,6 +87,15 @@ def test_what_one_direction_hides_both_directions_show() -> None:
     assert min(free.separation.values()) > 10.0
 
 
+def test_only_the_first_of_two_logs_has_the_angle_of_another_joint() -> None:
+    longest = driven()
+    columns = {name: longest[name][:2000] for name in longest.columns}
+    first = Dataset.from_arrays({**columns, "q_j.hip": 0.1 * columns["q_j"]}, "first")
+    logs = [first, longest]
+    found = Designer(Joint.of(logs, NOMINAL), Bounds(1.0, 4.0), logs, 0.01, 1, 8.0).best([])
+    assert found.waveform.peak > 0.0
+
+
 def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
     """The competing model differs only by a pretension that is 10 % higher, which other parameters can reproduce."""
     log = driven()
