@@ -101,5 +101,5 @@ def test_an_rpdo_that_is_on_is_switched_off_whatever_the_profile_counts(tmp_path
 @pytest.mark.parametrize("count", [1, 4])
 def test_an_rpdo_that_stays_on_is_a_rejected_start(tmp_path: Path, count: int) -> None:
     foreign = Foreign(tmp_path, "read_only = ['0x1401:1']", "objects = {'0x1401:1' = 0x301}")
-    with refused("0x1401:1", "it holds 0x301; switch this RPDO off and store that with the maker's tool"):
+    with refused("0x1401:1", "it holds 0x301; disable this RPDO and store that with the maker's tool"):
         foreign.start(DriveProfile(rpdo_count=count))

@@ -88,7 +88,7 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("0x1014 read-only, another identifier", {"read_only": ["0x1014"], **_objects(x1014_0=0x91)},
               refused='absent = ["EMCY COB-ID"]'),
     Variation("second RPDO on and read-only", {"read_only": ["0x1401:1"], **_objects(x1401_1=0x301)},
-              refused="switch this RPDO off"),
+              refused="disable this RPDO"),
     Variation("0x6080 read-only", {"read_only": ["0x6080"]}, refused='absent = ["max motor speed"]'),
     Variation("mapping fixed, as wanted", {"fixed_mapping": True}),
     Variation("mapping fixed, another", {"read_only": ["0x1600", "0x1A00"]}, refused="with the maker's tool"),

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from tests.blind import tendon_logs
+from tsa_ctrl import Dataset, calibrate, diagnose
 from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.table import sha256_of
-from tsa_ctrl.model.parameters import load_tendon_sheath
+from tsa_ctrl.model.parameters import load_tendon_sheath, model_from
 
 COMMENT = "# measured with a calliper\n"
 
@@ -199,6 +201,30 @@ def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
     assert captured.out == ""
     assert said in captured.err
     assert captured.err.count("\n") == 1
+
+
+def test_logs_of_one_name_in_several_folders_are_held_out_by_their_paths(
+    folder: Path, recorded, capsys: pytest.CaptureFixture[str]
+) -> None:  # type: ignore[no-untyped-def]
+    _, low, high = recorded
+    logs = {"a": low, "b": high, "c": {name: column[:3000] for name, column in low.items()}}
+    for name, columns in logs.items():
+        (folder / name).mkdir()
+        write_csv(folder / name / "run.csv", columns)
+    paths = [f"{name}/run.csv" for name in logs]
+    assert tsa(*paths, "--model", "a.toml", "--out", "new.toml", "--json", "--yes") == 0
+    assert json.loads(capsys.readouterr().out)["rms"]["after"] is not None
+    assert sorted(tomllib.loads((folder / "new.toml").read_text())["provenance"]["logs"]) == paths
+    assert tsa(*paths, "--model", "a.toml", "--hold-out", "none", "--json") == 2
+    assert "the logs are a/run.csv, b/run.csv, c/run.csv" in capsys.readouterr().err
+
+
+def test_two_logs_of_one_name_are_one_line_from_python(recorded) -> None:  # type: ignore[no-untyped-def]
+    text, low, high = recorded
+    logs = [Dataset.from_arrays(columns, "run") for columns in (low, high, low)]
+    for command in (calibrate, diagnose):
+        with pytest.raises(UsageError, match="two logs are named run; give each a different name"):
+            command(logs, model_from(tomllib.loads(text), "a.toml"))
 
 
 def test_a_refused_calibration_writes_no_file(folder: Path, recorded) -> None:  # type: ignore[no-untyped-def]

@@ -5,6 +5,7 @@ In the rig of `tests.blind`, the angles of a hip and an ankle bend the sheath.
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from pathlib import Path
 
@@ -92,6 +93,16 @@ def test_tendons_that_are_routed_differently_have_gains_of_their_own() -> None:
         found = result.routing[f"gain_{tendon}.hip"]
         assert found.low < true < found.high
         assert found.value == pytest.approx(true, abs=0.05)
+
+
+@pytest.mark.parametrize("exact", ["friction_angle", "pretension"])
+def test_a_value_that_the_file_calls_exact_is_kept(exact: str) -> None:
+    log, model = rig_of(0.9, 0.9)
+    del log["q_m"]
+    certain = dataclasses.replace(model, **{f"{exact}_uncertainty": 0.0})
+    result = calibrate([Dataset.from_arrays({name: column[:8000] for name, column in log.items()}, "run")], certain)
+    assert getattr(result.model, exact) == pytest.approx(getattr(model, exact), rel=0.005)
+    assert "gain.hip" in result.routing
 
 
 @pytest.mark.parametrize("gain", [0.7, -0.5])

@@ -150,6 +150,14 @@ class TestResumption:
         assert swept(folder, model, tmp_path / "out")[1] == 3
         assert swept(folder, other, tmp_path / "out")[1] == 3
 
+    def test_an_earlier_model_is_diagnosed_again_because_its_reports_were_replaced(
+        self, folder: Path, model: Path, tmp_path: Path
+    ) -> None:
+        other = tmp_path / "other.toml"
+        other.write_text(MODEL.replace("value = 45.0", "value = 40.0"))
+        for each in (model, other, model):
+            assert swept(folder, each, tmp_path / "out")[1] == 3
+
     def test_another_seed_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
         assert swept(folder, model, tmp_path)[1] == 3
         assert swept(folder, model, tmp_path, seed=1)[1] == 3
@@ -179,10 +187,30 @@ class TestResumption:
         assert swept(folder, model, tmp_path)[1] == 1
         assert swept(folder, model, tmp_path)[1] == 0
 
+    def test_a_line_that_was_cut_within_a_character_is_asked_again(self, model: Path, tmp_path: Path) -> None:
+        (tmp_path / "a_\N{GREEK SMALL LETTER TAU}.csv").write_text("t\n")
+        swept(tmp_path, model, tmp_path / "out")
+        path = tmp_path / "out" / LEDGER
+        path.write_bytes(path.read_bytes().partition(b"\xcf")[0] + b"\xcf")
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 1
+
     def test_a_report_that_is_gone_is_made_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
         swept(folder, model, tmp_path)
         (tmp_path / "drive_1.csv" / "diagnosis.json").unlink()
         assert swept(folder, model, tmp_path)[1] == 1
+
+
+def test_a_failed_diagnosis_leaves_no_earlier_report_under_its_name(short: Path, model: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "drive.csv").write_bytes((short / "drive_1.csv").read_bytes())
+    swept(logs, model, out)
+    assert (out / "drive.csv" / "extended.toml").is_file()
+    (logs / "drive.csv").write_text("t,tau_m\n")
+    (row,), _ = swept(logs, model, out)
+    assert row.verdict == "error"
+    assert all(path.name.endswith(".~1~") for path in (out / "drive.csv").iterdir())
 
 
 def test_a_folder_without_logs_is_an_error(tmp_path: Path) -> None:

@@ -125,6 +125,17 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_logs_without_joint_torque_and_angles_are_one_line(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    rig = draw_rig(rng, "joint_end")
+    (tmp_path / "actuator.toml").write_text(model_text(rig, rng), encoding="utf-8")
+    log = record(rig, rng, seconds=2.0, rate=250.0)
+    (tmp_path / "logs").mkdir()
+    write_csv(tmp_path / "logs" / "run.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
+    with pytest.raises(UsageError, match=r"run.csv: has neither column tau_j nor both q_m and q_j; log the joint"):
+        trend(tmp_path / "logs", load_tendon_sheath(tmp_path / "actuator.toml"))
+
+
 @pytest.mark.slow
 def test_the_lever_is_told_where_the_bending_varied(tmp_path: Path) -> None:
     """The reference is k_t = EA/l of a rig by independent code, at the true friction coefficient.

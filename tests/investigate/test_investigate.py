@@ -15,9 +15,11 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.investigate.design import Designer, Pair, variations
+from tsa_ctrl.investigate.procedure import Answer, investigate
 from tsa_ctrl.investigate.response import Joint
 from tsa_ctrl.model.parameters import TendonSheath, load_model
-from tsa_ctrl.tune.excitation import Bounds, multi_sine
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.tune.excitation import Bounds, Waveform, multi_sine
 
 SEED = 2  # of the rigs
 PLAIN = dataclasses.replace(NOMINAL, effects={})
@@ -85,6 +87,15 @@ def test_what_one_direction_hides_both_directions_show() -> None:
     assert min(free.separation.values()) > 10.0
 
 
+def test_only_the_first_of_two_logs_has_the_angle_of_another_joint() -> None:
+    longest = driven()
+    columns = {name: longest[name][:2000] for name in longest.columns}
+    first = Dataset.from_arrays({**columns, "q_j.hip": 0.1 * columns["q_j"]}, "first")
+    logs = [first, longest]
+    found = Designer(Joint.of(logs, NOMINAL), Bounds(1.0, 4.0), logs, 0.01, 1, 8.0).best([])
+    assert found.waveform.peak > 0.0
+
+
 def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
     """The competing model differs only by a pretension that is 10 % higher, which other parameters can reproduce."""
     log = driven()
@@ -96,6 +107,50 @@ def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
 def test_each_number_of_a_model_is_varied() -> None:
     assert len(variations(VISCOUS)) == 3
     assert len(variations(NOMINAL.with_effects({"torque_ripple": {"amplitude": 0.1, "cycles_per_revolution": 5}}))) == 3
+
+
+def relaxing(name: str, _: Waveform | None = None) -> tuple[list[Dataset], Path]:
+    """Return the log of one motion, without a temperature, while the pretension relaxes; any set-point is ignored."""
+    wave = multi_sine((0.3, 0.7), 0.8, 12.0)
+    t = np.arange(0.0, wave.seconds, 0.005)
+    columns = {"t": t, "tau_m": 0.8 * np.interp(t, wave.t, wave.tau_j_des)}
+    columns["q_j"] = 0.6 * np.sin(2.0 * np.pi * 0.4 * t) + 0.3 * np.sin(2.0 * np.pi * 0.9 * t)
+    columns["omega_j"] = np.gradient(columns["q_j"], 0.005)
+    relaxation = {"pretension_relaxation": {"relaxed_fraction": 0.12, "time_constant": 6.0}}
+    tau_j = predict(PLAIN.with_effects(relaxation), Dataset.from_arrays(columns).signals())
+    noise = 5e-3 * np.random.default_rng(len(name)).standard_normal(t.size)
+    return [Dataset.from_arrays({**columns, "tau_j": tau_j + noise}, name)], Path(name)
+
+
+@pytest.mark.slow
+def test_a_cause_that_only_a_temperature_excludes_is_an_answer() -> None:
+    """The competing hypothesis has an invented temperature, so no motion can be predicted with it."""
+    logs, _ = relaxing("given")
+    found = investigate(relaxing, PLAIN, Bounds(1.0, 8.0), 1, logs=logs)
+    assert found.answer is Answer.GROUP
+    assert {"pretension_relaxation", "thermal_friction_drift"} <= set(found.statement.split(":")[0].split())
+    assert "log the temperature" in found.statement
+    assert [step.name for step in found.steps] == ["given logs", "motion-1"]
+
+
+@pytest.mark.slow
+def test_an_error_keeps_the_result_so_far(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The joint of the given log would exceed the permitted speed with the smallest torque."""
+    log = driven(4.0)
+    columns = [log[name] for name in log.columns]
+    np.savetxt(tmp_path / "log.csv", np.column_stack(columns), "%.9g", ",", header=",".join(log.columns), comments="")
+    controller, plant = write(tmp_path / "rig", rigs(SEED)[0], SEED)
+    given = [str(controller), str(tmp_path / "log.csv"), "--virtual", str(plant), "--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as ended:
+        main(["investigate", *given, "--speed", "0.001", "--seconds", "8", "--json"])
+    told = capsys.readouterr()
+    assert (ended.value.code, told.out) == (2, "")
+    assert "no set-point keeps the joint within its speed" in told.err
+    found = json.loads((tmp_path / "out/investigation.json").read_text(encoding="utf-8"))
+    assert found["answer"] == "stopped"
+    assert found["statement"] == f"stopped by an error: {told.err.strip().removeprefix('tsa: ')}"
+    assert [step["name"] for step in found["steps"]] == ["given logs"]
+    assert (tmp_path / "out/report.html").is_file()
 
 
 def investigated(folder: Path, hidden: Rig, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, object]:

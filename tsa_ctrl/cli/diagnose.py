@@ -153,7 +153,7 @@ def _diagnose(
     import tsa_ctrl.system.lazy_imports  # noqa: F401 (before all that imports scipy)
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
-    from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, drawing, write
+    from tsa_ctrl.identify.diagnosis.report.page import drawing, write
     from tsa_ctrl.model.parameters import load_model
 
     give_back_large()
@@ -172,8 +172,6 @@ def _diagnose(
 
         result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
         say("report")
-        for name in (JSON, MODEL):
-            outputs.keep(out / name)
         write(result, out, model, plot)
     return result
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 
 from tsa_ctrl.cli.options import Finite
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import TsaError, UsageError
 
 EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plant.toml --out out/investigation"
 
@@ -60,7 +60,7 @@ def command(
 
     The answer is one cause, a group that no motion within the limits separates, or "outside the catalogue". The
     options narrow the limits of CONTROLLER.toml. The files of the rig are not changed. Ctrl-C at any point leaves the
-    drive disabled and keeps the result of the motions so far.
+    drive disabled and keeps the result of the motions so far. So does an error.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # as in tsa diagnose
@@ -69,7 +69,15 @@ def command(
     from tsa_ctrl.identify.diagnosis.report.page import MODEL
     from tsa_ctrl.identify.diagnosis.report.page import write as write_diagnosis
     from tsa_ctrl.identify.diagnosis.report.pictures import plot
-    from tsa_ctrl.investigate.procedure import Answer, Step, investigate, on_the_rig, report_dict, write_report
+    from tsa_ctrl.investigate.procedure import (
+        Answer,
+        Investigation,
+        Step,
+        investigate,
+        on_the_rig,
+        report_dict,
+        write_report,
+    )
     from tsa_ctrl.model.provenance import Origin
     from tsa_ctrl.plant.process import check
     from tsa_ctrl.tune.session import Plan, Session
@@ -102,7 +110,10 @@ def command(
     folder = out.resolve()
     simulated = None if plant is None else Origin("simulated")
 
+    steps: list[Step] = []
+
     def keep(step: Step) -> None:
+        steps.append(step)
         own = folder / "given-logs" if step.folder is None else step.folder
         own.mkdir(exist_ok=True)
         write_diagnosis(step.result, own, session.path, plot, simulated)
@@ -111,7 +122,12 @@ def command(
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
         # The angle of any other joint may bend the sheath.
         play = on_the_rig(partial(session.runner, all_axes=True), folder, session.path)
-        found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
+        try:
+            found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)
+        except TsaError as error:
+            if any(folder.iterdir()):
+                write_report(Investigation(Answer.STOPPED, f"stopped by an error: {error}", tuple(steps)), folder)
+            raise
     page = write_report(found, folder)
     if as_json:
         click.echo(json.dumps(report_dict(found, folder), allow_nan=False))

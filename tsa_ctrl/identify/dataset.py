@@ -248,12 +248,36 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
 
 
 def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
-    """Read logs like `load_log`, but return every piece between holes; run.csv becomes run.csv#1, run.csv#2."""
+    """Read logs like `load_log`, but return every piece between holes; run.csv becomes run.csv#1, run.csv#2.
+
+    Files of one name in different folders are named by their paths.
+    """
+    paths = list(paths)
+    names = [Path(path).name for path in paths]
     return [
         dataset
-        for path in paths
-        for dataset in _datasets(read_table(path, INPUTS), Path(path).name, sha256_of(path), strict, cutoff)
+        for path, name in zip(paths, names, strict=True)
+        for dataset in _datasets(
+            read_table(path, INPUTS), name if names.count(name) == 1 else str(path), sha256_of(path), strict, cutoff
+        )
     ]
+
+
+def check_distinct(command: str, logs: Sequence[Dataset]) -> None:
+    """Raise UsageError if two logs contain the same data or have the same name.
+
+    The same data twice would make every interval too narrow, and whole logs are held out by name.
+    """
+    seen: dict[tuple[str, float], str] = {}
+    for log in logs:
+        piece = log.sha256, float(log.columns["t"][0])  # of one file, between its holes
+        if log.sha256 and piece in seen:
+            raise UsageError(f"{command}: {seen[piece]} and {log.name} hold the same data; give each log once")
+        seen[piece] = log.name
+    names = [log.name for log in logs]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise UsageError(f"{command}: two logs are named {doubled[0]}; give each a different name")
 
 
 def matches(name: str, pattern: str) -> bool:

@@ -142,6 +142,11 @@ def measured(path: Path, model: TendonSheath) -> Run:
                 quantities.setdefault(name, quantity)
         except UsageError as error:
             notes.append(str(error))
+    if not quantities and not notes:
+        notes.append(
+            f"{log.label or log.name}: has neither column tau_j nor both q_m and q_j; log the joint torque, or the "
+            "angles of motor and joint"
+        )
     warmth = log.columns.get("temperature")
     return Run(path.name, started, math.nan if warmth is None else float(np.mean(warmth)), quantities, tuple(notes))
 

@@ -245,7 +245,7 @@ def _left(difference: Array, gradients: Array) -> float:
 
 
 def _signals(motion: Motion, model: JointModel, like: Signals) -> Signals:
-    """Return the predicted motion as a log with the columns of `like`."""
+    """Return the predicted motion as a log with the columns of `like`, and with the other joints of the motion."""
     columns: dict[str, Array] = {"t": motion.t, "tau_m": motion.tau_m, "omega_j": motion.omega_j}
     gear = gear_of(model)
     optional: Mapping[str, Callable[[], Array]] = {
@@ -258,7 +258,7 @@ def _signals(motion: Motion, model: JointModel, like: Signals) -> Signals:
         ),
     }
     columns |= {name: make() for name, make in optional.items() if getattr(like, name) is not None}
-    return Signals(**columns, joints={name: motion.joints[name] for name in like.joints})
+    return Signals(**columns, joints=motion.joints)
 
 
 def _thinned(signals: Signals, every: float) -> Signals:

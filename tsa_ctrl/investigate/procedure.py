@@ -16,6 +16,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.diagnosis.report.words import four_lines
+from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED
 from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE
 from tsa_ctrl.investigate.design import SECONDS, Designer, Experiment, Pair
 from tsa_ctrl.investigate.response import Joint, JointModel
@@ -186,8 +187,9 @@ class _Investigator:
         """Return the result, or the next motion."""
         result = self._steps[-1].result
         pairs = open_pairs(result)
-        if pairs:
-            return self._separate(pairs)
+        predictable = [pair for pair in pairs if not self._needs_temperature(pair)]
+        if predictable:
+            return self._separate(predictable)
         left = unexplained_while_sliding(result)
         needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else LEAST_MOTIONS
         if self._motions < min(needed, self._most):
@@ -200,6 +202,9 @@ class _Investigator:
             return self._ended(
                 Answer.OUTSIDE, f"{beside}something acts that is outside the catalogue: {result.unexplained}"
             )
+        if pairs:
+            why = "no motion separates them without column temperature; log the temperature"
+            return self._ended(Answer.GROUP, f"{_group(pairs)}: {why}")
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
         beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
@@ -207,7 +212,7 @@ class _Investigator:
 
     def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
-        group = " or ".join(dict.fromkeys(name for pair in pairs for name in pair.names))
+        group = _group(pairs)
         if self._motions >= self._most:
             return self._ended(Answer.STOPPED, f"{group}: not separated in {self._most} motions; allow more by --most")
         if untried:
@@ -220,6 +225,10 @@ class _Investigator:
             why = f"{ATTEMPTS} motions made for it did not separate them"
         return self._ended(Answer.GROUP, f"{group}: no motion on this rig separates them; {why}")
 
+    def _needs_temperature(self, pair: Pair) -> bool:
+        """Return True if the diagnosis invented the temperature of the competing hypothesis, which is not logged."""
+        return UNRECORDED in pair.names and not all("temperature" in log for log in self._logs)
+
     def _designer(self, result: Diagnosis) -> Designer:
         noise = result.rms.extended or result.rms.recalibrated or 1.0
         assert not isinstance(result.model, RigidDrive)  # it is of the same kind as self._model
@@ -228,6 +237,10 @@ class _Investigator:
 
     def _ended(self, answer: Answer, statement: str) -> Investigation:
         return Investigation(answer, statement, tuple(self._steps))
+
+
+def _group(pairs: Sequence[Pair]) -> str:
+    return " or ".join(dict.fromkeys(name for pair in pairs for name in pair.names))
 
 
 def unexplained_while_sliding(result: Diagnosis) -> bool:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify import admit as admissible
 from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag
-from tsa_ctrl.identify.dataset import Dataset, matches
+from tsa_ctrl.identify.dataset import Dataset, check_distinct, matches
 from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
@@ -170,7 +170,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         tensioner: changes of T_p0 (N) by pattern of the logs' names.
 
     Raises:
-        UsageError: no log, a pattern without a match, the same data twice, or logs that cannot be used with the model.
+        UsageError: no log, a pattern without a match, two logs with the same data or the same name, or logs that cannot be used with the model.
     """
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
@@ -179,7 +179,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
             raise UsageError(
                 f"calibrate: tensioner '{pattern}' matches no log; logs are {', '.join(d.name for d in logs)}"
             )
-    _check_different(logs)
+    check_distinct("calibrate", logs)
     logs = [log.completed_for(model) for log in logs]
     admissions, prepared = [], []
     labels = block_labels([d.columns["t"].size for d in logs])
@@ -202,16 +202,6 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         if foreign:
             raise UsageError(f"{dataset.label or dataset.name}: {foreign}")
     return [p for p in prepared if p.mask.any()]
-
-
-def _check_different(logs: Sequence[Dataset]) -> None:
-    """Raise UsageError if two logs contain the same data, because every interval would then be too narrow."""
-    seen: dict[tuple[str, float], str] = {}
-    for log in logs:
-        piece = log.sha256, float(log.columns["t"][0])  # of one file, between its holes
-        if log.sha256 and piece in seen:
-            raise UsageError(f"calibrate: {seen[piece]} and {log.name} hold the same data; give each log once")
-        seen[piece] = log.name
 
 
 def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:

@@ -41,6 +41,7 @@ SMALLEST_STEP = 1e-5  # smaller steps end the iteration: files have fewer digits
 SETTLED = 0.02  # smaller steps do not update the instruments, which need not be exact
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # share of Theta_0: a joint that changes the wrap angle by less does not bend the sheath
+EXACT = 1e-3  # least standard deviation of a logarithm of the file: [uncertainty] may be 0
 # Indices of the parameters: four logarithms, then two gains for each joint
 X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4
 
@@ -136,14 +137,9 @@ class _Problem:
         self.start = np.zeros(self.size + self.zero[0].shape[1])
         self.start[X], self.start[T] = math.log(model.friction_angle), math.log(model.pretension)
         self.start[SLOPE] = math.log(max(model.pretension_slope, 1e-9))
-        deviations = (
-            math.log1p(model.friction_angle_uncertainty) / 1.96,
-            math.log1p(model.pretension_uncertainty) / 1.96,
-            math.inf,
-            max(math.log1p(model.axial_stiffness_uncertainty) / 1.96, 1e-3),
-        )
+        shares = (model.friction_angle_uncertainty, model.pretension_uncertainty, model.axial_stiffness_uncertainty)
         self.precision = np.zeros(self.start.size)
-        self.precision[:JOINTS] = [1.0 / deviation**2 for deviation in deviations]
+        self.precision[[X, T, SLOPE]] = [1.0 / max(math.log1p(share) / 1.96, EXACT) ** 2 for share in shares]
         if by_elongation:
             self.precision[GAIN] = self.precision[SLOPE]  # here the gain is that of the stiffness
 

@@ -30,7 +30,7 @@ from tsa_ctrl.identify.calibrate.course import ROUNDS, find_course
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
 from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, varied
-from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.dataset import Dataset, check_distinct
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
@@ -99,11 +99,12 @@ def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
     """Return the parameters fitted to all logs together.
 
     Raises:
-        UsageError: the model has no friction or no pretension, columns contradict each other, or the logs do not
-            determine a parameter. The message states the remedy.
+        UsageError: the model has no friction or no pretension, columns contradict each other, two logs have the same
+            data or name, or the logs do not determine a parameter. The message states the remedy.
     """
     if not (model.friction_angle > 0.0 and model.pretension > 0.0):
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
+    check_distinct("calibrate", logs)
     seen = [taken(log, model) for log in logs]
     count = len(seen)
     # ln k, s_c, ln x, J_M; then the zeros of all elongations, and the zeros of all torque sensors

@@ -74,17 +74,17 @@ def row_of(name: str, key: str, result: Diagnosis) -> Row:
 
 
 def known_rows(folder: Path) -> dict[str, Row]:
-    """Return the results of an earlier run by key; a line that an interruption cut short is ignored."""
+    """Return the last result of each log by its name; a line that an interruption cut short is ignored."""
     path = folder / LEDGER
     if not path.exists():
         return {}
     rows = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_bytes().splitlines():
         try:
             row = msgspec.json.decode(line, type=Row)
-        except msgspec.DecodeError:
+        except (msgspec.DecodeError, UnicodeDecodeError):
             continue
-        rows[row.key] = row
+        rows[row.log] = row
     return rows
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis import diagnose
-from tsa_ctrl.identify.diagnosis.report.page import write
+from tsa_ctrl.identify.diagnosis.report.page import set_aside, write
 from tsa_ctrl.identify.fleet.executors import Workers
 from tsa_ctrl.identify.fleet.ledger import Row, append, known_rows, row_of, write_table
 from tsa_ctrl.log.table import ENDINGS
@@ -116,11 +116,15 @@ def sweep(
     try:
         out.mkdir(parents=True, exist_ok=True)
         model_text = model.read_bytes()
+        known = known_rows(out)
     except OSError as error:
         raise UsageError(f"{error.filename}: {error.strerror}; choose another") from None
-    known = known_rows(out)
     waiting = {path: _key(path, model_text, seed, strict) for path in logs}
-    rows = {path: known[key] for path, key in waiting.items() if key in known and _reported(out, known[key])}
+    rows = {
+        path: row
+        for path, key in waiting.items()
+        if (row := known.get(path.name)) is not None and row.key == key and _reported(out, row)
+    }
     queue = [path for path in logs if path not in rows]
     progress(len(rows), len(logs), None)
     running: dict[Future[Done], Path] = {}
@@ -175,8 +179,13 @@ def _reported(out: Path, row: Row) -> bool:
 
 
 def _file(folder: Path, done: Done) -> None:
-    """Write the files of a report, with diagnosis.json last, because it marks the report as complete."""
+    """Write the files of a report, with diagnosis.json last, because it marks the report as complete.
+
+    Files of an earlier report of the same log are treated as in `set_aside`.
+    """
     try:
+        if folder.is_dir():
+            set_aside(folder, ())
         for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
             folder.mkdir(exist_ok=True)
             (folder / name).write_bytes(done.files[name])

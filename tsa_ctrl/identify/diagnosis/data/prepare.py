@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
-from tsa_ctrl.identify.dataset import FEWEST_LOGS, Dataset, matches
+from tsa_ctrl.identify.dataset import FEWEST_LOGS, Dataset, check_distinct, matches
 from tsa_ctrl.identify.diagnosis.data.denoise import denoised, denoised_within
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.model.functions import Array
@@ -56,10 +56,7 @@ def _datasets(logs: Logs) -> list[Dataset]:
         out.append(log if isinstance(log, Dataset) else Dataset.from_arrays(log, f"log_{number + 1}"))
     if not out:
         raise UsageError("diagnose: no log given; name at least one")
-    names = [log.name for log in out]
-    doubled = sorted({name for name in names if names.count(name) > 1})
-    if doubled:
-        raise UsageError(f"diagnose: two logs are named {doubled[0]}; give each a different name")
+    check_distinct("diagnose", out)
     return out
 
 

@@ -11,7 +11,7 @@ import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import Executor
 from datetime import UTC, datetime
 from functools import partial
@@ -20,10 +20,11 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tsa_ctrl import settings
+from tsa_ctrl import outputs, settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import (
+    PICTURE_FILES,
     captions,
     four_lines,
     listed,
@@ -62,7 +63,7 @@ def write(
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
     If a formula describes the residual, formula.toml is written as well. Each file is written under another name and
-    then renamed, so a crash leaves no partial file.
+    then renamed, so a crash leaves no partial file. Files of an earlier report are treated as in `set_aside`.
 
     Args:
         result: the diagnosis.
@@ -79,7 +80,10 @@ def write(
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=".report.") as name:
             pictures = {}
-            for caption, path in (plot or drawn_here)(result, Path(name)).items():
+            drawn = (plot or drawn_here)(result, Path(name))
+            optional = [FORMULA] * (result.formula is not None) + [EXPERIMENT] * bool(result.experiment.t)
+            set_aside(folder, [JSON, MODEL, PAGE, *optional, *(path.name for path in drawn.values())])
+            for caption, path in drawn.items():
                 shutil.move(path, folder / path.name)
                 pictures[caption] = folder / path.name
     except OSError as error:
@@ -92,6 +96,19 @@ def write(
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures, template))
     settings.write_text(folder / JSON, result.to_json())
+
+
+def set_aside(folder: Path, new: Collection[str]) -> None:
+    """Keep the data files of an earlier report as NAME.~N~, and remove each of its files that is not in `new`.
+
+    A model or set-point of an earlier diagnosis therefore never appears as part of the new one. Raises OSError or
+    UsageError.
+    """
+    data = (JSON, MODEL, FORMULA, EXPERIMENT)
+    for name in data:
+        outputs.keep(folder / name)
+    for name in {*data, PAGE, *PICTURE_FILES} - set(new):
+        (folder / name).unlink(missing_ok=True)
 
 
 def drawn_here(result: Diagnosis, folder: Path) -> dict[str, Path]:

@@ -299,20 +299,33 @@ def _drives(finding: Finding) -> bool:
     return not finding.what.startswith(("a ", "bursts"))
 
 
+PICTURE_FILES = (
+    "load.png",
+    "worst.png",
+    "staircase.png",
+    "ranking.png",
+    "residual.png",
+    "reversals.png",
+    "autocorrelation.png",
+    "occupancy.png",
+)
+
+
 def captions(result: Diagnosis) -> dict[str, str]:
     """Return the caption of each picture by its name, in the order of the report; none for insufficient logs."""
     if result.details is None:
         return {}
-    return {
-        "load.png": f"Error against load, by direction of motion: {_fallen(result)}",
-        "worst.png": "Measured and simulated torque in the segments with the largest error",
-        "staircase.png": _fall(result),
-        "ranking.png": _ranked(result),
-        "residual.png": "Residual against velocity, angle, time and temperature",
-        "reversals.png": "Residual after friction reversals, against time and displacement",
-        "autocorrelation.png": "Autocorrelation of the whitened residual",
-        "occupancy.png": "Operating range of the logs: share of the samples by velocity and torque",
-    }
+    texts = (
+        f"Error against load, by direction of motion: {_fallen(result)}",
+        "Measured and simulated torque in the segments with the largest error",
+        _fall(result),
+        _ranked(result),
+        "Residual against velocity, angle, time and temperature",
+        "Residual after friction reversals, against time and displacement",
+        "Autocorrelation of the whitened residual",
+        "Operating range of the logs: share of the samples by velocity and torque",
+    )
+    return dict(zip(PICTURE_FILES, texts, strict=True))
 
 
 def _fallen(result: Diagnosis) -> str:
