@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.plant.bench import Bench, tpdo1
+from tests.plant.bench import Bench, plant_file, tpdo1
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.faults import CHANGES, FAULTS, parse_fault
-from tsa_ctrl.plant.process import Console, ControlSocket, ask
+from tsa_ctrl.plant.process import Console, ControlSocket, ask, check
 
 STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
 
@@ -156,6 +156,7 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
     [
         ("torn_tendn", "did you mean 'torn_tendon'?"),
         ("torn_tendon value=7", "allowed is 0 to 1"),
+        ("torque_gain value=0", "allowed is 0.01 to 10"),
         ("stuck_tpdo value=1", "takes no value"),
         ("slack strength=1", "keys are axis, node, value, duration, at"),
         ("slack value", "write key=value"),
@@ -165,6 +166,27 @@ def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=".*".join(part for part in (said.replace("?", "."),))) as raised:
         parse_fault(text)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("encoder_jump", "axis 'joint': fault encoder_jump: the axis has no encoder; choose another fault"),
+        ("encoder_noise", "the axis has no encoder"),
+        ("torque_sensor_gain", "the axis has no torque sensor"),
+        ("late_tpdo node=encoder", "the axis has no encoder"),
+        ("torque_offset", "the drive has no 0x60B2; choose another fault"),
+    ],
+)
+def test_a_fault_of_a_missing_part_is_rejected_at_the_request(tmp_path: Path, text: str, said: str) -> None:
+    plant = STILL + "encoder.present = false\ntorque_sensor.present = false\ndrive.absent = [0x60B2]\n"
+    with pytest.raises(UsageError, match=said):
+        begin(Bench(tmp_path, plant), f"{text} at=1")
+    name, *node = text.split(" node=")
+    lines = [f"name = '{name}'", "at = 1", *(f"node = '{each}'" for each in node)]
+    path = plant_file(tmp_path, plant + "[[axis.fault]]\n" + "\n".join(lines))
+    with pytest.raises(UsageError, match=f"^{path}: .*{said}"):
+        check(path)
 
 
 def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -218,6 +240,25 @@ def test_nothing_remains_of_two_faults_that_overlap(
     bench.sync(20, bench.command(0x0F, 100))
     assert bench.machine.faults.active == 0
     assert faulted(bench) == before
+
+
+def test_a_distorted_value_saturates_as_in_a_drive(bench: Bench) -> None:
+    begin(bench, "reported_offset value=40")
+    assert tpdo1(bench.sync())[1] == 0x7FFF
+    begin(bench, "reported_offset value=-100")
+    assert tpdo1(bench.sync())[1] == -0x7FFF
+    begin(bench, "velocity_gain value=10")
+    for _ in range(9):
+        begin(bench, "velocity_gain value=10")
+    bench.unit.axis.readings.motor_speed = 1.0
+    bench.unit.drive.sample()
+    assert bench.unit.drive.values[0x606C, 0] == 0x7FFFFFFF
+
+
+def test_the_temperature_of_the_torque_sensor_saturates(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, STILL + "environment.temperature = [[0.0, 1e7]]\n")
+    bench.sync(2)
+    assert bench.upload(64, 0x9130, 2, "i") == 0x7FFFFFFF
 
 
 def test_a_fault_that_ends_leaves_the_others_in_force(bench: Bench) -> None:

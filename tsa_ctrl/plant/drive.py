@@ -238,7 +238,7 @@ class Drive:
         Source: CiA 402-2, cyclic synchronous torque mode and profile torque mode.
         """
         values, now = self.values, self.node.now
-        mode, target = values[0x6060, 0], values[0x6071, 0]
+        mode, target = self._mode(), values.get((0x6071, 0), 0)
         elapsed, self._ramped_at = now - self._ramped_at, now
         if mode == CST:
             return target + self._digits(values.get((0x60B2, 0), 0))
@@ -248,6 +248,10 @@ class Drive:
         step = elapsed * self._digits(values.get((0x6087, 0), 0))
         self._ramp += max(-step, min(step, target - self._ramp))
         return round(self._ramp)
+
+    def _mode(self) -> int:
+        """Return the mode of operation; 0 in a drive without 0x6060."""
+        return self.values.get((0x6060, 0), 0)
 
     def _digits(self, per_mille: int) -> int:
         """Convert per mille of the rated torque to digits of 0x6071."""
@@ -269,7 +273,7 @@ class Drive:
         """Return the torque limit of the objects alone, in digits of 0x6071."""
         values = self.values
         clamp = self.emulation.clamp
-        if clamp is not None:
+        if clamp is not None and clamp.key in values:
             rated = values[clamp.rated] if isinstance(clamp.rated, tuple) else clamp.rated
             share = (values[clamp.key] - clamp.zero) / ((rated - clamp.zero) or 1)
             return math.floor(max(0.0, share) * self.emulation.torque_digits + 1e-9)
@@ -295,7 +299,7 @@ class Drive:
             word |= _VOLTAGE_ENABLED
         if self.limited or self.readings.speed_limited:
             word |= _INTERNAL_LIMIT
-        follows = self.values[0x6060, 0] == CST and not self.faults.ignore_command
+        follows = self._mode() == CST and not self.faults.ignore_command
         if self.machine.state is PowerState.OPERATION_ENABLED and follows and settings.reports_following:
             word |= _FOLLOWS_COMMAND
         if self.values[0x1001, 0] and self.machine.state is not PowerState.FAULT:
@@ -327,18 +331,18 @@ class Drive:
         mode = self.faults.wrong_mode
         values[0x6061, 0] = self._mode_shown() if mode is None else mode
         values[0x60FD, 0] = self.faults.inputs
-        values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
-        values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
-        values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
+        values[0x6077, 0] = _reported(0x6077, round(torque * digits))
+        values[0x606C, 0] = _reported(0x606C, round(velocity))
+        values[0x6064, 0] = _reported(0x6064, math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
         for index, distorted in self.faults.distortions:
-            values[index, 0] = distorted(values[index, 0])
+            values[index, 0] = _reported(index, distorted(values[index, 0]))
 
     def _mode_shown(self) -> int:
         when = self.emulation.mode_shows or self.settings.mode_shows
         operational = self.node.state is NmtState.OPERATIONAL
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"
-        return self.values[0x6060, 0] if shown else 0
+        return self._mode() if shown else 0
 
 
 def _turned(bit: int) -> int:
@@ -350,6 +354,8 @@ def _bounded(value: int, bound: int) -> int:
     return max(-bound, min(bound, value))
 
 
-def _wrapped(counts: int) -> int:
-    """Return a position wrapped to 32 bits."""
-    return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+def _reported(index: int, value: int) -> int:
+    """Return a measured value as its object holds it: a position wraps at 32 bits, torque and velocity saturate."""
+    if index == 0x6064:
+        return (value + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+    return _bounded(value, 0x7FFF if index == 0x6077 else 0x7FFFFFFF)
