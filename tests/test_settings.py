@@ -56,6 +56,7 @@ def test_an_unknown_key_in_the_right_kind_of_file_is_still_told_with_the_nearest
     [
         ("joint", "phase", r"axis\[0\]\.joint: .*; it belongs in \[axis\.motion\], or did you mean 'weight_phase'\?$"),
         ("joint", "curvature", r"; it belongs in \[axis\.tendon\]$"),
+        ("joint", "interface", r"; it belongs in \[bus\], or did you mean 'inertia'\?$"),
         ("joint", "duration", r"; it belongs in \[\[axis\.fault\]\]"),
         ("tendon", "bus", r"; it belongs in \[\[axis\]\] or the top level$"),
         ("joint", "node_id", r"; it belongs in \[axis\.drive\], \[axis\.encoder\] or \[axis\.torque_sensor\]$"),

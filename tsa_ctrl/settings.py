@@ -285,6 +285,8 @@ def tables_of(
         header = f"[{'.'.join(path)}]" if path else "the top level"
         yield Table(path, f"[{header}]" if listed else header, sorted(field.encode_name for field in fields))
         for field in fields:
+            if field.encode_name.startswith("["):
+                continue  # the other buses, which are written as the first one
             yield from tables_of(field.type, (*path, field.encode_name), False, (*above, kind))
     for argument in get_args(kind):
         yield from tables_of(argument, path, listed or get_origin(kind) in (list, tuple), above)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from pathlib import Path
 
 import duckdb
@@ -14,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from tests.log.logs import HEADER, records, write_log
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.convert import convert
+from tsa_ctrl.log.convert import convert, write_last
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.table import read_table
@@ -159,3 +160,21 @@ def test_a_log_without_records_is_one_line(tmp_path: Path) -> None:
     McapFile(tmp_path / "x.mcap", ONE).finish()
     with pytest.raises(UsageError, match="holds no records"):
         convert(tmp_path / "x.mcap", tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize("missing", [1, 3000])
+def test_the_last_part_of_a_log_is_whole_or_absent(log: Path, tmp_path: Path, missing: int) -> None:
+    """A limit of the file size acts like a full disk, while the indices or the records are written."""
+    (tmp_path / "out").mkdir()
+    out = tmp_path / "out/last.mcap"
+    assert write_last(log, out, 0.2) == pytest.approx(0.2)
+    size = out.stat().st_size
+    out.unlink()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size - missing, before[1]))
+    try:
+        with pytest.raises(UsageError, match=r"last\.mcap: cannot be written \(File too large\); choose another place"):
+            write_last(log, out, 0.2)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert names(tmp_path / "out") == []

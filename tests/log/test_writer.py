@@ -295,3 +295,20 @@ def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWri
     assert {path.name for path in tmp_path.iterdir()} == {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap"}
     notes = [note.text for note in LogFile(tmp_path / "tsa-5.mcap").read_notes()]
     assert [text.split(":")[0] for text in notes] == [f"deleted the oldest log tsa-{i}.mcap" for i in (1, 2)]
+
+
+def test_an_old_log_that_vanishes_or_cannot_be_deleted_does_not_stop_the_writer(
+    ring: RingWriter, tmp_path: Path
+) -> None:
+    """A dangling link is listed but has no status, as a log that another daemon deletes at that moment."""
+    (tmp_path / "tsa-1.mcap").symlink_to(tmp_path / "gone")
+    (tmp_path / "tsa-2.mcap").mkdir()
+    os.utime(tmp_path / "tsa-2.mcap", (time.time() - 50,) * 2)
+    log = LogWriter(RingReader(ring.fd), tmp_path / "tsa-3.mcap", HEADER, LogLimits(folder_size=1.0))
+    push(ring, 100)
+    log.step(0.0)
+    assert LogHealth(ring).state is WriterState.WRITING
+    log.end()
+    assert times(tmp_path / "tsa-3.mcap") == list(range(100))
+    (note,) = [note.text for note in LogFile(tmp_path / "tsa-3.mcap").read_notes()]
+    assert note.startswith("the oldest log tsa-2.mcap cannot be deleted (Is a directory)")

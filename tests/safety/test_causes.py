@@ -8,7 +8,11 @@ import re
 import pytest
 
 from tests.conftest import ROOT
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.config import ControllerFile
+from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
+from tsa_ctrl.settings import tables_of
 
 DO = re.compile(r"\b(check|end|remove|look up|run|choose|compare|give|cut|find out|tsa doctor|tsa drive)\b")
 
@@ -17,6 +21,16 @@ DO = re.compile(r"\b(check|end|remove|look up|run|choose|compare|give|cut|find o
 def test_every_cause_has_a_remedy(cause: Cause) -> None:
     assert DO.search(cause.remedy)
     assert cause.id == cause.name.lower()
+
+
+@pytest.mark.parametrize("cause", list(Cause))
+def test_every_key_and_table_of_a_remedy_exists(cause: Cause) -> None:
+    tables = [table for kind in (ControllerFile, DriveProfile, ActuatorFile) for table in tables_of(kind)]
+    keys = {table.header: table.keys for table in tables}
+    assert set(re.findall(r"[a-z]+_[a-z_]+", cause.remedy)) <= {key for table in tables for key in table.keys}
+    for header, key in re.findall(r"(\[[\w.]+\])(?: (\w+))?", cause.remedy):
+        assert header in keys
+        assert not key or key in keys[header]
 
 
 def test_no_two_causes_share_a_title() -> None:

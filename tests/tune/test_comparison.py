@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
-from tsa_ctrl.tune.comparison import alternate, compare, order
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.tune.comparison import LiveBlocks, alternate, compare, order
 
 
 def test_blocks_alternate_so_that_a_drift_meets_both_alike() -> None:
@@ -53,3 +58,29 @@ def test_every_block_is_applied_measured_and_told() -> None:
 
 def test_too_few_blocks_become_three_pairs() -> None:
     assert alternate(1, lambda name: None, lambda: 0.05, lambda *told: None).pairs == 3
+
+
+class Daemon:
+    """A daemon that rejects each value of `rejected`."""
+
+    def __init__(self, **values: float) -> None:
+        self.values = values
+        self.rejected: set[float] = set()
+
+    def ask(self, request: Any) -> dict[str, Any]:
+        if isinstance(request, protocol.Status):
+            return {"axes": [{"name": "knee", "parameters": {n: {"value": v} for n, v in self.values.items()}}]}
+        if request.value in self.rejected:
+            raise UsageError("it can only be lowered")
+        before, self.values[request.name] = self.values[request.name], request.value
+        return {"axis": "knee", "before": before}
+
+
+def test_a_value_that_cannot_be_restored_leaves_no_other_one_changed() -> None:
+    daemon = Daemon(first=1.0, second=2.0, third=3.0)
+    blocks = LiveBlocks(cast(Client, daemon), {"a": {"first": 5.0, "second": 6.0, "third": 7.0}, "b": {}}, 1.0)
+    blocks.apply("a")
+    daemon.rejected = {2.0}
+    with pytest.raises(BusError, match=r"repeat `tsa set second 2` \(it can only be lowered\)$"):
+        blocks.restore()
+    assert daemon.values == {"first": 1.0, "second": 6.0, "third": 3.0}

@@ -38,7 +38,7 @@ from tsa_ctrl.cli.init import with_values
 from tsa_ctrl.demo.rig import BusChoice, choose
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import protocol
-from tsa_ctrl.system.process_supervisor import plant, tsa
+from tsa_ctrl.system.process_supervisor import end_process, plant, tsa
 
 COMMANDS = 0x201  # RPDO 1 of node 1: controlword, target torque
 TORQUE = 0.1  # N*m at the joint, with both signs
@@ -120,8 +120,7 @@ def daemon(folder: Path, path: str) -> Iterator[None]:
             time.sleep(SETTLED)
             yield
         finally:
-            process.terminate()
-            process.wait(30.0)
+            end_process(process, 30.0)
 
 
 def running(path: str) -> bool:

@@ -27,7 +27,7 @@ from tools.command import Row
 from tsa_ctrl.errors import BusError, TsaError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Set, Status
-from tsa_ctrl.system.process_supervisor import plant, tsa
+from tsa_ctrl.system.process_supervisor import end_process, plant, tsa
 
 START = 120.0  # s for the daemon to start
 EVERY = 5.0  # s between two samples
@@ -63,9 +63,10 @@ def soak(folder: Path, seconds: float) -> tuple[Samples, Row]:
                 raise BusError("the daemon does not answer")
             time.sleep(0.1)
     except FileNotFoundError:
-        pass  # a process ended between two samples, so the run is over
+        daemon.communicate(timeout=60)  # a process ended between two samples, so the run is over
     finally:
-        out, err = daemon.communicate(timeout=60)
+        end_process(daemon)
+    out, err = daemon.communicate()
     if not out:
         raise BusError(f"the daemon ended with {daemon.returncode}: {err.strip()}")
     return samples, json.loads(out)

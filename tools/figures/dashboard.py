@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.dashboard.chromium import chromium
 from tools import command
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.process_supervisor import tsa
+from tsa_ctrl.system.process_supervisor import end_process, tsa
 
 PATIENCE = 60.0  # s for the daemon's socket
 
@@ -29,8 +29,7 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     try:
         yield process
     finally:
-        process.terminate()
-        process.communicate(timeout=60)
+        end_process(process, 60.0)
 
 
 def socket_in(folder: Path) -> Path:

@@ -283,8 +283,7 @@ def write_last(log: Path, out: Path, seconds: float) -> float:
         file.about.get("build", "unknown"),
     )
     first = end
-    try:
-        target = McapFile(out, header)
+    with outputs.beside(out) as part, contextlib.closing(McapFile(part, header)) as target:
         for axis, block in file.blocks(file.fields):
             kept = block[block[:, 0] >= end - seconds]
             if len(kept):
@@ -292,8 +291,6 @@ def write_last(log: Path, out: Path, seconds: float) -> float:
                 target.write([kept if name == axis else _nothing() for name in file.axes])
         target.write_notes(file.notes)
         target.finish()
-    except OSError as error:
-        raise UsageError(f"{out}: cannot be written ({error.strerror}); choose another place") from None
     return end - first
 
 

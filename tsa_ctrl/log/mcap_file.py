@@ -251,6 +251,10 @@ class McapFile:
         finally:
             self._file.close()
 
+    def close(self) -> None:
+        """Close the file as it is. Repeated calls are permitted."""
+        self._file.close()
+
     def _messages(self, axis: int, block: NDArray[np.float64]) -> NDArray[Any]:
         messages = np.zeros(len(block), dtype=MESSAGE)
         messages["opcode"] = Opcode.MESSAGE

@@ -8,6 +8,7 @@ that hangs or dies is replaced by another one, which writes the remaining record
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import select
@@ -142,8 +143,9 @@ class LogWriter:
             return
         logs = []
         for path in self._path.parent.glob(f"{LOG_KIND}-*{LOG_SUFFIX}"):
-            status = path.stat()
-            logs.append((status.st_mtime, status.st_size, path))
+            with contextlib.suppress(FileNotFoundError):  # another daemon has just deleted it
+                status = path.stat()
+                logs.append((status.st_mtime, status.st_size, path))
         excess = sum(size for _, size, _ in logs) - self._limits.folder_size
         newest = time.time() - IN_USE
         for changed, size, path in sorted(logs):
@@ -151,11 +153,13 @@ class LogWriter:
                 break
             if path == self._path or changed > newest:
                 continue
-            path.unlink(missing_ok=True)
-            excess -= size
-            self._notes.append(
-                Note(self._newest, "", f"deleted the oldest log {path.name}: the logs exceed [log] folder_size", False)
-            )
+            try:
+                path.unlink(missing_ok=True)
+                excess -= size
+                text = f"deleted the oldest log {path.name}"
+            except OSError as error:  # of another user, for example; no reason to stop writing
+                text = f"the oldest log {path.name} cannot be deleted ({error.strerror})"
+            self._notes.append(Note(self._newest, "", f"{text}: the logs exceed [log] folder_size", False))
 
     def _sync(self, file: McapFile, now: float) -> None:
         """Start an fsync once a second, and raise the OSError of the previous one."""

@@ -124,7 +124,7 @@ class Cause(Enum):
     OVER_SPEED = (
         "over-speed",
         "check the tendons before anything else: they may be torn or off the pulley; then check the joint "
-        f"encoder and [axis.limits] speed; {_RECOVER}",
+        f"encoder, and over_speed and motor_over_speed in [axis.limits]; {_RECOVER}",
     )
     NOT_FINITE = (
         "value that is not finite",

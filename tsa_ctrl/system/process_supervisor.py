@@ -312,12 +312,17 @@ def plant(folder: Path, record: str | None = None) -> Iterator[subprocess.Popen[
         _wait_ready(process)
         yield process
     finally:
-        process.terminate()
-        try:
-            process.communicate(timeout=END_TIME)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
+        end_process(process)
+
+
+def end_process(process: Popen[str] | Popen[bytes], patience: float = END_TIME) -> None:
+    """Terminate a process, and kill it if it has not ended after `patience` s. An ended process is permitted."""
+    process.terminate()
+    try:
+        process.communicate(timeout=patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.communicate()
 
 
 def _wait_ready(process: subprocess.Popen[str]) -> None:
@@ -376,13 +381,8 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
                 if gone > seconds + OVERTIME:
                     raise BusError(f"the daemon did not end {OVERTIME:g} s after its time") from None
     finally:
-        if process is not None and process.poll() is None:
-            process.terminate()
-            try:
-                process.wait(END_TIME)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        if process is not None:
+            end_process(process)
     if process.returncode != 0:
         cause = _last_line(errors)
         with contextlib.suppress(json.JSONDecodeError):

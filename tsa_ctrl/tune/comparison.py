@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.errors import BusError, TsaError, UsageError
 from tsa_ctrl.identify.quantity import Quantity, half_width
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
@@ -107,9 +107,15 @@ class LiveBlocks:
         return math.sqrt(math.fsum(squares.values()) / len(squares))
 
     def restore(self) -> None:
-        """Restore the values from before the first block."""
+        """Restore the values from before the first block. Raise BusError with those that were not restored."""
+        left = []
         for parameter, value in self._before.items():
-            self._client.ask(protocol.Set(parameter, value))
+            try:
+                self._client.ask(protocol.Set(parameter, value))
+            except TsaError as error:
+                left.append(f"`tsa set {parameter} {value:g}` ({error})")
+        if left:
+            raise BusError(f"axis '{self.axis}': not all parameters were restored; repeat {', '.join(left)}")
 
     def _arrived(self, name: str) -> bool:
         values = self._axis()["parameters"]
