@@ -236,9 +236,7 @@ def dashboard_command(path: str, port: int) -> None:
     type=click.IntRange(0, 65535),
     help="Port of 127.0.0.1; 0 takes a free one.",
 )
-@click.option(
-    "--rate", default=1000.0, show_default=True, type=click.FloatRange(1.0, MOST_RATE), help="Rate of the signals, Hz."
-)
+@click.option("--rate", default=1000.0, show_default=True, type=Finite(1.0, MOST_RATE), help="Rate of the signals, Hz.")
 @click.option("--settable", is_flag=True, help="Let every client on this computer change live parameters as this user.")
 @click.option("--layouts", "folder", type=click.Path(path_type=Path), help="Write layouts for both programs there.")
 def live_command(path: str, port: int, rate: float, settable: bool, folder: Path | None) -> None:
