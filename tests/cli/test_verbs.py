@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main
+from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.causes import Cause
 
@@ -62,6 +63,27 @@ def test_a_number_that_is_none_is_one_line_and_code_2(
     said = capsys.readouterr()
     assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
     assert option in said.err
+
+
+@pytest.mark.parametrize("line", commands())
+def test_no_number_of_an_option_may_be_nan_or_infinite(line: str) -> None:
+    command: click.Command | None = cli
+    for word in line.split():
+        assert isinstance(command, click.Group)
+        command = command.get_command(click.Context(command), word)
+    assert command is not None
+    for option in command.params:
+        for kind in getattr(option.type, "types", [option.type]):
+            assert isinstance(kind, Finite) or not isinstance(kind, click.types.FloatParamType), option.name
+
+
+@pytest.mark.parametrize("line", ["tune", "investigate"])
+def test_an_infinite_travel_is_one_line_and_code_2(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([line, "no.toml", "--out", "out", "--travel", "-inf", "inf"])
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert "--travel" in said.err
 
 
 def test_unknown_verb_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

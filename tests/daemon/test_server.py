@@ -359,6 +359,11 @@ def test_a_file_that_is_in_the_way_stays(tmp_path: Path) -> None:
     assert path.read_text() == "somebody's"
 
 
+def test_a_path_that_is_too_long_for_a_socket_is_named_as_such(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"cannot listen there \(AF_UNIX path too long\)"):
+        listen(str(tmp_path / ("x" * 120)), None)
+
+
 def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
     """An unknown group, such as a typing error, gives an error, and no socket is created."""
     path = tmp_path / "tsa.sock"

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.plant.process import refuse_doubles
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.plant.process import ControlSocket, ask, refuse_doubles
+
+
+def test_a_path_that_is_too_long_for_a_socket_is_named_as_such(tmp_path: Path) -> None:
+    path = tmp_path / ("x" * 120)
+    with pytest.raises(UsageError, match=r"no socket can be made here \(AF_UNIX path too long\)"):
+        ControlSocket(path)
+    with pytest.raises(BusError, match=r"no simulated machine answers \(AF_UNIX path too long\)"):
+        ask(path, "status")
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ EXAMPLE = "Example: tsa investigate config/controller.toml --virtual config/plan
 @click.option("--axis", "axis_name", metavar="NAME", help="Axis to investigate; required if the file has several.")
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Maximum joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Maximum joint speed, rad/s.")
-@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
+@click.option("--travel", type=Finite(), nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
 @click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 120.0), help="Duration of each motion, s.")
 @click.option("--most", default=6, show_default=True, type=click.IntRange(1, 30), help="Maximum number of motions.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of all random draws.")

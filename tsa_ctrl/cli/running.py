@@ -250,9 +250,7 @@ def dashboard_command(path: str, port: int) -> None:
     type=click.IntRange(0, 65535),
     help="Port on 127.0.0.1; 0: a free one.",
 )
-@click.option(
-    "--rate", default=1000.0, show_default=True, type=click.FloatRange(1.0, MOST_RATE), help="Rate of the signals, Hz."
-)
+@click.option("--rate", default=1000.0, show_default=True, type=Finite(1.0, MOST_RATE), help="Rate of the signals, Hz.")
 @click.option("--settable", is_flag=True, help="Let every client on this computer change live parameters as this user.")
 @click.option(
     "--layouts", "folder", type=click.Path(path_type=Path), help="Folder in which to write layouts for both programs."

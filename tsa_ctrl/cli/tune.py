@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 )
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="Maximum joint torque, N*m.")
 @click.option("--speed", type=Finite(min=0.0, min_open=True), help="Maximum joint speed, rad/s.")
-@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
+@click.option("--travel", type=Finite(), nargs=2, metavar="LOW HIGH", help="Permitted joint angles, rad.")
 @click.option(
     "--seconds", default=20.0, show_default=True, type=Finite(8.0, 600.0), help="Duration of the excitation, s."
 )

@@ -56,7 +56,7 @@ def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> Non
                 f"{path}: no picture of that kind can be written; choose a name that ends with .png"
             ) from None
         except OSError as error:
-            raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+            raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
     finally:
         pyplot.close(figure)
 

@@ -208,7 +208,8 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
             raise UsageError(
                 f"[socket] {key} '{name}': {path} cannot be given to it ({error.strerror}); give a group of this user"
             ) from None
-        raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
+        reason = error.strerror or error  # a path that is too long has no number
+        raise UsageError(f"[socket] path {path}: cannot listen there ({reason}); give another path") from None
     return listener
 
 

@@ -46,7 +46,8 @@ class ControlSocket:
             self._socket.bind(str(path))
         except OSError as error:
             self._socket.close()
-            raise UsageError(f"{path}: no socket can be made here ({error.strerror}); choose another place") from None
+            reason = error.strerror or error  # a path that is too long has no number
+            raise UsageError(f"{path}: no socket can be made here ({reason}); choose another place") from None
         finally:
             os.umask(before)
 
@@ -76,7 +77,7 @@ def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
             client.sendto(line.encode(), str(path))
             return client.recv(1 << 16).decode()
         except OSError as error:
-            reason = error.strerror or "no answer in time"
+            reason = "no answer in time" if isinstance(error, TimeoutError) else error.strerror or error
             raise BusError(f"{path}: no simulated machine answers ({reason}); start tsa plant with --control") from None
 
 

@@ -87,7 +87,7 @@ def write(
                 shutil.move(path, folder / path.name)
                 pictures[caption] = folder / path.name
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{folder}: cannot be written ({error.strerror or error}); choose another --out") from None
     source = _provenance(result, template, origin)
     save_model(result.model, folder / MODEL, template, source)
     if result.formula is not None:
