@@ -92,14 +92,14 @@ def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
     return TimeGrid(index, period, typical, times, jitter, int(np.argmax(step_error)) + 1)
 
 
-def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
-    """Raise UsageError if a time is not a number, repeats or decreases; `first` is the table's row of t[0].
+def check_increasing(table: Table, t: Array, doubled: bool = False) -> None:
+    """Raise UsageError if a time is not a number, repeats or decreases.
 
     `doubled`: a stamp may repeat the row before.
     """
     good = np.isfinite(t)
     if not good.all():
-        place = table.place(int(np.argmin(good)) + first)
+        place = table.place(int(np.argmin(good)))
         raise UsageError(f"{table.label}: column t, {place}: found no number; every row needs its time: correct it")
     steps = np.diff(t)
     onward = steps >= 0.0 if doubled else steps > 0.0
@@ -107,7 +107,7 @@ def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = Fal
         row = int(np.argmin(onward)) + 1
         cure = "sort the rows by time" if doubled else "sort the rows by time and remove doubled ones"
         raise UsageError(
-            f"{table.label}: column t, {table.place(row + first)}: time {t[row]:.9g} s does not increase (before it "
+            f"{table.label}: column t, {table.place(row)}: time {t[row]:.9g} s does not increase (before it "
             f"{t[row - 1]:.9g} s); {cure}"
         )
 
