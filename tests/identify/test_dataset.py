@@ -272,6 +272,12 @@ class TestTablesAsTheyCome:
         assert (len(found), found.rate) == (N, pytest.approx(1000.0, rel=1e-9))
         assert np.max(np.abs(found["omega_j"] - np.cos(2.0 * T))) < 1e-5
 
+    def test_a_wrong_unit_behind_a_lost_sample_comes_with_the_row_of_the_file(self) -> None:
+        table = self.table(np.delete(T, np.arange(200, 205)))
+        table["tau_m"][300:305] = 600.0, 700.0, 800.0, 700.0, 600.0
+        with pytest.raises(UsageError, match=r"column tau_m, row 303: 800 N\*m cannot be right"):
+            Dataset.from_arrays(table)
+
     def test_a_slow_steady_log(self, tmp_path: Path) -> None:
         path = as_csv(tmp_path / "a.csv", self.table(0.128 * np.arange(500)))
         assert load_log(path).rate == pytest.approx(7.8125)
@@ -361,6 +367,18 @@ class TestDaemonLog:
         assert len(found) == N - 20
         assert "the first 20 rows" in found.notes[0]
 
+    @pytest.mark.parametrize("rows", [1, 2, 9])
+    def test_a_few_complete_rows_are_no_log(self, tmp_path: Path, rows: int) -> None:
+        late = np.where(np.arange(N) < N - rows, np.nan, 0.5)
+        with pytest.raises(UsageError, match=f"holds {rows} rows; at least 10 are needed"):
+            self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=late)
+
+    def test_a_wrong_unit_comes_with_the_row_of_the_log(self, tmp_path: Path) -> None:
+        torque = np.where((T < 0.02) | np.isin(np.arange(N), (50, 51)), np.nan, 0.5)
+        torque[300:305] = 600.0, 700.0, 800.0, 700.0, 600.0
+        with pytest.raises(UsageError, match=r"column tau_m, row 301: 800 N\*m cannot be right"):
+            self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), (100, 101)), tau_m=torque)
+
     def test_single_values_missing_are_filled_and_said(self, tmp_path: Path) -> None:
         holed = np.where(np.isin(np.arange(N), (50, 51, 90)), np.nan, np.sin(5.0 * T))
         found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
@@ -437,7 +455,7 @@ def test_a_bad_log_is_one_line(tmp_path: Path, table: Columns, said: str) -> Non
     ("table", "said"),
     [
         (columns(omega_j=None, q_j=30.0 * np.sin(40.0 * T)), "column q_j swings over"),
-        (columns(omega_j=400.0 * np.sin(5.0 * T)), "degrees per second or rpm"),
+        (columns(omega_j=400.0 * np.sin(5.0 * T)), "omega_j, t = 0.314 s: 400 rad/s cannot be right"),
     ],
 )
 def test_tendons_move_no_joint_as_fast_as_a_motor(table: Columns, said: str) -> None:

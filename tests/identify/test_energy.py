@@ -17,7 +17,7 @@ from tsa_ctrl.identify import energy
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.identify.energy import check_energy
-from tsa_ctrl.model.parameters import Model, RigidDrive, load_model, model_from
+from tsa_ctrl.model.parameters import GearedDrive, Model, RigidDrive, load_model, model_from
 
 VELOCITIES = ("omega_j", "q_j")
 
@@ -131,6 +131,26 @@ def test_a_plain_drive_whose_friction_drives_is_refused() -> None:
     check_energy(turned(table), RigidDrive(coulomb_friction=0.04))
     with pytest.raises(UsageError, match="column tau_m or omega_m is reversed"):
         check_energy(turned(table, "tau_m"), RigidDrive(coulomb_friction=0.04))
+
+
+def braking() -> Columns:
+    """Return the log of a gear that is moved from outside, while the motor brakes with a viscous torque."""
+    rng = np.random.default_rng(3)
+    t = np.arange(8000) * 1e-3
+    omega = 20.0 * np.sin(3.0 * t) + 8.0 * np.sin(7.7 * t)
+    tau_m = -0.02 * omega
+    tau_j = 9.0 / 0.8 * tau_m - 0.6 * np.sign(omega) - 0.02 * omega / 9.0
+    noise = rng.normal(size=(2, len(t)))
+    return {"t": t, "tau_m": tau_m + 0.002 * noise[0], "omega_m": omega, "tau_j": tau_j + 0.02 * noise[1]}
+
+
+def test_a_motor_that_brakes_a_gear_is_accepted() -> None:
+    model = GearedDrive(9.0, 0.8, 0.6)
+    check_energy(turned(braking()), model)
+    check_energy(turned({name: values for name, values in braking().items() if name != "tau_j"}), model)
+    for name in ("tau_m", "omega_m"):
+        with pytest.raises(UsageError, match="column tau_m or omega_m is reversed"):
+            check_energy(turned(braking(), name), model)
 
 
 class TestRatios:

@@ -353,15 +353,16 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
         notes.append(f"column {column} is empty and taken as absent")
     if not any(column in columns for column in ("omega_j", "q_j", "omega_m", "q_m")):
         raise UsageError(_missing(table.label, "omega_j or q_j", everything))
-    start = 0
     if table.recorded:
-        columns, start = _recorded(columns, notes)
-    _check_numbers(table, columns, start)
+        table = _recorded(dataclasses.replace(table, columns=columns), notes)
+        columns = table.columns
+    _check_numbers(table, columns)
     if not strict:
         columns = _without_spikes(table, _unwrapped(columns, notes), notes)
-    columns, period, jitter = _uniform(table, columns, start, notes, strict)
+    read = columns
+    columns, period, jitter = _uniform(table, read, notes, strict)
     notes += check_columns(table.label, columns, period)
-    check_sizes(table.label, columns, start)
+    check_sizes(table.label, read, table.place)
     motion = Motion({name: columns[name] for shaft in SHAFTS for name in shaft if name in columns}, period, cutoff)
     derived = motion.derived()
     return Dataset(
@@ -449,30 +450,38 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
     return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
 
 
-def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
-    """Return the columns of the longest usable part of a daemon's log, and the index of its first row.
+def _recorded(table: Table, notes: list[str]) -> Table:
+    """Return the longest usable part of a daemon's log.
 
-    Other parts are unusable because devices were silent or the loop was interrupted.
+    Other parts are unusable because devices were silent or the loop was interrupted. Raises UsageError if the longest
+    part has fewer than FEWEST rows.
     """
+    columns = dict(table.columns)
     present = {name: np.isfinite(values) for name, values in columns.items() if is_input(name)}
     for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
         notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
         del columns[name]
     complete = np.logical_and.reduce(list(present.values()))
     if not complete.any():
-        return columns, 0  # `_check_numbers` reports the nan with its row
+        return dataclasses.replace(table, columns=columns)  # `_check_numbers` reports the nan with its row
     start = int(np.argmax(complete))
     if start:
         notes.append(f"the first {start} rows, before every device had reported, are left out")
     usable = np.flatnonzero(complete)
-    rows = usable[slice(*_longest_piece(columns["t"][usable]))]
+    rows = usable[slice(*_longest_piece(columns["t"][usable]))] if len(usable) >= FEWEST else usable
+    if len(rows) < FEWEST:
+        raise UsageError(
+            f"{table.label}: the longest part with a value of every device in each row holds {len(rows)} rows; at "
+            f"least {FEWEST} are needed: give a longer log"
+        )
     first, end = int(rows[0]), int(rows[-1]) + 1
     if end - first < len(complete) - start:
         notes.append(
             f"the daemon stood still, or a device was silent, for more than {1e3 * LONGEST_SKIP:g} ms at least once: "
             f"the longest stretch without is used, {len(complete) - start - (end - first)} rows are left out"
         )
-    return {name: values[rows] for name, values in columns.items()}, first
+    columns = {name: values[rows] for name, values in columns.items()}
+    return dataclasses.replace(table, columns=columns, rows=rows if table.rows is None else table.rows[rows])
 
 
 def stretches(t: Array) -> list[tuple[int, int]]:
@@ -493,7 +502,7 @@ def _longest_piece(t: Array) -> tuple[int, int]:
     return max(stretches(t), key=lambda piece: piece[1] - piece[0])
 
 
-def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:
+def _check_numbers(table: Table, columns: Mapping[str, Array]) -> None:
     for name, values in columns.items():
         if not is_input(name):
             continue
@@ -502,24 +511,24 @@ def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> No
             row = int(np.argmin(good))
             found = "no number (empty or nan)" if np.isnan(values[row]) else f"{values[row]}"
             raise UsageError(
-                f"{table.label}: column {name}, {table.place(row + start)}: found {found}; every row needs a finite "
+                f"{table.label}: column {name}, {table.place(row)}: found {found}; every row needs a finite "
                 "number: correct the row or cut the file there"
             )
 
 
 def _uniform(
-    table: Table, columns: dict[str, Array], start: int, notes: list[str], strict: bool
+    table: Table, columns: dict[str, Array], notes: list[str], strict: bool
 ) -> tuple[dict[str, Array], float, float]:
     """Return the columns on a uniform grid, its period (s) and the jitter of the file (fraction of the period)."""
     t = columns["t"]
-    check_increasing(table, t, start)
+    check_increasing(table, t)
     whole = table.recorded or strict
     grid = fit_grid(t, LONGEST_SKIP if table.recorded else 0.0) if whole else fit_stamps(t)
     check_rate(table.label, grid.typical, float(t[-1] - t[0]), strict)
     if whole and grid.jitter > MOST_JITTER:
         row = grid.worst
         raise UsageError(
-            f"{table.label}: column t, {table.place(row + start)}: a step of {t[row] - t[row - 1]:.6g} s where the "
+            f"{table.label}: column t, {table.place(row)}: a step of {t[row] - t[row - 1]:.6g} s where the "
             f"period is {grid.typical:.6g} s; at most {MOST_JITTER:.0%} off is allowed: cut the file at the hole"
         )
     if grid.skipped:
@@ -532,7 +541,7 @@ def _uniform(
         off = np.abs(np.diff(t) / grid.period - np.diff(grid.index)) > MOST_JITTER
         notes.append(
             f"{np.count_nonzero(off)} of {len(off)} steps of time ({off.mean():.2%}) are off by more than "
-            f"{MOST_JITTER:.0%} of {period}, the most at {table.place(grid.worst + start)} "
+            f"{MOST_JITTER:.0%} of {period}, the most at {table.place(grid.worst)} "
             f"({1e3 * (t[grid.worst] - t[grid.worst - 1]):.4g} ms); resampled to a uniform grid"
         )
     elif grid.jitter > UNIFORM:

@@ -25,7 +25,7 @@ from tsa_ctrl.identify.redundancy import BAND, compare, judge
 from tsa_ctrl.identify.three_errors import UNKNOWN
 from tsa_ctrl.identify.torque_scale import FRICTION_FACTOR, most_friction, torque_scale
 from tsa_ctrl.identify.units import in_other_units
-from tsa_ctrl.model.parameters import Model, TendonSheath
+from tsa_ctrl.model.parameters import GearedDrive, Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import last_reversal, low_pass
 from tsa_ctrl.model.steady_sliding import sliding as steady_sliding
@@ -79,7 +79,7 @@ def check_energy(dataset: Dataset, model: Model) -> None:
         if "tau_j" in dataset:
             _check_transmission(dataset, model)
     else:
-        _check_drive(dataset)
+        _check_drive(dataset, geared=isinstance(model, GearedDrive))
 
 
 def _check_kinematics(dataset: Dataset) -> None:
@@ -250,12 +250,17 @@ def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> 
     )
 
 
-def _check_drive(dataset: Dataset) -> None:
+def _check_drive(dataset: Dataset, geared: bool) -> None:
+    """Raise UsageError if the friction of a drive creates energy.
+
+    A load may drive the motor through a gear, so only the measured joint torque then determines the sign of the
+    friction.
+    """
     _check_kinematics(dataset)
-    if "omega_m" not in dataset:
+    if "omega_m" not in dataset or (geared and "tau_j" not in dataset):
         return
     omega = dataset["omega_m"]
-    found = _signs(dataset, dataset["tau_m"], omega, _sliding(omega), None)
+    found = _signs(dataset, dataset["tau_m"], omega, _sliding(omega), dataset["tau_j"] if geared else None)
     if found is not None and found.friction < 0:
         velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
         raise UsageError(

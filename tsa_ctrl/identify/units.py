@@ -6,7 +6,7 @@ a factor of ten or more. Comparing two columns, such as an angle and its velocit
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,10 +71,10 @@ def check_rate(label: str, period: float, seconds: float, strict: bool = False) 
 def check_sizes(
     label: str,
     columns: Mapping[str, Array],
-    first_row: int = 0,
+    place: Callable[[int], str],
     largest: Mapping[str, tuple[float, str, str]] = LARGEST,
 ) -> None:
-    """Raise UsageError if a value exceeds the limit of its column; the message states the row of the largest value."""
+    """Raise UsageError if a value exceeds the limit of its column; `place` names the row of the largest value."""
     for name, (limit, unit, hint) in largest.items():
         if name not in columns:
             continue
@@ -82,14 +82,14 @@ def check_sizes(
         value = float(columns[name][row])
         if abs(value) > limit:
             raise UsageError(
-                f"{label}: column {name}, row {row + 1 + first_row}: {value:g} {unit} cannot be right (allowed are up "
+                f"{label}: column {name}, {place(row)}: {value:g} {unit} cannot be right (allowed are up "
                 f"to {limit:g}); it seems to be in {hint}: convert it to {unit}"
             )
 
 
-def check_joint(label: str, columns: Mapping[str, Array], first_row: int = 0) -> None:
+def check_joint(label: str, columns: Mapping[str, Array]) -> None:
     """Raise UsageError if a joint moves faster or further than tendons can move it."""
-    check_sizes(label, columns, first_row, FASTEST_JOINT)
+    check_sizes(label, columns, lambda row: f"t = {columns['t'][row]:.6g} s", FASTEST_JOINT)
     q = columns.get("q_j")
     if q is not None and ("omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING):
         swing = float(np.ptp(q))

@@ -97,18 +97,17 @@ def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
     return TimeGrid(index, period, typical, times, jitter, int(np.argmax(step_error)) + 1)
 
 
-def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
+def check_increasing(table: Table, t: Array, doubled: bool = False) -> None:
     """Raise UsageError if a time is not a number, repeats or decreases, or if all times are equal.
 
     Args:
         table: table of the times, for messages.
         t: times, s, (n,).
-        first: row of t[0] in the table.
         doubled: True to accept a stamp that equals the previous one.
     """
     good = np.isfinite(t)
     if not good.all():
-        place = table.place(int(np.argmin(good)) + first)
+        place = table.place(int(np.argmin(good)))
         raise UsageError(f"{table.label}: column t, {place}: found no number; every row needs its time: correct it")
     steps = np.diff(t)
     onward = steps >= 0.0 if doubled else steps > 0.0
@@ -116,7 +115,7 @@ def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = Fal
         row = int(np.argmin(onward)) + 1
         cure = "sort the rows by time" if doubled else "sort the rows by time and remove doubled ones"
         raise UsageError(
-            f"{table.label}: column t, {table.place(row + first)}: time {t[row]:.9g} s does not increase (before it "
+            f"{table.label}: column t, {table.place(row)}: time {t[row]:.9g} s does not increase (before it "
             f"{t[row - 1]:.9g} s); {cure}"
         )
     if len(steps) and not steps.any():
