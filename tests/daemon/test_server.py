@@ -364,6 +364,17 @@ def test_a_path_that_is_too_long_for_a_socket_is_named_as_such(tmp_path: Path) -
         listen(str(tmp_path / ("x" * 120)), None)
 
 
+def test_a_daemon_reached_by_a_shorter_path_keeps_its_socket(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its absolute path is too long to connect to."""
+    folder = tmp_path / ("long" * 30)
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    with listen("tsa.sock", None):
+        with pytest.raises(UsageError, match=r"cannot connect \(AF_UNIX path too long\); give another path"):
+            listen(str(folder / "tsa.sock"), None)
+        assert (folder / "tsa.sock").is_socket()
+
+
 def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
     """An unknown group, such as a typing error, gives an error, and no socket is created."""
     path = tmp_path / "tsa.sock"

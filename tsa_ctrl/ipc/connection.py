@@ -262,7 +262,7 @@ def _replace(place: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             probe.connect(str(place))
-        except OSError:  # left over from a daemon that was killed
+        except ConnectionRefusedError:  # left over from a daemon that was killed
             try:
                 place.unlink()
             except OSError as error:
@@ -270,5 +270,9 @@ def _replace(place: Path) -> None:
                     f"{place}: is left over and cannot be removed ({error.strerror}); remove it, or give another "
                     "[socket] path"
                 ) from None
+        except OSError as error:  # a daemon may listen there, but this path does not reach it
+            raise UsageError(
+                f"[socket] path {place}: cannot connect ({error.strerror or error}); give another path"
+            ) from None
         else:
             raise UsageError(f"{place}: another daemon answers there; stop it, or give another [socket] path")

@@ -93,7 +93,7 @@ def test_diff_lists_nothing_that_the_startup_accepts_or_a_shutdown_leaves(nodes:
     held[0x1016][1] = bytes(4)
     assert "0 differ" in run(nodes, "diff")
     held[0x605A][0] = b"\x05\x00"
-    assert "0x605A:0 quick stop reaction: drive 0x5, wanted 0x0\n" in run(nodes, "diff")
+    assert "0x605A:0 quick stop reaction: drive 0x5, required 0x0\n" in run(nodes, "diff")
 
 
 def test_diff_looks_at_the_consumer_entry_and_the_rpdos_that_the_startup_uses() -> None:
@@ -102,9 +102,9 @@ def test_diff_looks_at_the_consumer_entry_and_the_rpdos_that_the_startup_uses() 
     rpdo: Dictionary = {(0x1404, 1): (U32, 0x301), (0x1404, 2): (U8, 255), (0x1604, 0): (U8, 0)}
     with bench(drive=consumers | rpdo) as nodes:
         text = run(nodes, "diff")
-        assert "0x1016:2 heartbeat consumer: drive 0x7f0400, wanted 0x7f0064" in text
+        assert "0x1016:2 heartbeat consumer: drive 0x7f0400, required 0x7f0064" in text
         assert "0x1016:1" not in text
-        assert "0x1404:1 RPDO5 COB-ID: drive 0x301, wanted 0x80000301" in text
+        assert "0x1404:1 RPDO5 COB-ID: drive 0x301, required 0x80000301" in text
         configure(nodes)
         assert "0 differ" in run(nodes, "diff")
 
@@ -113,7 +113,7 @@ def test_diff_names_what_cannot_be_read_and_compares_the_rest(nodes: Bench) -> N
     nodes.nodes[1].object_dictionary[0x6072].access_type = "wo"
     text = run(nodes, "diff")
     assert "0x6072:0 max torque cannot be read and was not compared" in text
-    assert "0x60B2:0 torque offset: drive 0x78, wanted 0x0" in text
+    assert "0x60B2:0 torque offset: drive 0x78, required 0x0" in text
 
 
 @pytest.mark.parametrize(

@@ -170,7 +170,8 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         tensioner: changes of T_p0 (N) by pattern of the logs' names.
 
     Raises:
-        UsageError: no log, a pattern without a match, two logs with the same data or the same name, or logs that cannot be used with the model.
+        UsageError: no log, a pattern without a match, two logs with the same data or the same name, or logs that cannot
+            be used with the model.
     """
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
