@@ -186,44 +186,44 @@ class _Investigator:
     def _answer(self) -> Investigation | Experiment:
         """Return the result, or the next motion."""
         result = self._steps[-1].result
-        pairs = open_pairs(result)
+        pairs, why = open_pairs(result), "no motion separates them without column temperature; log the temperature"
         predictable = [pair for pair in pairs if not self._needs_temperature(pair)]
         if predictable:
-            return self._separate(predictable)
+            if self._motions >= self._most:
+                more = f"not separated in {self._most} motions; allow more by --most"
+                return self._ended(Answer.STOPPED, f"{_group(predictable)}: {more}")
+            found = self._separating(predictable)
+            if isinstance(found, Experiment):
+                return found
+            why = f"no motion on this rig separates them; {found}"
         left = unexplained_while_sliding(result)
-        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else LEAST_MOTIONS
+        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else 0 if pairs else LEAST_MOTIONS
         if self._motions < min(needed, self._most):
             return self._designer(result).best([])
-        named = " and ".join(cause.effect for cause in result.causes)
+        named = " and ".join(" or ".join((cause.effect, *cause.alternatives)) for cause in result.causes)
         if result.verdict is Verdict.INSUFFICIENT:
             return self._ended(Answer.INSUFFICIENT, result.sentence.rstrip("."))
         if left:
-            beside = f"beside {named} " if named else ""
-            return self._ended(
-                Answer.OUTSIDE, f"{beside}something acts that is outside the catalogue: {result.unexplained}"
-            )
+            beside = f"in addition to {named}, " if named else ""
+            text = f"{beside}an effect outside the catalogue acts: {result.unexplained}"
+            return self._ended(Answer.OUTSIDE, text)
         if pairs:
-            why = "no motion separates them without column temperature; log the temperature"
-            return self._ended(Answer.GROUP, f"{_group(pairs)}: {why}")
+            return self._ended(Answer.GROUP, f"{_group(predictable or pairs)}: {why}")
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
         beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
         return self._ended(Answer.NONE, f"the recalibrated model leaves noise while the joint slides{beside}")
 
-    def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:
+    def _separating(self, pairs: Sequence[Pair]) -> Experiment | str:
+        """Return the motion that separates the hypotheses, or the reason why no motion does."""
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
-        group = _group(pairs)
-        if self._motions >= self._most:
-            return self._ended(Answer.STOPPED, f"{group}: not separated in {self._most} motions; allow more by --most")
-        if untried:
-            experiment = self._designer(self._steps[-1].result).best(untried)
-            if max(experiment.separation.values()) >= SEPARATES:
-                return experiment
-            size = max(experiment.separation.values())
-            why = f"the best motion within the limits would separate them by {size:.2g} standard deviations"
-        else:
-            why = f"{ATTEMPTS} motions made for it did not separate them"
-        return self._ended(Answer.GROUP, f"{group}: no motion on this rig separates them; {why}")
+        if not untried:
+            return f"{ATTEMPTS} motions made for it did not separate them"
+        experiment = self._designer(self._steps[-1].result).best(untried)
+        size = max(experiment.separation.values())
+        if size >= SEPARATES:
+            return experiment
+        return f"the best motion within the limits would separate them by {size:.2g} standard deviations"
 
     def _needs_temperature(self, pair: Pair) -> bool:
         """Return True if the diagnosis invented the temperature of the competing hypothesis, which is not logged."""

@@ -171,7 +171,8 @@ def _without(
     """Return the claims of a selection that starts from the causes of `start`, without the effects in `names`.
 
     A dropped cause may have hidden another one, so the selection is repeated without the dropped effect. Each
-    repetition excludes one more effect, so the search ends.
+    repetition excludes one more effect, so the search ends. An excluded effect that returns as the alternative of
+    another cause is not dropped again.
     """
     left = {name: variants for name, variants in catalogue.items() if name not in names}
     rounds: tuple[Round, ...] = ()
@@ -186,7 +187,7 @@ def _without(
         if not dropped:
             base = fit(problem, base.hypothesis, base.point)
             errors = held_out(problem, base, start, split, structure_share(findings))
-            if errors.worthless is None:
+            if errors.worthless is None or start.names[errors.worthless] not in left:
                 break
             dropped = [start.names[errors.worthless]]
             start = selection.without([errors.worthless]).fitted
@@ -199,7 +200,7 @@ def _without(
     if not structure_share(findings):
         return found
     index = stand_in(problem, start, groups, split, formula)
-    if index is None:
+    if index is None or start.names[index] not in left:
         return found
     others = selection.without([index]).fitted
     gone = [*(name for name in catalogue if name not in left), start.names[index]]
