@@ -224,7 +224,6 @@ def _log(path: Path) -> None:
     for axis, block in log.blocks(log.fields):
         assert axis in log.axes
         assert block.ndim == 2
-    log.read_notes()
     for angle in log.joint_angles().values():
         assert angle(np.array([0.0, 1.0])).shape == (2,)
     assert all("\n" not in problem for problem in log.problems)

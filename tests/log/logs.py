@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.mcap_file import McapFile, Note
 from tsa_ctrl.log.process import LogHeader
+from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.signals import FIELD_NAMES, FIELDS
 
@@ -61,6 +62,13 @@ def write_log(path: Path, chunks: int = 4, per_chunk: int = 100, header: LogHead
         ]
         file.write(blocks)
     file.finish()
+
+
+def notes_of(log: LogFile) -> list[Note]:
+    """Read all records of a log, and return its events."""
+    for _ in log.blocks(()):
+        pass
+    return log.notes
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.log.logs import HEADER, kill_an_owner, push, wait_for
+from tests.log.logs import HEADER, kill_an_owner, notes_of, push, wait_for
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import convert
@@ -78,7 +78,7 @@ def test_notes_survive_a_disk_in_trouble(ring: RingWriter, tmp_path: Path) -> No
     folder.mkdir()
     writer.step(10.0)
     writer.end()
-    assert LogFile(folder / "x.mcap").read_notes() == [FAULT]
+    assert notes_of(LogFile(folder / "x.mcap")) == [FAULT]
 
 
 def test_a_ring_overrun_by_notes_keeps_the_newest(ring: RingWriter) -> None:
@@ -112,12 +112,12 @@ def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
 
     def noted() -> bool:
         try:
-            return LogFile(path).read_notes() != []
+            return notes_of(LogFile(path)) != []
         except (OSError, UsageError):  # the file or its header is missing
             return False
 
     assert wait_for(noted)
-    (note,) = LogFile(path).read_notes()
+    (note,) = notes_of(LogFile(path))
     assert (note.text, note.fault) == (DEAD, True)
     assert note.t == pytest.approx(0.699)
 
@@ -128,4 +128,4 @@ def test_a_loop_that_ends_in_order_is_not_called_dead(ring: RingWriter, tmp_path
     push(ring, 10)
     ring.note(FAULT.encoded())
     log.end()
-    assert LogFile(tmp_path / "x.mcap").read_notes() == [FAULT]
+    assert notes_of(LogFile(tmp_path / "x.mcap")) == [FAULT]

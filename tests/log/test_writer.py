@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.log.logs import HEADER, kill_an_owner, push, wait_for
+from tests.log.logs import HEADER, kill_an_owner, notes_of, push, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
 from tsa_ctrl.log.process import LogLimits, LogProcess
@@ -269,7 +269,7 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
     assert [count for file in files for count in times(file)] == list(range(500))
     for file in files:
         found = LogFile(file)
-        notes = [note.text for note in found.read_notes()]
+        notes = [note.text for note in notes_of(found)]
         assert found.complete
         assert found.files == HEADER.files
         assert (file == files[0]) == (not any("goes on from" in text for text in notes))
@@ -279,7 +279,7 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
     large.step(0.0)
     push(ring, 100, first=600)
     large.end()
-    assert not any("goes on in" in note.text for note in LogFile(tmp_path / "large-2.mcap").read_notes())
+    assert not any("goes on in" in note.text for note in notes_of(LogFile(tmp_path / "large-2.mcap")))
     assert times(tmp_path / "large.mcap") + times(tmp_path / "large-2.mcap") == list(range(500, 700))
 
 
@@ -293,7 +293,7 @@ def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWri
     assert 3500 < (tmp_path / "tsa-5.mcap").stat().st_size < 4500  # its header, which leaves room for two logs
     log.end()
     assert {path.name for path in tmp_path.iterdir()} == {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap"}
-    notes = [note.text for note in LogFile(tmp_path / "tsa-5.mcap").read_notes()]
+    notes = [note.text for note in notes_of(LogFile(tmp_path / "tsa-5.mcap"))]
     assert [text.split(":")[0] for text in notes] == [f"deleted the oldest log tsa-{i}.mcap" for i in (1, 2)]
 
 
@@ -310,5 +310,5 @@ def test_an_old_log_that_vanishes_or_cannot_be_deleted_does_not_stop_the_writer(
     assert LogHealth(ring).state is WriterState.WRITING
     log.end()
     assert times(tmp_path / "tsa-3.mcap") == list(range(100))
-    (note,) = [note.text for note in LogFile(tmp_path / "tsa-3.mcap").read_notes()]
+    (note,) = [note.text for note in notes_of(LogFile(tmp_path / "tsa-3.mcap"))]
     assert note.startswith("the oldest log tsa-2.mcap cannot be deleted (Is a directory)")

@@ -197,9 +197,7 @@ def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
     configuration = load_configuration(tmp_path / "controller.toml")
     inertia, late = around(1e-4, "kg*m^2"), around(delay, "s")
     stiffness = around(1e-4 * (2.0 * math.pi * ringing) ** 2, "N*m/rad")
-    found = Mechanics(
-        Delay(delay / PERIOD - 1.0, LAG, late), Swing(inertia, stiffness, around(ringing, "Hz"), 5.0, 0.0, 20)
-    )
+    found = Mechanics(Delay(delay / PERIOD - 1.0, LAG, late), Swing(inertia, stiffness, around(ringing, "Hz"), 0.0))
     learned = learned_of(configuration.models[0])
     made = law_tuning(configuration, configuration.file.axes[0], learned, found)
     assert made is not None

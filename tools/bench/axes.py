@@ -111,7 +111,3 @@ def main() -> int:
             lines.append((name, number + 1, planned, share, cycles["missed_pdo"], faults, work))
     command.print_table(("rig", "round", "planned", "skipped", "missed", "faults", "work"), lines)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

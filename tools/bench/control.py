@@ -29,10 +29,10 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from tests.virtual.joints import rms
 from tools import command
 from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
@@ -166,16 +166,12 @@ def measure(axis: AxisResult, playing: float, rests: float) -> Row:
         near |= (t >= before - WINDOW) & (t <= after + WINDOW)
     resting = (truth["clock"] - axis.start >= rests) & (truth["clock"] - axis.start < axis.until)
     return {
-        "rms": _rms(error),
+        "rms": rms(error),
         "p99": float(np.percentile(np.abs(error), 99.0)),
         "peak": float(np.abs(error).max()),
-        "jerk": _rms(np.gradient(error, t)[near]) if near.any() else None,
-        "resting_speed": _rms(truth["omega_j"][resting]),
+        "jerk": rms(np.gradient(error, t)[near]) if near.any() else None,
+        "resting_speed": rms(truth["omega_j"][resting]),
     }
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:

@@ -121,7 +121,3 @@ def main() -> int:
             flush=True,
         )
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -137,7 +136,3 @@ def main() -> int:
     if not chosen.json:
         command.print_goals(rows)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

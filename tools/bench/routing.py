@@ -16,7 +16,6 @@ import copy
 import dataclasses
 import itertools
 import json
-import sys
 import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -218,7 +217,3 @@ def main() -> int:
     if not chosen.json:
         command.print_goals(rows)
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

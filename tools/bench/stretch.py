@@ -26,7 +26,7 @@ import numpy as np
 import tomlkit
 from rich.table import Table
 
-from tests.virtual.joints import GAIT, sine
+from tests.virtual.joints import GAIT, rms, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
 from tsa_ctrl.demo.rig import gait
@@ -120,19 +120,15 @@ def verify(result: AxisResult, model: TendonSheath, inertia: float) -> dict[str,
         return dict.fromkeys(("torque", "sliding", "all", "held_by_band", "band"), math.nan)
     z = result.truth["z"][np.searchsorted(result.truth["clock"], result.start + log["t"] + log["lateness"])]
     error = (told[:, 0] - result.delivered)[kept]
-    size = _rms(result.delivered[kept])
+    size = rms(result.delivered[kept])
     slides = np.abs(z[kept]) > 0.999
     return {
         "torque": size,
-        "sliding": _rms(error[slides]) / size if slides.any() else math.nan,
-        "all": _rms(error) / size,
+        "sliding": rms(error[slides]) / size if slides.any() else math.nan,
+        "all": rms(error) / size,
         "held_by_band": float(np.mean(np.abs(error) <= told[kept, 1])),
         "band": float(np.mean(told[kept, 1])) / size,
     }
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:

@@ -194,7 +194,3 @@ def main() -> int:
             draw({run: course(folder / run, asked.seconds) for run in RUNS}, asked.seconds, asked.rate, out)
     print(f"{out}: {out.stat().st_size / 1000:.0f} kB")
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -25,6 +25,7 @@ from threading import Thread
 from types import FrameType
 
 from tools.command import ROOT
+from tools.guest.init import write_all
 from tools.guest.kernel import Kernel, UnavailableError, cache_folder
 
 BOOT_SECONDS = 120.0  # an idle machine needs 2 s
@@ -151,7 +152,7 @@ class Guest:
     def _pump(self, source: int, target: int) -> None:
         try:
             while data := os.read(source, BLOCK):
-                _write_all(target, data)
+                write_all(target, data)
         except OSError:  # the reader of the output has closed it
             self._ending = 128 + signal.SIGPIPE
             self.kill()
@@ -217,13 +218,8 @@ def _feed(keyboard: int, acknowledged: int) -> None:
                 data = os.read(0, INPUT_BLOCK)
             except OSError:
                 data = b""
-            _write_all(keyboard, len(data).to_bytes(2, "big") + data)
+            write_all(keyboard, len(data).to_bytes(2, "big") + data)
             os.read(acknowledged, 1)
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    while data:
-        data = data[os.write(fd, data) :]
 
 
 @contextmanager

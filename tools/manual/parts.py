@@ -70,7 +70,7 @@ def slope_and_half_loop(profile: Profile, x: float) -> tuple[float, float]:
     """Return the slope over r_J/r_M and the friction torque over 2 T_p0 r_J of (3.53) for a sheath of this shape."""
     alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
     total = alpha + beta
-    return (alpha * math.exp(-x) + beta * math.exp(x)) / total, 2.0 * math.sinh(x) * 2.0 / total / 2.0
+    return (alpha * math.exp(-x) + beta * math.exp(x)) / total, 2.0 * math.sinh(x) / total
 
 
 def errors() -> str:

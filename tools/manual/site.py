@@ -114,7 +114,3 @@ def main() -> int:
         raise UsageError(f"mkdocs: {(done.stderr or done.stdout).strip().splitlines()[-1]}")
     print(chosen.out / "index.html")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -119,7 +119,3 @@ def main() -> int:
                 failed |= status != 0
                 print(f"python {python:5s} {said:70s} {status} {seconds:6.1f} s  {last[:80]}")
     return int(failed)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -183,12 +183,6 @@ class LogFile:
             if not np.isnan(rows[:, 1]).all()
         }
 
-    def read_notes(self) -> list[Note]:
-        """Return the events in order, such as faults with their cause, losses and the end of the run."""
-        for _ in self.blocks(()):
-            pass
-        return self.notes
-
     def _holds_notes(self, data: bytes) -> bool:
         """Return True if an unpacked chunk contains events. A chunk contains either records or events."""
         channel = int.from_bytes(data[_PREFIX : _PREFIX + 2], "little")

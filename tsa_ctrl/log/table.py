@@ -8,9 +8,8 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,6 @@ class Table:
         above: number of lines above the first row of a text file; None for other files.
         axis: name of the axis; None for a table.
         recorded: True for a log of the daemon.
-        metadata: metadata of the file.
         rows: row of the file for each row of the table, (n,); None if they are the same.
         notes: descriptions of the repairs.
     """
@@ -46,7 +44,6 @@ class Table:
     above: int | None = None
     axis: str | None = None
     recorded: bool = False
-    metadata: dict[str, Any] = field(default_factory=dict)
     rows: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
 

@@ -49,17 +49,13 @@ class Swing:
         inertia: motor inertia J_M, kg*m^2.
         stiffness: stiffness K of the sliding tendons, N*m/rad.
         ringing: frequency of the oscillation, Hz.
-        decay: decay rate of the oscillation, 1/s.
         late: delay of the motor's angle and speed after the reported torque, s.
-        windows: number of fitted windows.
     """
 
     inertia: Quantity
     stiffness: Quantity
     ringing: Quantity
-    decay: float
     late: float
-    windows: int
 
 
 @dataclass(frozen=True)
@@ -120,9 +116,7 @@ def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float,
         _around(inertia, widths[0], "kg*m^2"),
         _around(spring, widths[1], "N*m/rad"),
         _around(ringing, widths[2], "Hz"),
-        0.5 * scale * float(best.x[2]) / inertia,
         period * float(best.x[3]),
-        count,
     )
 
 

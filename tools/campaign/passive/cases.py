@@ -26,7 +26,6 @@ ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
 CONFIRMED = 2.5  # s of the log, by which the tendons have slid in both directions with a sine
 LOST = {"free": 60e-3}  # J, most work that a loss after CONFIRMED may add with a joint encoder; 30 mJ for other loads
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
-LOWERED = "friction and pretension together are about"  # first words of the estimator's report
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
         "seed": seed,
         "rig": [draw.load, draw.shape, draw.wanted, draw.axes, draw.sensor, draw.delay],
         "wrong": list(verdict.wrong),
-        "zero": verdict.zero if verdict.zero is None else round(verdict.zero, 4),
+        "zero": round(verdict.zero, 4),
         "peak": round(verdict.peak, 3),
         "speed": round(speed, 3),
         "travel": round(travel, 3),
@@ -49,7 +49,7 @@ def summary(rows: Iterable[Row]) -> dict[str, Row]:
 def _summed(rows: list[Row]) -> Row:
     running = [each for each in rows if each["phase"] in WITH_TORQUE]
     stopped = [each for each in running if each["cause"]]
-    zeros = [each["zero"] for each in stopped if each["zero"] is not None]
+    zeros = [each["zero"] for each in stopped]
     causes = Counter((_short(each["cause"]), each.get("cause_id", "")) for each in stopped).most_common(2)
     unsafe = Counter(each["phase"] for each in rows if each["wrong"])
     return {

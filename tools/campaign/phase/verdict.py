@@ -59,7 +59,7 @@ class Verdict:
     """The verdict on a trial. `wrong` has the reasons if it is unsafe. `zero` is the time to zero torque, s."""
 
     wrong: tuple[str, ...]
-    zero: float | None
+    zero: float
     peak: float
     excess: Excess  # motion that exceeds all reference runs
     cause: str
@@ -118,7 +118,7 @@ class Judge:
         return sorted(np.concatenate([[], *times]).tolist())
 
     @property
-    def _zero(self) -> float | None:
+    def _zero(self) -> float:
         return self._rows[-1] - self._since + 1e-3 if self._rows else 0.0
 
     def _torque(self) -> list[str]:
