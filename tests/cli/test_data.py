@@ -65,8 +65,10 @@ def test_a_set_is_fetched_converted_and_kept(home: tuple[str, Path], tmp_path: P
     assert "MIT" in (done.folder / "SOURCE.txt").read_text()
     again = fetch(ONE, tmp_path / "out", "http://127.0.0.1:9")  # sends no request
     assert (again.written, again.kept) == (0, 1)
-    (done.folder / "steady/p099.csv.gz").write_bytes(b"torn")
-    assert fetch(ONE, tmp_path / "out", address).written == 1
+    whole = (done.folder / "steady/p099.csv.gz").read_bytes()
+    for damaged in (b"torn", whole[:-12], whole[:10] + b"\xff" * 20 + whole[30:]):
+        (done.folder / "steady/p099.csv.gz").write_bytes(damaged)
+        assert fetch(ONE, tmp_path / "out", address).written == 1
 
 
 def test_other_bytes_than_the_published_ones_are_refused_and_nothing_is_kept(
@@ -83,7 +85,7 @@ def test_other_bytes_than_the_published_ones_are_refused_and_nothing_is_kept(
     assert not list((tmp_path / "out").rglob("*.gz"))
 
 
-@pytest.mark.parametrize("address", ["http://127.0.0.1:9", "nonsense", "http://[", "file:///nowhere"])
+@pytest.mark.parametrize("address", ["http://127.0.0.1:9", "nonsense", "http://[", "file:///nowhere", "http://127.0.0.1:9/a b"])
 def test_offline_is_one_line(address: str, tmp_path: Path) -> None:
     with pytest.raises(BusError, match="not reached"):
         fetch(ONE, tmp_path, address)

@@ -6,6 +6,7 @@ import contextlib
 import json
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -135,7 +136,7 @@ def _log_of(report: Path, folder: Path) -> Path:
             if size > MOST_LOG:
                 raise UsageError(f"{report}: its log has {size / 1e9:.1f} GB; allowed are {MOST_LOG / 1e9:g}")
             return Path(archive.extract("log.mcap", folder))
-    except (OSError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, KeyError, RuntimeError, zlib.error, zipfile.BadZipFile) as error:
         raise UsageError(f"{report}: not a field report ({error}); give a file that tsa bundle wrote") from None
 
 
