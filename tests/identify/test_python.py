@@ -15,6 +15,7 @@ import tsa_ctrl
 from tests.conftest import ROOT
 from tsa_ctrl.display import Displayed
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.calibrate import Calibration
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
 from tsa_ctrl.identify.quantity import Quantity
@@ -64,6 +65,16 @@ def test_calibrate_and_diagnose_take_a_frame() -> None:
 def test_what_is_no_log_is_rejected_in_words() -> None:
     with pytest.raises(UsageError, match="is a int; give a Dataset"):
         tsa_ctrl.predict(ROOT / "config/actuator.toml", 3)
+
+
+def test_the_columns_of_one_log_are_no_list_of_logs() -> None:
+    """The function of the package takes one log, and that of `identify` takes a list."""
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    for logs in (COLUMNS, ["x.csv"]):
+        with pytest.raises(UsageError, match="not the columns of a log; give a mapping from column to array, several"):
+            diagnose(logs, model)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="is a single Dataset; give a list of logs"):
+        diagnose(tsa_ctrl.Dataset.from_arrays(COLUMNS), model)  # type: ignore[arg-type]
 
 
 def shown(result: Displayed) -> str:

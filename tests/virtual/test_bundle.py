@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 from pathlib import Path
@@ -121,8 +122,23 @@ def test_damaged_arguments_of_a_run_are_one_line(tmp_path: Path, run: str) -> No
         Replay(log, folder)
 
 
+def damaged() -> bytes:
+    """Return a field report whose compressed log has been overwritten."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("log.mcap", bytes(1000))
+    whole = content.getvalue()
+    return whole[:38] + b"\xff" * 8 + whole[46:]
+
+
 @pytest.mark.parametrize(
-    ("content", "words"), [(b"", "not a field report"), (b"PK\x05\x06" + bytes(18), "not a field report")]
+    ("content", "words"),
+    [
+        (b"", "not a field report"),
+        (b"PK\x05\x06" + bytes(18), "not a field report"),
+        (damaged(), "not a field report"),
+    ],
+    ids=["empty", "no member", "damaged"],
 )
 def test_what_is_no_report_is_one_line(tmp_path: Path, content: bytes, words: str) -> None:
     path = tmp_path / "x.zip"

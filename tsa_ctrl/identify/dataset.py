@@ -96,11 +96,21 @@ class Dataset(Displayed):
         Raises:
             UsageError: as `load_log`.
         """
-        arrays = {key: np.ascontiguousarray(value, dtype=np.float64) for key, value in columns.items()}
+        if not hasattr(columns, "items"):
+            raise UsageError(
+                f"{name}: is a {type(columns).__name__}, not the columns of a log; give a mapping from column to array, "
+                "several logs as a list or as a mapping from name to columns, and read a file with load_log"
+            )
+        arrays = {}
+        for key, value in columns.items():
+            array = _numbers(name, str(key), value)
+            if array is not None:
+                arrays[str(key)] = array
         for key, array in arrays.items():
             if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
                 raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
-        return _longest(_datasets(Table(name, arrays, recorded=recorded), name, "", False, cutoff))
+        left_out = tuple(str(key) for key in columns if str(key) not in arrays)
+        return _longest(_datasets(Table(name, arrays, left_out, recorded=recorded), name, "", False, cutoff))
 
     def facts(self) -> dict[str, str]:
         """Return name, duration, rate and columns of the log."""
@@ -226,6 +236,20 @@ class Dataset(Displayed):
     def signals(self) -> Signals:
         """Return the columns as signals for a model; for a plain drive, omega_j is the motor velocity."""
         return self._signals
+
+
+def _numbers(name: str, key: str, value: ArrayLike) -> Array | None:
+    """Return a column as float64; None if it is no input of a model and no array of numbers, such as a text."""
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind in "fiubO":
+            return np.ascontiguousarray(given, dtype=np.float64)
+        reason = f"its type is {given.dtype}"
+    except (TypeError, ValueError) as error:
+        reason = str(error)
+    if not is_input(key):
+        return None
+    raise UsageError(f"{name}: column {key} is no array of numbers ({reason}); give numbers in SI units")
 
 
 def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None) -> Dataset:

@@ -34,8 +34,7 @@ def dataset(log: Any, name: str = "log") -> Dataset:
         raise UsageError(
             f"{name}: is a {type(log).__name__}; give a Dataset, a mapping of arrays, a data frame or a path"
         )
-    arrays = {str(key): np.asarray(value) for key, value in columns.items()}
-    return Dataset.from_arrays({key: value for key, value in arrays.items() if value.dtype.kind in "fiub"}, name)
+    return Dataset.from_arrays(columns, name)
 
 
 def predict(model: Model | str | Path, log: Any) -> NDArray[np.float64]:

@@ -197,7 +197,7 @@ class _Investigator:
                 return found
             why = f"no motion on this rig separates them; {found}"
         left = unexplained_while_sliding(result)
-        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else 0 if pairs else LEAST_MOTIONS
+        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else 0 if predictable else LEAST_MOTIONS
         if self._motions < min(needed, self._most):
             return self._designer(result).best([])
         named = " and ".join(" or ".join((cause.effect, *cause.alternatives)) for cause in result.causes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import http.client
 import io
 import math
 import urllib.error
@@ -65,11 +66,12 @@ def linear_axis(data: bytes, name: str) -> str:
     from scipy.io import loadmat  # slow to import
     from scipy.io.matlab import MatReadError
 
+    wrong = (MatReadError, ValueError, TypeError, KeyError, IndexError, NotImplementedError, OSError, zlib.error)
     try:
         found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # loadmat also reads file objects
         columns = [found[key].ravel() for key in ("t", "vir", "qm")]
         gain = float(found["gtau"].ravel()[0])
-    except (MatReadError, ValueError, TypeError, KeyError, IndexError, NotImplementedError) as error:
+    except wrong as error:
         raise UsageError(f"{name}: not the published file ({error}); fetch it again") from None
     rows = zip(columns[0], gain * columns[1], columns[2], strict=True)
     return "\n".join(["t,tau_m,q_m", *(",".join(f"{float(value):.9g}" for value in row) for row in rows), ""])
@@ -140,7 +142,7 @@ def _download(source: str) -> bytes:
     try:
         with urllib.request.urlopen(source, timeout=PATIENCE) as answer:
             data: bytes = answer.read(LARGEST + 1)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, http.client.HTTPException) as error:
         reason = getattr(error, "reason", None) or error
         raise BusError(
             f"{source}: not reached ({reason}); try again with a network, or give another address by --from"

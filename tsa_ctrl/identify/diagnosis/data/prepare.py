@@ -49,6 +49,8 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
 
 
 def _datasets(logs: Logs) -> list[Dataset]:
+    if isinstance(logs, Dataset):
+        raise UsageError(f"diagnose: {logs.name} is a single Dataset; give a list of logs")
     if isinstance(logs, Mapping):
         return [Dataset.from_arrays(columns, name) for name, columns in logs.items()]
     out = []
