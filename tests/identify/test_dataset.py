@@ -501,7 +501,9 @@ def test_columns_of_different_length_are_refused() -> None:
 
 @pytest.mark.parametrize("text", [["a"] * N, np.array(["1.0"] * N), np.array([None, "x"] * (N // 2), dtype=object)])
 def test_a_column_of_text_is_one_line_if_a_model_needs_it(text: object) -> None:
-    with pytest.raises(UsageError, match=r"log: column tau_j is no array of numbers \(.*\); give numbers in SI") as error:
+    with pytest.raises(
+        UsageError, match=r"log: column tau_j is no array of numbers \(.*\); give numbers in SI"
+    ) as error:
         Dataset.from_arrays({**columns(), "tau_j": text}, "log")  # type: ignore[dict-item]
     assert "\n" not in str(error.value)
     found = Dataset.from_arrays({**columns(), "remark": text})  # type: ignore[dict-item]

@@ -98,7 +98,7 @@ class Dataset(Displayed):
         """
         if not hasattr(columns, "items"):
             raise UsageError(
-                f"{name}: is a {type(columns).__name__}, not the columns of a log; give a mapping of columns to arrays, "
+                f"{name}: is a {type(columns).__name__}, not columns of a log; give a mapping of columns to arrays, "
                 "several logs as a list or as a mapping from name to columns, and read a file with load_log"
             )
         arrays = {}
