@@ -72,7 +72,7 @@ def test_convert_prints_the_files_that_it_wrote(log: str, capsys: pytest.Capture
         (("info", "empty.csv"), "is empty"),
         (("info", "notime.csv"), "column t is missing (found: tau_m)"),
         (("info", "back.csv"), "column t, row 3 (line 4): time 0.5 s does not increase"),
-        (("info", "run.mcap:elbow"), "holds no axis 'elbow'"),
+        (("info", "run.mcap:elbow"), "has no axis 'elbow'"),
         (("info", "bad.parquet"), "is not a readable Parquet file"),
         (("convert", "run.mcap", "--out", "x.txt"), "unknown kind of file"),
         (("convert", "run.mcap"), "Missing option '--out'"),

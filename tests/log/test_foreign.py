@@ -109,8 +109,8 @@ def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
     [
         ("tau_n=b", "did you mean 'tau_m'"),
         ("tau_m=B", "its columns are 't', 'b'"),
-        ("tau_m=b|furlong", "unit 'furlong' is not known; allowed are N*m"),
-        ("tau_m=b|A*0", "the scale not 0"),
+        ("tau_m=b|furlong", "unknown unit 'furlong'; allowed are N*m"),
+        ("tau_m=b|A*0", "a scale other than 0"),
         ("tau_m", "write NAME=HEADER"),
     ],
 )
@@ -129,7 +129,7 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
     [
         (b"", "is empty"),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is not text"),
-        (b"just words\nand more words\n", "no row of numbers|one column only"),
+        (b"just words\nand more words\n", "no row of numbers|only one column"),
     ],
 )
 def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: Path) -> None:
