@@ -38,7 +38,7 @@ def test_a_node_id_that_answers_already_is_refused(
     thread.start()
     try:
         if refused:
-            with pytest.raises(BusError, match=r"node 5 answers on .* already: another plant or a device; stop it"):
+            with pytest.raises(BusError, match=r"node 5 already answers on .*: another plant or a device; stop it"):
                 refuse_doubles(ours, [1, 5], wait=20.0)
         else:
             refuse_doubles(ours, [1, 5])

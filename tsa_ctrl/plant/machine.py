@@ -359,14 +359,16 @@ class Machine:
         named = {unit.axis.name: unit for unit in self.axes}
         unit = self.axes[0] if axis is None else named.get(axis)
         if unit is None:
-            raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
+            raise UsageError(f"axis '{axis}': no such axis; the axes are {', '.join(named)}")
         return self._beginning(unit, fault)
 
     def _beginning(self, unit: AxisNodes, fault: FaultSettings) -> Callable[[float], None]:
         kind = check_fault(fault, f"axis '{unit.axis.name}'")
         node = unit.by_kind.get(fault.node)
         if node is None:
-            raise UsageError(f"axis '{unit.axis.name}': fault {fault.name}: the axis has no {fault.node}")
+            raise UsageError(
+                f"axis '{unit.axis.name}': fault {fault.name}: the axis has no {fault.node}; choose another fault"
+            )
         value = kind.value if fault.value is None else fault.value
 
         def begin(now: float) -> None:
@@ -404,7 +406,7 @@ class Machine:
         except OSError as error:
             raise UsageError(
                 f"fault interface_down: {name} cannot be switched ({error.strerror or error}); it needs a "
-                "network interface, and the right to administrate it"
+                "network interface and the right to administer it"
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
@@ -450,6 +452,6 @@ class Machine:
 
     def _bus_fault(self, bus: Bus, fault: BusFault) -> None:
         if fault is BusFault.INTERFACE_GONE:
-            raise BusError(f"bus {bus.name}: {fault.value}; make the interface again and start the plant again")
+            raise BusError(f"bus {bus.name}: {fault.value}; recreate the interface and restart the plant")
         time.sleep(TICK)
         bus.clear_fault()

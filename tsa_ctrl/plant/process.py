@@ -46,7 +46,7 @@ class ControlSocket:
             self._socket.bind(str(path))
         except OSError as error:
             self._socket.close()
-            raise UsageError(f"{path}: no socket can be made here ({error.strerror}); choose another place") from None
+            raise UsageError(f"{path}: the socket cannot be created ({error.strerror}); choose another path") from None
         finally:
             os.umask(before)
 
@@ -189,7 +189,7 @@ def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) ->
         frame = bus.recv(left)
         if frame is not None and frame[0] in asked:
             raise BusError(
-                f"node {asked[frame[0]]} answers on {bus.name} already: another plant or a device; "
+                f"node {asked[frame[0]]} already answers on {bus.name}: another plant or a device; "
                 "stop it, or give these nodes other ids"
             )
 
@@ -242,8 +242,10 @@ def _run(machine: Machine) -> None:
     finally:
         counts = machine.counts
         dropped = sum(bus.counters.dropped for bus in machine.buses)
-        skipped = f", {counts.skipped:.3f} s not followed" if counts.skipped else ""
-        print(f"plant: {counts.syncs} SYNC, {counts.frames} frames in, {dropped} dropped{skipped}", file=sys.stderr)
+        skipped = f", {counts.skipped:.3f} s not simulated" if counts.skipped else ""
+        print(
+            f"plant: {counts.syncs} SYNC, {counts.frames} frames received, {dropped} dropped{skipped}", file=sys.stderr
+        )
 
 
 def _real_time(priority: int) -> str:
