@@ -73,7 +73,7 @@ class Run:
         """Return the pieces of the log without missing cycles; raises BusError if all are too short."""
         if not self.pieces:
             raise BusError(
-                f"the run '{self.name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; "
+                f"the run '{self.name}' has no interval of {SHORTEST_PIECE:g} s without missing cycles; "
                 "the machine is too busy: stop other work, or lower [controller] rate"
             )
         return self.pieces
