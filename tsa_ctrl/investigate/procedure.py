@@ -155,8 +155,8 @@ class _Investigator:
         else:
             raise UsageError(
                 f"investigate: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at "
-                f"{share * self._bounds.torque:.2g} N*m), so friction cannot show; move it, free it, or allow more "
-                "--torque"
+                f"{share * self._bounds.torque:.2g} N*m), so friction cannot be measured; move it, release it, or "
+                "allow more --torque"
             )
         designer = Designer(Joint.of(logs, self._model), self._bounds, logs, 1.0, self._seed, self._seconds)
         self._perform("motion-1", designer.best([]))
@@ -196,20 +196,20 @@ class _Investigator:
         if result.verdict is Verdict.INSUFFICIENT:
             return self._ended(Answer.INSUFFICIENT, result.sentence.rstrip("."))
         if left:
-            beside = f"beside {named} " if named else ""
-            return self._ended(
-                Answer.OUTSIDE, f"{beside}something acts that is outside the catalogue: {result.unexplained}"
-            )
+            beside = f"in addition to {named}, " if named else ""
+            return self._ended(Answer.OUTSIDE, f"{beside}an effect outside the catalogue acts: {result.unexplained}")
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
         beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
-        return self._ended(Answer.NONE, f"the recalibrated model leaves noise while the joint slides{beside}")
+        return self._ended(Answer.NONE, f"the recalibrated model leaves only noise while the joint slides{beside}")
 
     def _separate(self, pairs: Sequence[Pair]) -> Investigation | Experiment:
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
         group = " or ".join(dict.fromkeys(name for pair in pairs for name in pair.names))
         if self._motions >= self._most:
-            return self._ended(Answer.STOPPED, f"{group}: not separated in {self._most} motions; allow more by --most")
+            return self._ended(
+                Answer.STOPPED, f"{group}: not separated in {self._most} motions; allow more with --most"
+            )
         if untried:
             experiment = self._designer(self._steps[-1].result).best(untried)
             if max(experiment.separation.values()) >= SEPARATES:
@@ -217,7 +217,7 @@ class _Investigator:
             size = max(experiment.separation.values())
             why = f"the best motion within the limits would separate them by {size:.2g} standard deviations"
         else:
-            why = f"{ATTEMPTS} motions made for it did not separate them"
+            why = f"{ATTEMPTS} motions designed for this did not separate them"
         return self._ended(Answer.GROUP, f"{group}: no motion on this rig separates them; {why}")
 
     def _designer(self, result: Diagnosis) -> Designer:
@@ -318,7 +318,7 @@ def _page(found: Investigation, folder: Path) -> str:
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
         f"</head><body>\n<h1>{title}</h1>\n<p>{statement}.</p>\n<dl>{summary}</dl>\n"
-        "<table><tr><th>motion</th><th>seconds</th><th>made to separate (standard deviations)</th><th>verdict</th>"
+        "<table><tr><th>motion</th><th>seconds</th><th>expected separation (standard deviations)</th><th>verdict</th>"
         f"<th>causes, with alternatives</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
 

@@ -87,7 +87,7 @@ SETS: Mapping[str, Published] = MappingProxyType(
 )
 # Sets that the diagnosis was tried on and that have no address at which a program finds the same bytes again.
 ELSEWHERE: Mapping[str, str] = MappingProxyType(
-    {"bam": "its recordings lie in a shared drive, see https://github.com/Rhoban/bam; read them by tsa log import"}
+    {"bam": "its recordings are on a shared drive, see https://github.com/Rhoban/bam; read them with tsa log import"}
 )
 
 
