@@ -200,7 +200,7 @@ def test_nodes_of_the_record_that_are_there_lack_nothing(tmp_path: Path) -> None
 def test_another_drive_than_that_of_the_record_is_named_with_both_numbers(tmp_path: Path) -> None:
     other = {"knee": {**NODES["knee"], "drive": NodeIdentity(serial_number=9, node_id=1)}}
     (line,) = missing_on_bus(ready(tmp_path), other, has_inputs=False)
-    assert "another drive: serial number 7, found is serial number 9 (run tsa verify-safety again)" in line
+    assert "another drive: serial number 7, found serial number 9 (run tsa verify-safety again)" in line
 
 
 def test_a_drive_with_inputs_needs_an_emergency_stop(tmp_path: Path) -> None:

@@ -160,11 +160,11 @@ def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
     [
         ("", "empty"),
         ("t,tau\n0,1\n", "column 'tau_j_des' is missing"),
-        ("t,tau_j_des\n0,1\n", "1 rows"),
+        ("t,tau_j_des\n0,1\n", "too few rows"),
         ("t,tau_j_des\n0,1\n1,x\n", "line 3"),
         ("t,tau_j_des\n0,1\n1\n", "line 3"),
         ("t,tau_j_des\n0,1\n1,nan\n", "line 3.*finite"),
-        ("t,tau_j_des\n0,1\n0,2\n", "line 3.*does not rise"),
+        ("t,tau_j_des\n0,1\n0,2\n", "line 3.*does not increase"),
         ("t,tau_j_des\n0,1\n1,5000\n", "line 3.*beyond 1000"),
     ],
 )

@@ -200,7 +200,7 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     model = folder / "actuator.toml"
     text = model.read_text()
     model.write_text(text + '\n[effects.elongation_coupling]\ncurvature_profile = "joint_end"\n')
-    with pytest.raises(UsageError, match="the bends sit at the joint"):
+    with pytest.raises(UsageError, match="all bends are at the joint"):
         load_configuration(folder / "controller.toml")
     model.write_text(text)
     path = edit(folder, ENCODER, "")

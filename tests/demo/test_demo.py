@@ -50,8 +50,8 @@ def test_a_file_is_played_from_time_zero(tmp_path: Path) -> None:
     [
         ("t,q_j\n0,0\n1,0\n2,0\n3,0\n", "column 'tau_j_des' is missing"),
         ("t,tau_j_des\n0,0\n1,nan\n2,0\n3,0\n", "column 'tau_j_des', row 2 (line 3): not a finite"),
-        ("t,tau_j_des\n0,0\n1,0\n1,0\n3,0\n", "row 3 (line 4): time does not rise"),
-        ("t,tau_j_des\n0,0\n1,0\n2,9\n3,0\n", "row 3 (line 4): 9 N*m is beyond"),
+        ("t,tau_j_des\n0,0\n1,0\n1,0\n3,0\n", "row 3 (line 4): time does not increase"),
+        ("t,tau_j_des\n0,0\n1,0\n2,9\n3,0\n", "row 3 (line 4): 9 N*m exceeds"),
         ("t,tau_j_des\n0,0\n", "give at least 2"),
         ("t,tau_j_des\n0,hello\n1,0\n", "hello"),
         ("", "empty"),
@@ -74,7 +74,7 @@ def test_a_missing_file_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_an_interface_that_is_not_there_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="no CAN interface can97; up are: "):
+    with pytest.raises(UsageError, match="no CAN interface can97; interfaces that are up: "):
         choose("can97")
 
 
@@ -110,8 +110,8 @@ def test_a_vcan_that_is_down_and_stays_so_is_told(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(rig, "set_up", denied)
     assert choose(say=told.append).interface == "datagram"
     assert told == [
-        "demo: vcan3 is down and cannot be brought up (Operation not permitted): ip link set vcan3 up; "
-        "goes on without it"
+        "demo: vcan3 is down and cannot be brought up (Operation not permitted); run ip link set vcan3 up; "
+        "the demo continues without it"
     ]
 
 

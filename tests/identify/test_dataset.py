@@ -293,9 +293,12 @@ class TestTablesAsTheyCome:
         path = as_csv(tmp_path / "a.csv", {**self.table(whole), "t": np.floor(whole * 1e3 + 1e-6) * 1e-3})
         found = load_log(path)
         assert (len(found), found.rate) == (400, pytest.approx(1000.0))
-        assert "400 of 800 rows (50.00%) have the stamp of the row before, first row 2 (line 3)" in found.notes[0]
+        assert (
+            "400 of 800 rows (50.00%) with the time stamp of the previous row were averaged, the first at row 2 "
+            "(line 3)" in found.notes[0]
+        )
         assert np.max(np.abs(found["tau_m"] - np.sin(2.0 * (found["t"] + 0.25e-3)))) < 1e-6
-        with pytest.raises(UsageError, match="remove doubled ones"):
+        with pytest.raises(UsageError, match="remove duplicates"):
             load_log(path, strict=True)
 
     def test_holes_split_a_log(self, tmp_path: Path) -> None:
@@ -305,8 +308,8 @@ class TestTablesAsTheyCome:
         first, second = load_logs([path])
         assert [first.name, second.name] == ["a.csv#1", "a.csv#2"]
         assert (first["t"][-1], second["t"][0]) == (pytest.approx(2.999), pytest.approx(4.001))
-        assert "time has 2 holes" in first.notes[0]
-        assert "taken as 2 pieces, 99 rows (1.39%) in shorter ones are left out" in first.notes[0]
+        assert "time has 2 gaps" in first.notes[0]
+        assert "used as 2 pieces, 99 rows (1.39%) in shorter pieces are left out" in first.notes[0]
         longest = load_log(path)
         assert (longest.name, len(longest)) == ("a.csv", len(second))
         assert "of them the longest is used" in longest.notes[-1]
@@ -321,7 +324,7 @@ class TestTablesAsTheyCome:
 
     def test_what_is_mostly_holes_is_an_error(self) -> None:
         bursts = (np.arange(100)[:, None] + np.arange(20) * 1e-3).ravel()
-        with pytest.raises(UsageError, match=r"column t, row \d+: a step of .*99 such holes leave 1% of the rows"):
+        with pytest.raises(UsageError, match=r"column t, row \d+: a step of .*99 such gap\(s\) leave 1% of the rows"):
             Dataset.from_arrays(self.table(bursts))
 
     def test_time_that_runs_back_is_an_error(self) -> None:
@@ -406,7 +409,7 @@ class TestDaemonLog:
         log = McapFile(tmp_path / "x.mcap", HEADER)
         log.write([records(N, **motion(N)), records(N, **motion(N))])
         log.finish()
-        with pytest.raises(UsageError, match="name one as"):
+        with pytest.raises(UsageError, match="select one"):
             load_log(tmp_path / "x.mcap")
         assert len(load_log(f"{tmp_path / 'x.mcap'}:knee")) == N
 

@@ -76,7 +76,7 @@ def test_convert_prints_the_files_that_it_wrote(log: str, capsys: pytest.Capture
         (("info", "back.csv"), "column t, row 3 (line 4): time 0.5 s does not increase"),
         (("info", "still.csv"), "column t: all 3 times are 5 s"),
         (("trend", "still", "--model", str(MODEL)), "column t: all 3 times are 5 s"),
-        (("info", "run.mcap:elbow"), "holds no axis 'elbow'"),
+        (("info", "run.mcap:elbow"), "has no axis 'elbow'"),
         (("info", "bad.parquet"), "is not a readable Parquet file"),
         (("convert", "run.mcap", "--out", "x.txt"), "unknown kind of file"),
         (("convert", "run.mcap"), "Missing option '--out'"),

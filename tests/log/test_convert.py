@@ -158,7 +158,7 @@ def test_a_failed_conversion_leaves_what_was_there(log: Path, tmp_path: Path, mo
 
 def test_a_log_without_records_is_one_line(tmp_path: Path) -> None:
     McapFile(tmp_path / "x.mcap", ONE).finish()
-    with pytest.raises(UsageError, match="holds no records"):
+    with pytest.raises(UsageError, match="contains no records"):
         convert(tmp_path / "x.mcap", tmp_path / "x.csv")
 
 

@@ -109,11 +109,11 @@ def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
     [
         ("tau_n=b", "did you mean 'tau_m'"),
         ("tau_m=B", "its columns are 't', 'b'"),
-        ("tau_m=b|furlong", "unit 'furlong' is not known; allowed are N*m"),
+        ("tau_m=b|furlong", "unknown unit 'furlong'; allowed are N*m"),
         ("tau_m=b|F*2", "unit 'F' belongs to another quantity; allowed are N*m, Nm"),
         ("tau_m=b|date*2", "unit 'date' belongs to another quantity; allowed are N*m, Nm"),
         ("temperature=b|rpm*2", "unit 'rpm' belongs to another quantity; allowed are degC"),
-        ("tau_m=b|A*0", "the scale not 0"),
+        ("tau_m=b|A*0", "a scale other than 0"),
         ("tau_m", "write NAME=HEADER"),
     ],
 )
@@ -150,7 +150,7 @@ def test_a_unit_of_the_quantity_a_device_or_a_lever_arm_is_converted(
     [
         (b"", "is empty"),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is not text"),
-        (b"just words\nand more words\n", "no row of numbers|one column only"),
+        (b"just words\nand more words\n", "no row of numbers|only one column"),
     ],
 )
 def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: Path) -> None:

@@ -30,15 +30,15 @@ def test_it_begins_after_the_fade_in_and_ends_before_the_stop(tmp_path: Path) ->
 
 
 def test_without_torque_the_cause_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match="holds no torque; stale PDO"):
+    with pytest.raises(BusError, match="contains no torque; stale PDO"):
         load_run(log_of(tmp_path / "a.mcap", torque_from=9999), (), 0.2, 2.0, cause="stale PDO")
 
 
 def test_too_little_torque_is_said(tmp_path: Path) -> None:
-    with pytest.raises(BusError, match="too little torque"):
+    with pytest.raises(BusError, match="too few cycles with torque"):
         load_run(log_of(tmp_path / "a.mcap", torque_from=3900), (), 0.2, 2.0)
 
 
 def test_a_sensor_that_sent_nothing_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="joint torque sensor sent nothing"):
+    with pytest.raises(UsageError, match="joint torque sensor sent no data"):
         load_run(log_of(tmp_path / "a.mcap", tau_j=np.nan), (), 0.2, 2.0)

@@ -163,14 +163,14 @@ def test_a_record_without_a_time_is_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("axis", "said"),
-    [(None, "holds the axes hip, knee; name one as"), ("elbow", "holds no axis 'elbow'; it holds hip, knee")],
+    [(None, "has the axes hip, knee; select one"), ("elbow", "has no axis 'elbow'; its axes are hip, knee")],
 )
 def test_several_axes_want_a_name(log: Path, axis: str | None, said: str) -> None:
     with pytest.raises(UsageError, match=said):
         read_table(f"{log}:{axis}" if axis else log)
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"", "is empty"), (b"t,tau_m\n", "is no MCAP file")])
+@pytest.mark.parametrize(("content", "said"), [(b"", "is empty"), (b"t,tau_m\n", "is not an MCAP file")])
 def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)

@@ -272,14 +272,14 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
         notes = [note.text for note in notes_of(found)]
         assert found.complete
         assert found.files == HEADER.files
-        assert (file == files[0]) == (not any("goes on from" in text for text in notes))
-        assert (file == files[-1]) == (not any("goes on in" in text for text in notes))
+        assert (file == files[0]) == (not any("this log continues" in text for text in notes))
+        assert (file == files[-1]) == (not any("continues in" in text for text in notes))
     large = LogWriter(RingReader(ring.fd), tmp_path / "large.mcap", HEADER, LogLimits(file_size=1.0))
     push(ring, 100, first=500)
     large.step(0.0)
     push(ring, 100, first=600)
     large.end()
-    assert not any("goes on in" in note.text for note in notes_of(LogFile(tmp_path / "large-2.mcap")))
+    assert not any("continues in" in note.text for note in notes_of(LogFile(tmp_path / "large-2.mcap")))
     assert times(tmp_path / "large.mcap") + times(tmp_path / "large-2.mcap") == list(range(500, 700))
 
 

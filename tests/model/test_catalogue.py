@@ -116,8 +116,8 @@ def test_logs_that_cannot_show_an_effect() -> None:
     said = {name: spec.untestable(poor) for name, spec in CATALOGUE.items() if spec.untestable(poor)}
     assert said == {
         "velocity_lag": "omega_j was derived from the angle by a zero-phase filter",
-        "stiffness_nonlinearity": "the path length is not varied (no column theta that changes)",
-        "thermal_friction_drift": "the temperature varies by 0.1 K only",
+        "stiffness_nonlinearity": "the path length does not vary (no column theta that changes)",
+        "thermal_friction_drift": "the temperature varies by only 0.1 K",
     }
 
 

@@ -330,7 +330,7 @@ class TestNotes:
             ("torque_saturation", {"limit": 1.5}, "1.5 N*m"),
             ("backlash", {"gap": 0.02}, "0.02 rad"),
             ("velocity_lag", {"time_constant": 0.01}, "direction"),
-            ("inertia", {"inertia": 0.01}, "late"),
+            ("inertia", {"inertia": 0.01}, "lags by"),
         ],
     )
     def test_what_cannot_be_compensated(self, name: str, parameters: dict[str, float], word: str) -> None:

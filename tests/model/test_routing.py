@@ -84,7 +84,7 @@ def test_a_written_file_has_the_same_routing(tmp_path: Path, routing: str) -> No
         ("[routing]\njoint = { hip = 0.8 }\n", r"routing: unknown key 'joint'; did you mean 'joints'"),
         (TABLE.replace("knee", "ankle"), r"joint 'ankle' has a gain and a table; keep one of them"),
         ("[routing]\ntable.hip = [[0.0, 0.0]]\n", r"table.hip = \[\[0.0, 0.0\]\]; give two or more points"),
-        ("[routing]\ntable.hip = [[0.0, 0.0], [0.0, 1.0]]\n", r"give two or more points .* rising"),
+        ("[routing]\ntable.hip = [[0.0, 0.0], [0.0, 1.0]]\n", r"give two or more points .* increasing"),
     ],
 )
 def test_what_is_no_routing_is_refused_in_one_line(tmp_path: Path, routing: str, words: str) -> None:

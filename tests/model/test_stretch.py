@@ -61,7 +61,7 @@ def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
     """Values at and near the singularity are rejected. A model without a profile has even curvature."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
     assert unsupported_reason(actuator()) == ""
-    with pytest.raises(UsageError, match=r"the bends sit at the joint .* measure it with a joint torque sensor"):
+    with pytest.raises(UsageError, match=r"all bends are at the joint .* use a joint torque sensor"):
         stretch_line(model_of(NAMED["joint_end"], 0.26))
     with pytest.raises(UsageError, match=r"centre of the bends is at 0\.75"):
         stretch_line(model_of(near, 0.26))

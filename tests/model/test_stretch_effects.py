@@ -103,5 +103,5 @@ def test_a_pulley_off_its_centre_winds_up_what_its_arm_says() -> None:
 
 def test_with_a_pulley_off_its_centre_the_stretch_tells_no_torque() -> None:
     off = {"pulley_eccentricity": {"relative_eccentricity": 0.1}}
-    with pytest.raises(UsageError, match=r"\[effects.pulley_eccentricity\] winds up other lengths"):
+    with pytest.raises(UsageError, match=r"\[effects.pulley_eccentricity\] winds other lengths"):
         stretch_line(ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}, **off}))

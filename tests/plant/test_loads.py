@@ -100,13 +100,13 @@ def test_a_wearer_moves_holds_and_lets_go(tmp_path: Path) -> None:
 
 def test_times_of_a_hand_rise(tmp_path: Path) -> None:
     text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'limb'\nhand = [[1.0, 1, 1, 0], [0.5, 1, 1, 0]]\n"
-    with pytest.raises(UsageError, match="hand: times must rise"):
+    with pytest.raises(UsageError, match="hand: times must increase"):
         load_plant(plant_file(tmp_path, text))
 
 
 def test_no_hand_moves_an_imposed_joint(tmp_path: Path) -> None:
     text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'held'\nhand = [[0.0, 1, 1, 0]]\n"
-    with pytest.raises(UsageError, match=r'hand with load "held".*choose a load that moves'):
+    with pytest.raises(UsageError, match=r'hand cannot move a joint with load "held".*choose a load that moves'):
         load_plant(plant_file(tmp_path, text))
 
 

@@ -244,7 +244,7 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mechanism", "axis", "words"),
     [
-        ({"kind": "joints", "model": "leg.xml"}, {}, r'\[mechanism\] kind "joints" with a model; take model out'),
+        ({"kind": "joints", "model": "leg.xml"}, {}, r'\[mechanism\] kind "joints" has no model; remove model'),
         (
             {"kind": "mujoco"},
             {"joint": {"load": "free"}},
@@ -256,13 +256,17 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
             {"name": "elbow"},
             r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give",
         ),
-        ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is not a hinge; an axis turns a joint"),
+        ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is not a hinge; an axis drives a hinge"),
         (
             {"kind": "mujoco", "model": "actuator.toml"},
             {},
-            r"actuator.toml: no model of a limb \(.*\); give an MJCF",
+            r"actuator.toml: cannot be loaded as a model of a limb \(.*\); give an MJCF",
         ),
-        ({"kind": "mujoco", "model": "none.xml"}, {}, r"none.xml: no model of a limb \(.*\); give an MJCF"),
+        (
+            {"kind": "mujoco", "model": "none.xml"},
+            {},
+            r"none.xml: cannot be loaded as a model of a limb \(.*\); give an MJCF",
+        ),
     ],
 )
 def test_what_is_no_limb_is_refused_in_one_line(

@@ -17,7 +17,7 @@ from tsa_ctrl.plant.process import ControlSocket, ask, check, nodes_by_bus, refu
 
 def test_a_path_that_is_too_long_for_a_socket_is_named_as_such(tmp_path: Path) -> None:
     path = tmp_path / ("x" * 120)
-    with pytest.raises(UsageError, match=r"no socket can be made here \(AF_UNIX path too long\)"):
+    with pytest.raises(UsageError, match=r"the socket cannot be created \(AF_UNIX path too long\)"):
         ControlSocket(path)
     with pytest.raises(BusError, match=r"no simulated machine answers \(AF_UNIX path too long\)"):
         ask(path, "status")
@@ -49,7 +49,7 @@ def test_a_node_id_that_answers_already_is_refused(
     thread.start()
     try:
         if refused:
-            with pytest.raises(BusError, match=r"node 5 answers on .* already: another plant or a device; stop it"):
+            with pytest.raises(BusError, match=r"node 5 already answers on .*: another plant or a device; stop it"):
                 refuse_doubles(ours, [1, 5], wait=20.0)
         else:
             refuse_doubles(ours, [1, 5])
@@ -68,7 +68,7 @@ def test_each_bus_is_checked_for_its_own_node_ids(tmp_path: Path) -> None:
 def test_a_second_plant_does_not_take_the_socket_of_the_first(tmp_path: Path) -> None:
     path = tmp_path / "plant.sock"
     first = ControlSocket(path)
-    with pytest.raises(UsageError, match=r"plant.sock: no socket can be made here .*; stop the plant that uses it"):
+    with pytest.raises(UsageError, match=r"plant.sock: the socket cannot be created .*; stop the plant that uses it"):
         ControlSocket(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
         client.sendto(b"state", str(path))
@@ -85,6 +85,6 @@ def test_the_socket_of_a_killed_plant_is_replaced(tmp_path: Path) -> None:
     assert path.is_socket()
     ControlSocket(path).close()
     (tmp_path / "file").write_text("kept")
-    with pytest.raises(UsageError, match="no socket can be made here"):
+    with pytest.raises(UsageError, match="the socket cannot be created"):
         ControlSocket(tmp_path / "file")
     assert (tmp_path / "file").read_text() == "kept"

@@ -42,7 +42,7 @@ def check(data: dict[str, Any], model: Path) -> None:
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["low"] <= half_loop <= found["high"]
     assert found["value"] == pytest.approx(half_loop, rel=0.02)
-    assert any("the value by the elongation is used" in note for note in data["notes"])
+    assert any("the value from the elongation is used" in note for note in data["notes"])
     written = load_tendon_sheath(model)
     assert written.pretension * written.friction_angle == pytest.approx(
         truth.pretension * truth.friction_angle, rel=0.03

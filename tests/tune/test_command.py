@@ -101,7 +101,7 @@ def test_the_experiment_of_a_diagnosis_is_the_excitation(folder: Path, capsys: p
     t = np.arange(0.0, 60.0, 0.01)
     (folder / "experiment.csv").write_text(Experiment("", tuple(t), tuple(0.3 * np.sin(t))).csv())
     assert tsa("controller.toml", "--dry-run", "--setpoint", "experiment.csv") == 0
-    assert "excitation, 59.98 s of the file given" in capsys.readouterr().out
+    assert "excitation, 59.98 s of the given file" in capsys.readouterr().out
     played = waveform(SetPointSettings(kind="file", file="experiment.csv"), folder)
     assert played(math.pi / 2.0) == pytest.approx(0.3, abs=1e-3)
 

@@ -67,5 +67,7 @@ def test_one_sees_whether_anything_else_changed(axis: str) -> None:
 
 def test_a_layout_that_has_no_place_for_them_is_one_line() -> None:
     flat = 'axis = [{ name = "knee", law.delay = 0.002 }]\n'
-    with pytest.raises(UsageError, match=r"delay = 0\.003 does not go into this layout; put it into \[axis.law\]"):
+    with pytest.raises(
+        UsageError, match=r"delay = 0\.003 cannot be inserted into this layout; write it into \[axis.law\]"
+    ):
         with_law(flat, "knee", {"delay": Key(0.003, "measured")})

@@ -124,7 +124,7 @@ def test_a_name_with_rivals_is_told_and_not_used(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(diagnosis, "diagnose", lambda *_: dataclasses.replace(real, causes=(doubtful,)))
     found = extended([log], model, without)
     assert found.effects == ()
-    assert "Not used: rivals of viscous_friction are not excluded" in found.notes[-1]
+    assert "Not used: alternatives to viscous_friction are not excluded" in found.notes[-1]
 
 
 LAG = 4e-3  # s, of the encoder's velocity

@@ -53,7 +53,7 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
     half_loop = rig.true_half_loop(truth)
     assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *short) == 0
     data = json.loads(capsys.readouterr().out)
-    assert [note for note in data["notes"] if note.startswith("not used: gravity_load, which the diagnosis named")]
+    assert [note for note in data["notes"] if note.startswith("not used: gravity_load, which the diagnosis identified")]
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["value"] == pytest.approx(half_loop, rel=0.05)
     reduction = data["verification"]["reduction_percent"]

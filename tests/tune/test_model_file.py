@@ -82,7 +82,7 @@ def test_another_models_tuning_does_not_take_the_controller_back(tmp_path: Path,
     replace({other: "c = 2\n"}, beside=(controller,))
     assert set(last(other, controller)) == {other}
     replace({other: "c = 3\n", controller: "rate = 250\n"})
-    with pytest.raises(UsageError, match="was replaced again since"):
+    with pytest.raises(UsageError, match="was replaced again later"):
         last(file, controller)
 
 

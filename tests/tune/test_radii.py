@@ -96,7 +96,7 @@ def test_each_log_has_a_zero_of_its_own() -> None:
 def test_radii_that_the_angles_contradict_are_rejected(ratio: float) -> None:
     found = radius_ratio([log(ratio, 16)], ACTUATOR)
     words = "exchanged" if ratio == 0.8 else "gear_ratio and counts_per_revolution"
-    with pytest.raises(UsageError, match=rf"is 1.25, the angles of motor and joint make it [\d.]+ .*{words}"):
+    with pytest.raises(UsageError, match=rf"is 1.25, but the angles of motor and joint give [\d.]+ .*{words}"):
         with_ratio(ACTUATOR, found)
 
 
@@ -104,7 +104,7 @@ def test_too_little_travel_leaves_the_file_as_it_is() -> None:
     loose = Quantity(1.26, 1.25, 1.27, "1")
     model, (note,) = with_ratio(ACTUATOR, loose)
     assert model == ACTUATOR
-    assert "known to 0.79 % alone" in note
+    assert "known only to 0.79 %" in note
     assert with_ratio(ACTUATOR, None) == (ACTUATOR, ())
 
 

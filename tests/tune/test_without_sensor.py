@@ -64,7 +64,7 @@ def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsy
     assert tune(tmp_path, "--yes", "--json", "--seconds", "8", "--verify-seconds", "4") == 2
     said = capsys.readouterr().err
     assert "steady" in said
-    assert "take it by hand" in said
+    assert "move the joint by hand" in said
     assert said.count("\n") == 1
     assert (tmp_path / rig.MODEL).read_bytes() == before
 
@@ -98,7 +98,7 @@ def test_a_person_who_is_asked_moves_the_joint_and_the_tuning_goes_on(
     monkeypatch.setattr("sys.stdin", Person(tmp_path / "plant.toml"))
     assert tune(tmp_path, "--seconds", "8", "--verify-seconds", "4", "--out", str(tmp_path / "out")) == 0
     said = capsys.readouterr()
-    assert "take it by hand" in said.err
+    assert "move the joint by hand" in said.err
     assert "press Enter" in said.err
     assert "start again" not in said.err
     assert "written:" in said.out

@@ -99,7 +99,7 @@ def test_a_drive_without_serial_number_is_identified_by_its_node_id_and_not_trus
     nodes = merged(NODES, {"drive": {"serial_number": 0}})
     assert not trusted(tmp_path, {"source": "measured", **nodes}, nameless)
     other = merged(nodes, {"drive": {"node_id": 2}})
-    with pytest.raises(UsageError, match=r"node 2 \(no serial number\), found is node 1"):
+    with pytest.raises(UsageError, match=r"node 2 \(no serial number\), found node 1"):
         trusted(tmp_path, {"source": "measured", **other}, nameless)
 
 
@@ -108,13 +108,13 @@ def test_a_drive_that_has_no_serial_number_is_not_the_one_of_a_file_with_one(
     tmp_path: Path, number: int | None
 ) -> None:
     drive = {"serial_number": 0} if number == 0 else {"absent": ["0x1018:4"]}
-    with pytest.raises(UsageError, match="serial number 4711, found is no serial number"):
+    with pytest.raises(UsageError, match="serial number 4711, found no serial number"):
         trusted(tmp_path, {"source": "measured", **NODES}, merged(PLANT, {"drive": drive}))
 
 
 def test_the_file_of_axis_2_is_rejected_at_axis_1_of_one_device(tmp_path: Path) -> None:
     second = merged(NODES, {"drive": {"slot": 2}})
-    with pytest.raises(UsageError, match="slot 2 of serial number 4711, found is slot 1"):
+    with pytest.raises(UsageError, match="slot 2 of serial number 4711, found slot 1"):
         trusted(tmp_path, {"source": "measured", **second})
 
 

@@ -119,8 +119,8 @@ def _read(folder: Path, stage: str, seconds: float, summary: dict[str, Any]) -> 
 def _controllable(diagnosis: Diagnosis, period: float) -> tuple[bool, tuple[str, ...]]:
     """Return True if a controller can use the extended model, and notes on effects that it does not compensate."""
     if not isinstance(diagnosis.model, TendonSheath):
-        return False, ("the diagnosis gave no model of a tendon-sheath: the calibrated one is run",)
+        return False, ("the diagnosis returned no tendon-sheath model: the calibrated model is used",)
     try:
         return True, Feedforward(diagnosis.model, period).notes
     except UsageError as error:
-        return False, (f"the extended model cannot be inverted ({error}): the calibrated one is run",)
+        return False, (f"the extended model cannot be inverted ({error}): the calibrated model is used",)

@@ -107,7 +107,7 @@ class Example:
         factors = ", ".join(
             f"{key.replace('_', ' ')} {100 * (value - 1):+.0f} %" for key, value in self.hidden.factors.items()
         )
-        return f"{sizes}; and against the model file {factors}"
+        return f"{sizes}; relative to the model file: {factors}"
 
 
 def make(folder: Path, seed: int) -> Example:

@@ -94,8 +94,8 @@ def from_file(path: Path, most_torque: float) -> Play:
     high = int(np.argmax(np.abs(wanted)))
     if abs(wanted[high]) > most_torque:
         raise UsageError(
-            f"{path}: column 'tau_j_des', {table.place(high)}: {wanted[high]:.3g} N*m is beyond the demo's "
-            f"{most_torque:.2g} N*m; scale the file down"
+            f"{path}: column 'tau_j_des', {table.place(high)}: {wanted[high]:.3g} N*m exceeds the demo's "
+            f"limit of {most_torque:.2g} N*m; scale the column down"
         )
     angle = table.columns.get("q_j")
     angle = np.radians(cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle
@@ -136,12 +136,12 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
             interface, _, channel = asked.partition(":")
             return BusChoice(interface, channel)
         if asked in there and asked not in up:
-            raise UsageError(
-                f"demo: CAN interface {asked} is down; bring it up (ip link set {asked} up), or leave --bus out"
-            )
+            raise UsageError(f"demo: CAN interface {asked} is down; bring it up (ip link set {asked} up) or omit --bus")
         if asked not in there:
             names = ", ".join(up) or "none"
-            raise UsageError(f"demo: no CAN interface {asked}; up are: {names}; or leave --bus out")
+            raise UsageError(
+                f"demo: no CAN interface {asked}; interfaces that are up: {names}; choose one of them or omit --bus"
+            )
         return BusChoice("socketcan", asked)
     named = os.environ.get("TSA_VCAN")
     virtual = sorted((name for name, link in there.items() if link.kind == "vcan"), key=lambda name: name != named)
@@ -151,7 +151,10 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
                 set_up(name, True)
         except OSError as error:
             reason = error.strerror or error
-            say(f"demo: {name} is down and cannot be brought up ({reason}): ip link set {name} up; goes on without it")
+            say(
+                f"demo: {name} is down and cannot be brought up ({reason}); run ip link set {name} up; the demo "
+                "continues without it"
+            )
         else:
             return BusChoice("socketcan", name)
     if not virtual:

@@ -108,8 +108,8 @@ class Designer:
         experiment = self._experiment(min(refined, key=lambda each: each[0])[1], pairs, known)
         if experiment is None:
             raise UsageError(
-                "investigate: no set-point keeps the joint within its speed and travel; widen --speed or --travel, or "
-                "lower --torque"
+                "investigate: no set-point keeps the joint within its limits of speed and travel; raise --speed, widen "
+                "--travel, or lower --torque"
             )
         return experiment
 

@@ -156,8 +156,8 @@ class _Investigator:
         else:
             raise UsageError(
                 f"investigate: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at "
-                f"{share * self._bounds.torque:.2g} N*m), so friction cannot show; move it, free it, or allow more "
-                "--torque"
+                f"{share * self._bounds.torque:.2g} N*m), so friction cannot be measured; move it, release it, or "
+                "allow more --torque"
             )
         designer = Designer(Joint.of(logs, self._model), self._bounds, logs, 1.0, self._seed, self._seconds)
         self._perform("motion-1", designer.best([]))
@@ -190,7 +190,7 @@ class _Investigator:
         predictable = [pair for pair in pairs if not self._needs_temperature(pair)]
         if predictable:
             if self._motions >= self._most:
-                more = f"not separated in {self._most} motions; allow more by --most"
+                more = f"not separated in {self._most} motions; allow more with --most"
                 return self._ended(Answer.STOPPED, f"{_group(predictable)}: {more}")
             found = self._separating(predictable)
             if isinstance(found, Experiment):
@@ -212,13 +212,13 @@ class _Investigator:
         if named:
             return self._ended(Answer.CAUSE, f"the cause is {named}")
         beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
-        return self._ended(Answer.NONE, f"the recalibrated model leaves noise while the joint slides{beside}")
+        return self._ended(Answer.NONE, f"the recalibrated model leaves only noise while the joint slides{beside}")
 
     def _separating(self, pairs: Sequence[Pair]) -> Experiment | str:
         """Return the motion that separates the hypotheses, or the reason why no motion does."""
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
         if not untried:
-            return f"{ATTEMPTS} motions made for it did not separate them"
+            return f"{ATTEMPTS} motions designed for this did not separate them"
         experiment = self._designer(self._steps[-1].result).best(untried)
         size = max(experiment.separation.values())
         if size >= SEPARATES:
@@ -335,7 +335,7 @@ def _page(found: Investigation, folder: Path) -> str:
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
         f"</head><body>\n<h1>{title}</h1>\n<p>{statement}.</p>\n<dl>{summary}</dl>\n"
-        "<table><tr><th>motion</th><th>seconds</th><th>made to separate (standard deviations)</th><th>verdict</th>"
+        "<table><tr><th>motion</th><th>seconds</th><th>expected separation (standard deviations)</th><th>verdict</th>"
         f"<th>causes, with alternatives</th></tr>\n{rows}\n</table>\n</body></html>\n"
     )
 

@@ -159,14 +159,14 @@ def _sources(log: str | Path) -> list[_Source]:
         return [_of_table(read_table(log))]
     contents = LogFile(file)
     if axis is not None and axis not in contents.axes:
-        raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(contents.axes)}")
+        raise UsageError(f"{file}: has no axis '{axis}'; its axes are {', '.join(contents.axes)}")
     present: dict[str, NDArray[np.bool_]] = {}
     rows = dict.fromkeys(contents.axes, 0)
     for name, block in contents.blocks(contents.fields):
         present[name] = ~np.isnan(block).all(axis=0) | present.get(name, np.zeros(len(contents.fields), dtype=bool))
         rows[name] += len(block)
     if not present:
-        raise UsageError(f"{file}: holds no records; record longer, or give another log")
+        raise UsageError(f"{file}: contains no records; record longer or give another log")
     chosen = [name for name in contents.axes if name in present and axis in (None, name)]
     return [_of_axis(contents, name, present[name], rows[name]) for name in chosen]
 
@@ -270,7 +270,9 @@ def write_last(log: Path, out: Path, seconds: float) -> float:
     """
     file = LogFile(log)
     if tuple(file.fields) != tuple(FIELD_NAMES):
-        raise UsageError(f"{log}: is of version {file.about.get('version')} with other columns; use that version")
+        raise UsageError(
+            f"{log}: was written by version {file.about.get('version')}, which has other columns; use that version"
+        )
     end = max((float(block[-1, 0]) for _, block in file.blocks(("t",)) if len(block)), default=0.0)
     started = calendar.timegm(time.strptime(file.about["started"], "%Y-%m-%dT%H:%M:%SZ"))
     header = LogHeader(

@@ -282,11 +282,11 @@ class _Source:
         text = str(error)
         line = _LINE.search(text)
         if line is None:
-            return f"{self.path}: is not a table of numbers ({said(error)}); write it again"
+            return f"{self.path}: is not a table of numbers ({said(error)}); export it again"
         row = f"row {int(line[1]) - self.above} (line {line[1]})"
         if length := _LENGTH.search(text):
             hint = " (a decimal comma: only the point is allowed)" if int(length[1]) >= 2 * len(self.names) - 1 else ""
-            found = f"{row} has {length[1]} fields where the header has {len(self.names)}{hint}"
+            found = f"{row} has {length[1]} field(s) where the header has {len(self.names)}{hint}"
             return f"{self.path}: {found}; correct or remove it"
         if entry := _NO_NUMBER.search(text):
             hint = " (a decimal comma: only the point is allowed)" if "," in entry[2] and _is_number(entry[2]) else ""
@@ -294,7 +294,7 @@ class _Source:
             return f"{self.path}: column {self.names[int(entry[1])]}, {row}: {found}; correct it"
         if "not utf-8" in text:
             return f"{self.path}: {row} is not UTF-8 text; save the file as UTF-8"
-        found = "has a quote that is not closed" if "unterminated quote" in text else "is not a row of a table"
+        found = "has an unclosed quote" if "unterminated quote" in text else "is not a row of a table"
         return f"{self.path}: {row} {found}; correct or remove it"
 
 
@@ -303,7 +303,8 @@ def _cast(place: int) -> str:
 
 
 def _empty(path: Path, row: int, above: int) -> str:
-    return f"{path}: row {row} (line {row + above}) is empty; a log has no holes: remove the line or cut the file there"
+    place = f"row {row} (line {row + above})"
+    return f"{path}: {place} is empty; a log must not have gaps: remove the line or cut the file there"
 
 
 def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
@@ -328,7 +329,7 @@ def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
     delimiter = max(DELIMITERS, key=text.count)
     names = [name.strip().strip('"').strip() for name in text.split(delimiter)]
     if all(_is_number(name) for name in names):
-        raise UsageError(f"{path}: line {above} holds numbers where the header is expected; add a row of column names")
+        raise UsageError(f"{path}: line {above} has numbers where the header is expected; add a row of column names")
     odd = next((name for name in names if not name.isprintable()), None)
     if odd is not None:
         raise UsageError(f"{path}: line {above}: the column name {odd[:40]!r} cannot be printed; rename it")

@@ -125,7 +125,7 @@ def inspect(path: str | Path) -> LogInfo:
         return LogInfo(str(path), sha256, [_axis_info(table, columns, 0.0, empty=True)], problems=_repairs(table))
     log = LogFile(file)
     if axis is not None and axis not in log.axes:
-        raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(log.axes)}")
+        raise UsageError(f"{file}: has no axis '{axis}'; its axes are {', '.join(log.axes)}")
     found = {name: _Columns(log.fields, log.codes) for name in log.axes if axis in (None, name)}
     for name, block in log.blocks(log.fields):
         if name in found:
@@ -188,7 +188,7 @@ def _repairs(table: Table) -> list[str]:
 def _axis_info(table: Table, columns: _Columns, longest_skip: float, empty: bool) -> AxisInfo:
     t = columns.t
     if len(t) < 2:
-        raise UsageError(f"{table.label}: holds {len(t)} rows; a rate needs at least 2: give a longer log")
+        raise UsageError(f"{table.label}: too few rows ({len(t)}); at least 2 are needed: give a longer log")
     check_increasing(table, t, doubled=True)
     grid = fit_grid(np.unique(t), longest_skip)
     ranges = columns.ranges(empty)

@@ -97,14 +97,14 @@ class LogFile:
         with path.open("rb") as stream:
             magic = stream.read(len(MAGIC))
         if magic != MAGIC:
-            raise UsageError(f"{path}: is {'no MCAP file' if magic else 'empty'}; give a log that the daemon wrote")
+            raise UsageError(f"{path}: is {'not an MCAP file' if magic else 'empty'}; give a log that the daemon wrote")
         try:
             self._read_head()
         except _DAMAGED as error:
-            raise UsageError(f"{path}: its head is damaged ({error}); give another copy") from None
+            raise UsageError(f"{path}: its header is damaged ({error}); give another copy") from None
         self.axes = list(self._channels.values())
         if not self.fields or not self.axes:
-            raise UsageError(f"{path}: holds no axis (cut off at its head, or not from this package); give another log")
+            raise UsageError(f"{path}: has no axis (header cut off, or not a log of this package); give another log")
 
     @property
     def codes(self) -> dict[str, dict[int, str]]:
@@ -119,7 +119,7 @@ class LogFile:
             [] if self.complete else ["the log was cut off, or is still being written; read up to its last chunk"]
         )
         if self.damaged:
-            problems.append(f"{self.damaged} damaged chunks are left out")
+            problems.append(f"damaged chunks left out: {self.damaged}")
         return problems
 
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:

@@ -96,7 +96,7 @@ class RingWriter(Ring):
     def __init__(self, axes: int, slots: int = SLOTS) -> None:
         """Create the memory for `axes` axes. Raise ValueError for sizes out of range."""
         if not 0 < axes <= MAX_AXES or slots < 2:
-            raise ValueError(f"{axes} axes of {slots} slots: need 1 to {MAX_AXES} axes and at least 2 slots")
+            raise ValueError(f"{axes} axes with {slots} slots; allowed are 1 to {MAX_AXES} axes and at least 2 slots")
         super().__init__(axes, slots)
         self._counts = [0] * axes
         for word, value in ((_Word.AXES, axes), (_Word.SLOTS, slots), (_Word.FIELDS, len(FIELDS))):

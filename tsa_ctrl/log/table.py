@@ -84,7 +84,7 @@ def check_readable(path: Path) -> None:
     except IsADirectoryError:
         raise UsageError(f"{path}: is a folder; give the path of a log in it") from None
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); allow reading it") from None
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); grant read permission") from None
 
 
 def sha256_of(path: str | Path) -> str:
@@ -120,9 +120,9 @@ def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> T
     log = LogFile(path)
     listed = ", ".join(log.axes)
     if axis is None and len(log.axes) > 1:
-        raise UsageError(f"{path}: holds the axes {listed}; name one as {path}:{log.axes[0]}")
+        raise UsageError(f"{path}: has the axes {listed}; select one, for example {path}:{log.axes[0]}")
     if axis is not None and axis not in log.axes:
-        raise UsageError(f"{path}: holds no axis '{axis}'; it holds {listed}")
+        raise UsageError(f"{path}: has no axis '{axis}'; its axes are {listed}")
     axis = axis or log.axes[0]
     kept = [name for name in log.fields if wanted is None or name in wanted]
     columns = log.columns(axis, kept)
@@ -157,7 +157,7 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
                     query = f"SELECT CAST({quoted(name)} AS DOUBLE) AS x FROM read_parquet('{file}')"
                     columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
     except duckdb.Error as error:
-        raise UsageError(f"{path}: is not a readable Parquet file ({said(error)}); write it again") from None
+        raise UsageError(f"{path}: is not a readable Parquet file ({said(error)}); export it again") from None
     recorded = {"cycle", "state"} <= set(names)
     return Table(str(path), columns, tuple(n for n in names if n not in columns), recorded=recorded)
 
@@ -213,18 +213,18 @@ def load_run(
     if by_stretch:
         columns = {**columns, "tau_j": columns.get(STRETCH, np.full(len(columns["t"]), np.nan))}
         if not np.isfinite(columns["tau_j"]).any():
-            raise BusError(f"{log}: the tendon elongation gave no joint torque; see the run's events")
+            raise BusError(f"{log}: no joint torque was computed from the tendon elongation; see the run's events")
     t = columns["t"]
     active = np.flatnonzero((columns["tau_j_des"] != 0.0) | (columns["tau_m_cmd"] != 0.0))
     if not active.size:
-        raise BusError(f"{log}: holds no torque" + (f"; {cause}" if cause else "; look into the log"))
+        raise BusError(f"{log}: contains no torque" + (f"; {cause}" if cause else "; inspect the log"))
     known = np.isfinite(columns.get("tau_j", np.full(len(t), np.nan)))
     if not known.any():
-        raise UsageError(f"{log}: the joint torque sensor sent nothing; check [axis.torque_sensor] or its line")
+        raise UsageError(f"{log}: the joint torque sensor sent no data; check [axis.torque_sensor] or its wiring")
     enabled = float(t[active[0]])
     chosen = (t >= enabled + fade_in) & (t <= enabled + seconds - STOP_MARGIN) & known
     if np.count_nonzero(chosen) < LEAST_CYCLES:
-        raise BusError(f"{log}: holds too little torque" + (f"; {cause}" if cause else "; look into the log"))
+        raise BusError(f"{log}: contains too few cycles with torque" + (f"; {cause}" if cause else "; inspect the log"))
     part = {name: values[chosen] for name, values in columns.items()}
     return {**part, "t": part["t"] - enabled}
 
@@ -246,14 +246,17 @@ def read_waypoints(path: str | Path, needed: Sequence[str], optional: Sequence[s
             there = ", ".join([*table.columns, *table.left_out]) or "none"
             raise UsageError(f"{path}: column '{name}' is missing, found {there}; add it")
     if len(table) < LEAST_ROWS:
-        raise UsageError(f"{path}: {len(table)} rows; give at least {LEAST_ROWS}")
+        raise UsageError(f"{path}: too few rows ({len(table)}); give at least {LEAST_ROWS}")
     for name, values in table.columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise UsageError(f"{path}: column '{name}', {table.place(int(bad[0]))}: not a finite number; correct it")
     back = np.flatnonzero(np.diff(table.columns["t"]) <= 0.0)
     if back.size:
-        raise UsageError(f"{path}: column 't', {table.place(int(back[0]) + 1)}: time does not rise; sort the file")
+        raise UsageError(
+            f"{path}: column 't', {table.place(int(back[0]) + 1)}: time does not increase; sort the rows by time and "
+            "remove duplicates"
+        )
     return table
 
 

@@ -113,10 +113,10 @@ def check_increasing(table: Table, t: Array, doubled: bool = False) -> None:
     onward = steps >= 0.0 if doubled else steps > 0.0
     if not onward.all():
         row = int(np.argmin(onward)) + 1
-        cure = "sort the rows by time" if doubled else "sort the rows by time and remove doubled ones"
+        cure = "sort the rows by time" if doubled else "sort the rows by time and remove duplicates"
         raise UsageError(
             f"{table.label}: column t, {table.place(row)}: time {t[row]:.9g} s does not increase (before it "
-            f"{t[row - 1]:.9g} s); {cure}"
+            f"(previous row: {t[row - 1]:.9g} s); {cure}"
         )
     if len(steps) and not steps.any():
         raise UsageError(
@@ -166,7 +166,8 @@ def _joined(table: Table) -> Table:
     doubled = len(t) - len(starts)
     row = table.place(int(np.argmin(new)))
     note = (
-        f"{doubled} of {len(t)} rows ({doubled / len(t):.2%}) have the stamp of the row before, first {row}: averaged"
+        f"{doubled} of {len(t)} rows ({doubled / len(t):.2%}) with the time stamp of the previous row were averaged, "
+            f"the first at {row}"
     )
     rows = starts if table.rows is None else table.rows[starts]
     return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))
@@ -185,18 +186,19 @@ def _pieces(table: Table) -> list[Table]:
         kept = [max(spans, key=lambda span: span[1] - span[0])]
     rows = sum(b - a for a, b in kept)
     widest = int(holes[np.argmax(steps[holes - 1])])
-    where = f"{table.place(widest)}: a step of {steps[widest - 1]:.4g} s where the period is {np.median(steps):.4g} s"
+    where = f"{table.place(widest)}: a step of {steps[widest - 1]:.4g} s at a period of {np.median(steps):.4g} s"
     if rows < LEAST_KEPT * len(t):
         raise UsageError(
-            f"{table.label}: column t, {where}; {len(holes)} such holes leave {rows / len(t):.0%} of the rows in "
-            f"pieces of {SHORTEST:g} s, at least {LEAST_KEPT:.0%} must be: log at a steady rate, or correct the stamps"
+            f"{table.label}: column t, {where}; {len(holes)} such gap(s) leave {rows / len(t):.0%} of the rows in "
+            f"pieces of {SHORTEST:g} s or more; at least {LEAST_KEPT:.0%} are required: log at a steady rate or "
+            "correct the time stamps"
         )
     dropped = (
-        f", {len(t) - rows} rows ({1.0 - rows / len(t):.2%}) in shorter ones are left out" if rows < len(t) else ""
+        f", {len(t) - rows} rows ({1.0 - rows / len(t):.2%}) in shorter pieces are left out" if rows < len(t) else ""
     )
     pieces = f"1 piece of {SHORTEST:g} s or more" if len(kept) == 1 else f"{len(kept)} pieces"
-    count = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
-    note = f"time has {count}, the widest at {where}: taken as {pieces}{dropped}"
+    count = "a gap" if len(holes) == 1 else f"{len(holes)} gaps"
+    note = f"time has {count}, the longest at {where}: used as {pieces}{dropped}"
     return [_cut(table, a, b, note) for a, b in kept]
 
 

@@ -33,7 +33,7 @@ CHUNK = 0.5  # s of records in one chunk, which a killed writer loses
 SYNCED = 1.0  # s between two fsync calls: a power failure loses the records since the last call
 RETRY = 1.0  # s between attempts after a failed write
 HANGS = 4.0  # s without a sign of life until another writer takes over: half of the ring's content at 1 kHz
-DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
+DEAD = "the loop's process ended without reporting a cause (killed?); only the drives' own watchdogs are active"
 IN_USE = 10.0  # s after its last change during which a log may belong to another daemon and is not deleted
 MOST_NOTES = 1000  # notes kept while writing fails
 MOST_PENDING = 120_000  # records kept while writing fails, about 25 MB; older records are lost
@@ -128,11 +128,11 @@ class LogWriter:
             return
         following = next_file(self._first)
         try:
-            file.write_notes([Note(self._newest, "", f"the log goes on in {following.name}", False)])
+            file.write_notes([Note(self._newest, "", f"the log continues in {following.name}", False)])
         except OSError as error:
             self._trouble = error.errno or errno.EIO
             return
-        self._notes.append(Note(self._newest, "", f"this log goes on from {self._path.name}", False))
+        self._notes.append(Note(self._newest, "", f"this log continues {self._path.name}", False))
         self._written += file.written
         self._file, self._path = None, following
         self._syncing = self._disk.submit(file.finish)  # runs after a sync that is still in progress

@@ -29,7 +29,7 @@ NAMED: Mapping[str, Points] = MappingProxyType(
         "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),  # all bending at s = l_us: (3.55) is exact
     }
 )
-POINTS = "[[fraction of length, fraction of bending], ...] that never fall, from [0, ...] to [1, 1]"
+POINTS = "[[fraction of length, fraction of bending], ...] that never decrease, from [0, ...] to [1, 1]"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def course_of(given: Points, where: str) -> Profile:
     if not 0.0 < course.centre < 1.0:
         raise UsageError(
             f"{where}: [sheath] bending_course has its centre at {course.centre:g}, allowed is between 0 and 1; remove "
-            "it, and give [effects.elongation_coupling] for a sheath that bends at one end alone"
+            "it, and give [effects.elongation_coupling] for a sheath that bends only at one end"
         )
     return course
 

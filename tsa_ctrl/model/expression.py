@@ -151,7 +151,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
         where: start of the message of an error.
     """
     if len(text) > LONGEST:
-        raise UsageError(f"{where}: {len(text)} characters; allowed are {LONGEST}: a shorter formula")
+        raise UsageError(f"{where}: {len(text)} characters; at most {LONGEST} are allowed: shorten the formula")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -167,7 +167,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
 
     def read(node: ast.expr, depth: int, within: str = "") -> None:
         if depth > DEEPEST or len(operations) >= MOST_STEPS:
-            raise UsageError(f"{where}: more than {MOST_STEPS} steps or {DEEPEST} levels; a shorter formula")
+            raise UsageError(f"{where}: more than {MOST_STEPS} steps or {DEEPEST} levels; shorten the formula")
         match node:
             case ast.Constant(value=bool()):
                 raise _refused(text, node, where)
@@ -213,7 +213,8 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
             case ast.Call(func=ast.Name(id=kind), args=given, keywords=[]) if kind in KINDS:
                 if within:
                     raise UsageError(
-                        f"{where}: {kind} within {within}; a function with a memory takes none with one: write it alone"
+                        f"{where}: {kind} within {within}; functions with a memory cannot be nested: write them "
+                        "separately"
                     )
                 memory = _memory(kind, given, constants, f"{where}: '{_source(text, node)}'")
                 read(given[0], depth + 1, kind)
@@ -235,7 +236,7 @@ def _range(given: Sequence[ast.expr], constants: Mapping[str, float], where: str
     """Return the two ends of inside(x, low, high); raises UsageError."""
     ends = [_constant(node, constants) for node in given]
     if len(ends) != 2 or ends[0] is None or ends[1] is None or not ends[0] < ends[1]:
-        raise UsageError(f"{where}: it is {INSIDE}(x, low, high) with two constants, low < high")
+        raise UsageError(f"{where}: write {INSIDE}(x, low, high) with two constants, low < high")
     return ends[0], ends[1]
 
 
@@ -243,7 +244,7 @@ def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float]
     """Return a function with a memory from its constants; raises UsageError."""
     ranges = KINDS[kind]
     if len(given) != 1 + len(ranges):
-        raise UsageError(f"{where}: {len(given)} arguments; it is {usage(kind)}")
+        raise UsageError(f"{where}: found {len(given)} argument(s); write {usage(kind)}")
     values = []
     for allowed, node in zip(ranges, given[1:], strict=True):
         value = _constant(node, constants)

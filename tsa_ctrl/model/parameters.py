@@ -128,7 +128,10 @@ class TendonSheath:
             if mu > MOST_FRICTION:
                 mu, theta = MOST_FRICTION, friction_angle / MOST_FRICTION
         else:
-            raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
+            raise UsageError(
+                f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change; give [sheath] "
+                "bending_angle above 0"
+            )
         level = self.pretension if pretension is None else pretension
         return dataclasses.replace(
             self, friction_coefficient=mu, bending_angle=theta, pretension=level, half_loop_low=None
@@ -208,7 +211,9 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         return GearedDrive(g.ratio, g.efficiency, g.coulomb_friction, g.viscous_friction, effects, where)
     file = settings.convert(data, ActuatorFile, where)
     if file.tendon.series_position is not None and file.tendon.series_stiffness is None:
-        raise UsageError(f"{where}: [tendon] series_position without series_stiffness; give that (N/m) or remove this")
+        raise UsageError(
+            f"{where}: [tendon] series_position needs series_stiffness; give series_stiffness (N/m) or remove it"
+        )
     centre, bends = file.sheath.bending_centre, file.sheath.bending_course
     course = None if bends is None else course_of(bends, where)
     model = TendonSheath(
@@ -261,7 +266,7 @@ def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> 
     ways = ("[pretension] value (N)", level.value), ("[pretension] length_change (m)", level.length_change), bent
     given = [name for name, number in ways if number is not None]
     if len(given) > 1:
-        raise UsageError(f"{where}: both {' and '.join(given)} are given; keep one of them")
+        raise UsageError(f"{where}: {' and '.join(given)} are given; keep one of them")
     if not given:
         raise UsageError(f"{where}: no pretension; give {' or '.join(name for name, _ in ways)}")
     if bent[1] is not None:

@@ -86,7 +86,7 @@ def check_consistent(model: Tendons) -> None:
     given = f"[tendon] axial_stiffness {model.axial_stiffness:g} N and diameter {model.diameter:g} m"
     if not MODULUS[0] <= modulus <= MODULUS[1]:
         raise UsageError(
-            f"{where}: {given} make a modulus of {1e-9 * modulus:.3g} GPa; allowed is {1e-9 * MODULUS[0]:g} to "
+            f"{where}: {given} give a modulus of {1e-9 * modulus:.3g} GPa; allowed is {1e-9 * MODULUS[0]:g} to "
             f"{1e-9 * MODULUS[1]:g} GPa (soft polymer to carbon fibre): give E A in N, not in kN, and the diameter in m"
         )
     if strain > STRAIN:
@@ -111,14 +111,14 @@ def check_consistent(model: Tendons) -> None:
     if model.friction_angle > MOST_FRICTION_ANGLE:
         raise UsageError(
             f"{where}: [sheath] friction_coefficient {model.friction_coefficient:g} times bending_angle "
-            f"{model.bending_angle:g} rad is {model.friction_angle:.3g}; allowed is {MOST_FRICTION_ANGLE:g}, where a "
-            "twentieth of the tension arrives: give the bending angle in rad, not in degrees"
+            f"{model.bending_angle:g} rad is {model.friction_angle:.3g}; allowed is {MOST_FRICTION_ANGLE:g}, where 5 % "
+            "of the tension arrives: give the bending angle in rad, not in degrees"
         )
     if model.bending_angle * model.diameter > model.unstrained_length:
         raise UsageError(
             f"{where}: [sheath] bending_angle {model.bending_angle:g} rad within unstrained_length "
-            f"{model.unstrained_length:g} m bends tighter than the tendon's diameter of {model.diameter:g} m: give "
-            "lengths in m and the angle in rad"
+            f"{model.unstrained_length:g} m bends to a radius below the tendon's diameter of {model.diameter:g} m: "
+            "give lengths in m and the angle in rad"
         )
 
 
@@ -177,22 +177,22 @@ def check_against_command(model: Tendons, half_loop: float, step: float, compens
         least = STEPS * step / (2.0 * model.motor_pulley_radius)
         raise UsageError(
             f"{where}: {model.source}: with the pretension of {model.pretension:g} N a tendon goes slack at "
-            f"{slack:.3g} N*m of the motor; allowed is {STEPS:g} steps of the drive's torque command of {step:.3g} N*m "
-            f"at least: give a pretension of {least:.3g} N or more, in N (kN times 1000), and rated_torque in N*m"
+            f"{slack:.3g} N*m of the motor; allowed is at least {STEPS:g} steps of the drive's torque command of "
+            f"{step:.3g} N*m: give a pretension of {least:.3g} N or more, in N (kN times 1000), and rated_torque in N*m"
         )
     if not compensated:
         return
     if model.friction_coefficient < LEAST_FRICTION:
         raise UsageError(
             f"{where}: {model.source}: [sheath] friction_coefficient is {model.friction_coefficient:g}; allowed is "
-            f"{LEAST_FRICTION:g} to 0.8 (lubricated polymer to dry steel) for a friction that is compensated: measure "
+            f"{LEAST_FRICTION:g} to 0.8 (lubricated polymer to dry steel) for compensated friction: measure "
             "it, or write [axis.law] compensation = 0"
         )
     if half_loop < step:
         raise UsageError(
             f"{where}: {model.source}: the friction torque by friction_coefficient, bending_angle and pretension is "
-            f"{half_loop:.3g} N*m at the motor; allowed is one step of the drive's torque command of {step:.3g} N*m at "
-            "least: give the angle in rad and the pretension in N, or write [axis.law] compensation = 0"
+            f"{half_loop:.3g} N*m at the motor; allowed is at least one step of the drive's torque command of "
+            f"{step:.3g} N*m: give the angle in rad and the pretension in N, or write [axis.law] compensation = 0"
         )
 
 
@@ -242,8 +242,8 @@ def check_motion(
         if travel[1] - travel[0] > most or max(-travel[0], travel[1]) > TURNS:
             raise UsageError(
                 f"{where}: limits.travel {list(travel)} rad; allowed are ends within {TURNS:.3g} rad (three turns) and "
-                f"a width of {most:.3g} rad, which winds the whole tendon onto the joint's pulley: degrees times "
-                "0.01745"
+                f"a width of at most {most:.3g} rad, which winds the whole tendon onto the joint's pulley: degrees "
+                "times 0.01745"
             )
     for key, (speed, radius) in speeds.items():
         if speed * radius > TENDON_SPEED:

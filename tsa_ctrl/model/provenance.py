@@ -26,11 +26,11 @@ class NodeIdentity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     def difference(self, found: NodeIdentity) -> str:
         """Return how `found` differs from this node, with both numbers; return "" for the same node."""
         if self.serial_number != found.serial_number:
-            return f"{self._serial()}, found is {found._serial()}"
+            return f"{self._serial()}, found {found._serial()}"
         if self.slot != found.slot:
-            return f"slot {self.slot} of {self._serial()}, found is slot {found.slot}"
+            return f"slot {self.slot} of {self._serial()}, found slot {found.slot}"
         if not self.serial_number and self.node_id != found.node_id:
-            return f"node {self.node_id} ({self._serial()}), found is node {found.node_id}"
+            return f"node {self.node_id} ({self._serial()}), found node {found.node_id}"
         return ""
 
     def _serial(self) -> str:

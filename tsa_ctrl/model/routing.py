@@ -47,7 +47,7 @@ class RouteSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
             if len(points) < 2 or any(a[0] >= b[0] for a, b in itertools.pairwise(points)):
                 raise ValueError(
                     f"table.{name} = {[list(point) for point in points]}; give two or more points "
-                    "[rad of the joint, rad of wrap angle], the first number rising"
+                    "[rad of the joint, rad of wrap angle] with increasing first numbers"
                 )
 
 

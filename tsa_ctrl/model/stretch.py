@@ -94,20 +94,22 @@ def unsupported_reason(model: TendonSheath) -> str:
         cure = (
             "give it as [tendon] series_stiffness"
             if beside[0] == "series_spring"
-            else "remove its cause, and remove it here"
+            else "remove its cause on the rig, and remove it here"
         )
         return f"[effects.{beside[0]}] changes the tendon elongation, which then does not show the joint torque; {cure}"
     if "pulley_eccentricity" in model.effects:
         return (
-            "[effects.pulley_eccentricity] winds up other lengths than r_J q_J, by which the tendons' stretch is taken"
+            "[effects.pulley_eccentricity] winds other lengths than r_J q_J, so the tendon elongation does not show "
+            "the joint torque"
         )
     centre = compliance_centre(model)
     if centre <= MOST_CENTRE:
         return ""
-    found = "the bends sit at the joint" if centre > 0.99 else f"the centre of the bends is at {centre:.2f}"
+    found = "all bends are at the joint" if centre > 0.99 else f"the centre of the bends is at {centre:.2f}"
     return (
-        f"{found} (0 motor, 1 joint), so the tendon elongation does not show the joint torque; up to {MOST_CENTRE:g} "
-        "it does: measure it with a joint torque sensor, or give where the sheath bends ([effects.elongation_coupling])"
+        f"{found} (0 motor, 1 joint), so the tendon elongation does not show the joint torque; at most "
+        f"{MOST_CENTRE:g} is allowed: use a joint torque sensor, or state where the sheath bends "
+        "([effects.elongation_coupling])"
     )
 
 

@@ -285,8 +285,9 @@ class JointTorque:
         if self._soft < SOFT or self.stretch is None:
             return None
         return (
-            f"the tendons give {1.0 / self.stretch.stiffness:.1f} times as much as the reported motor torque explains, "
-            "or more: the motor torque exceeds the reported one by this factor, or axial_stiffness is too high by it"
+            f"the tendons elongate at least {1.0 / self.stretch.stiffness:.1f} times as much as the reported motor "
+            "torque "
+            "explains: the motor torque exceeds the reported one, or axial_stiffness is too high, by this factor"
         )
 
     def reset(self) -> None:

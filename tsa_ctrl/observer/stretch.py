@@ -168,7 +168,7 @@ class StretchObserver:
         if not (model.friction_angle > 0.0 and model.pretension > 0.0):
             raise UsageError(
                 f"{model.source or 'model'}: friction angle {model.friction_angle:g} and pretension "
-                f"{model.pretension:g} N: both must be above 0 for the tendons' stretch to be followed"
+                f"{model.pretension:g} N: both must be above 0 to track the tendon elongation"
             )
         self._line = stretch_line(model)
         self._model = model

@@ -441,33 +441,33 @@ FAULTS: Mapping[str, FaultKind] = {
         "TPDOs are lost", lambda t: swap(t, t.transmit, "loss", t.value), 1.0, "probability", 0, 1
     ),
     "sparse_tpdo": FaultKind(
-        "so many of each TPDO are lost in a row, then one is sent",
+        "this many of each TPDO are lost in a row, then one is sent",
         lambda t: swap(t, t.transmit, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
     ),
     "wrong_length": FaultKind(
         "TPDOs have a wrong length", lambda t: swap(t, t.transmit, "length", int(t.value)), 3, "bytes", 0, 8
     ),
     "wrong_mode": FaultKind(
-        "0x6061 shows another mode", lambda t: swap(t, t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
+        "0x6061 reports another mode", lambda t: swap(t, t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
     ),
     "ignored_command": FaultKind(
-        "bit 12 is low, the target torque is not followed", lambda t: swap(t, t.drive.faults, "ignore_command", True)
+        "bit 12 is low, the target torque is ignored", lambda t: swap(t, t.drive.faults, "ignore_command", True)
     ),
     "foreign_sdo": FaultKind("another master writes by SDO: the node no longer monitors our heartbeat", _foreign_sdo),
     "torque_offset": FaultKind(
-        "another tool writes the torque offset 0x60B2 out of sight of this bus",
+        "another tool writes the torque offset 0x60B2, and no frame on this bus shows it",
         _torque_offset, 120, "per mille of the rated torque", -1000, 1000, needs=_TORQUE_OFFSET,
     ),
     "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t, t.node, "deaf", True)),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t, t.transmit, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
-    "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
+    "replay": FaultKind("the most recent TPDOs are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
         "the interface is down; when it is up again, the last frames on the bus are replayed to both sides",
         _interface_down, 0.05, "s", 0.0, 10.0,
     ),
     "flood": FaultKind(
-        "frames of other identifiers", lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
+        "frames with other identifiers flood the bus", lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),
     "torque_sensor_stuck": FaultKind(
         "the joint torque sensor is stuck", lambda t: swap(t, _sensor(t), "stuck", True), needs="torque_sensor"
@@ -477,7 +477,7 @@ FAULTS: Mapping[str, FaultKind] = {
         "the motor turns the wrong way", lambda t: _turned(t, "torque_sign")
     ),
     "torque_gain": FaultKind(
-        "the motor gives so many times the torque that the drive reports",
+        "the motor delivers a multiple of the torque that the drive reports",
         lambda t: swap(t, t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.01, 10.0,
     ),
     "torn_tendon": FaultKind(
@@ -489,7 +489,7 @@ FAULTS: Mapping[str, FaultKind] = {
         "the tensioner gives way", lambda t: parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
     ),
     "clock_drift": FaultKind(
-        "the drive has a separate clock", lambda t: swap(t, t.drive.faults, "clock_drift", t.value),
+        "the drive's clock runs too fast or too slow", lambda t: swap(t, t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
     "digital_input": FaultKind(
@@ -500,10 +500,10 @@ FAULTS: Mapping[str, FaultKind] = {
     "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
     "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
     "position_gain": FaultKind(
-        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of the motor angle", -10, 10
+        "0x6064 is wrong by a factor", lambda t: _scaled(t, 0x6064), 2.0, "of the motor angle", -10, 10
     ),
     "velocity_gain": FaultKind("0x606C is wrong by a factor", lambda t: _scaled(t, 0x606C), 2.0, "1", -10, 10),
-    "motor_encoder_stuck": FaultKind("the motor's encoder rests: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
+    "motor_encoder_stuck": FaultKind("the motor encoder stops: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
     "reported_gain": FaultKind("0x6077 is wrong by a factor", lambda t: _scaled(t, 0x6077), 0.5, "1", -10, 10),
     "reported_offset": FaultKind("0x6077 is wrong by an offset", _reported_offset, 0.2, "N*m", -100, 100),
     "reported_stuck": FaultKind("0x6077 repeats its last value", lambda t: _stuck(t, 0x6077)),
@@ -512,7 +512,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "forged_tpdo": FaultKind(
         "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between two", 1e-4, 1.0
     ),
-    "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
+    "fraying": FaultKind("the tendons fray: the pretension drops", _fraying, 2.0, "of the pretension per second", 0, 100),
     "dead_stage": FaultKind(
         "the power stage loses its voltage: no torque, bit 4 low, still enabled",
         lambda t: swap(t, t.drive.faults, "dead_stage", True),
@@ -520,12 +520,12 @@ FAULTS: Mapping[str, FaultKind] = {
     "flapping_stage": FaultKind("the power stage is off for half of each 0.1 s", _flapping),
     "torque_off": FaultKind("safe torque off; after the duration its input is closed again", _torque_off),
     "derating": FaultKind(
-        "the drive is too hot and gives less: bit 11",
+        "the drive overheats and limits its torque: bit 11 is set",
         lambda t: swap(t, t.drive.faults, "most_torque", t.value),
         0.2, "of rated torque", 0, 10,
     ),
-    "polarity": FaultKind("0x607E is turned: torque, position and velocity the other way", _polarity),
-    "encoder_drift": FaultKind("the joint encoder wanders", _encoder_drift, 0.5, "rad/s", -100, 100, "encoder"),
+    "polarity": FaultKind("0x607E is inverted: torque, position and velocity change their sign", _polarity),
+    "encoder_drift": FaultKind("the joint encoder drifts", _encoder_drift, 0.5, "rad/s", -100, 100, "encoder"),
     "encoder_noise": FaultKind(
         "the joint encoder is noisy", lambda t: swap(t, _encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10,
         "encoder",
@@ -538,12 +538,12 @@ FAULTS: Mapping[str, FaultKind] = {
         lambda t: swap(t, _sensor(t), "gain", t.value),
         -1.0, "of the torque", -10, 10, "torque_sensor",
     ),
-    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
+    "watchdogs_lost": FaultKind("the drive's time-outs are cleared, and no frame on the bus shows it", _watchdogs_lost),
     "sparse_rpdo": FaultKind(
-        "so many commands in a row do not reach the node, then one does",
+        "this many commands in a row do not reach the node, then one does",
         lambda t: swap(t, t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
     ),
-    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t, t.node, "unhearing", True)),
+    "deaf": FaultKind("broken wire: the node sends but receives nothing", lambda t: swap(t, t.node, "unhearing", True)),
 }  # fmt: skip
 
 
@@ -551,22 +551,22 @@ CHANGES: Mapping[str, FaultKind] = {
     "friction": FaultKind(
         "the friction coefficient changes",
         lambda t: parameter(t, "friction", t.value * t.axis.friction),
-        0.5, "of that at the start", 0, 10,
+        0.5, "of the initial value", 0, 10,
     ),
     "pretension": FaultKind(
         "the pretension changes",
         lambda t: parameter(t, "pretension_factor", t.value),
-        0.5, "of that at the start", 0, 10,
+        0.5, "of the initial value", 0, 10,
     ),
     "bending": FaultKind(
-        "the sheath bends otherwise; the path length follows (3.50)",
+        "the bending angle changes; the path length follows (3.50)",
         lambda t: parameter(t, "theta_factor", t.value),
         1.2, "of the bending angle", 0, 10,
     ),
     "push": FaultKind(
-        "a torque on the joint from outside", lambda t: parameter(t, "push", t.value), 0.5, "N*m", -100, 100
+        "an external torque acts on the joint", lambda t: parameter(t, "push", t.value), 0.5, "N*m", -100, 100
     ),
-    "let_go": FaultKind("the hand lets the joint go", lambda t: parameter(t, "hand_factor", 0.0)),
+    "let_go": FaultKind("the hand releases the joint", lambda t: parameter(t, "hand_factor", 0.0)),
 }  # fmt: skip
 """What may happen to a healthy rig while it runs; begun, ended and parsed as faults are."""
 

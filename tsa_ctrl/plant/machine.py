@@ -396,7 +396,7 @@ class Machine:
         named = {unit.axis.name: unit for unit in self.axes}
         unit = self.axes[0] if axis is None else named.get(axis)
         if unit is None:
-            raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
+            raise UsageError(f"axis '{axis}': no such axis; the axes are {', '.join(named)}")
         kind = unit.kind_of(fault, "")
         value = kind.value if fault.value is None else fault.value
 
@@ -435,7 +435,7 @@ class Machine:
         except OSError as error:
             raise UsageError(
                 f"fault interface_down: {name} cannot be switched ({error.strerror or error}); it needs a "
-                "network interface, and the right to administrate it"
+                "network interface and the right to administer it"
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
@@ -481,6 +481,6 @@ class Machine:
 
     def _bus_fault(self, bus: Bus, fault: BusFault) -> None:
         if fault is BusFault.INTERFACE_GONE:
-            raise BusError(f"bus {bus.name}: {fault.value}; make the interface again and start the plant again")
+            raise BusError(f"bus {bus.name}: {fault.value}; recreate the interface and restart the plant")
         time.sleep(TICK)
         bus.clear_fault()

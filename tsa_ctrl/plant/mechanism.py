@@ -43,16 +43,16 @@ class Limb:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError as error:
             text = " ".join(str(error).split())
-            raise UsageError(f"{path}: no model of a limb ({text}); give an MJCF file") from None
+            raise UsageError(f"{path}: cannot be loaded as a model of a limb ({text}); give an MJCF file") from None
         joints = {model.joint(i).name: i for i in range(model.njnt)}
         for name in names:
             if name not in joints:
                 raise UsageError(
-                    f"{path}: no joint '{name}', which is an axis of the plant; the joints are {', '.join(joints)}; "
+                    f"{path}: no joint '{name}' for the axis of that name; the joints are {', '.join(joints)}; "
                     "give axes and joints the same names"
                 )
             if model.jnt_type[joints[name]] != mujoco.mjtJoint.mjJNT_HINGE:
-                raise UsageError(f"{path}: joint '{name}' is not a hinge; an axis turns a joint, choose another one")
+                raise UsageError(f"{path}: joint '{name}' is not a hinge; an axis drives a hinge: choose another joint")
         places = [joints[name] for name in names]
         self.travel = {
             name: (float(model.jnt_range[i][0]), float(model.jnt_range[i][1]))

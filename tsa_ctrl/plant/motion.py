@@ -103,7 +103,7 @@ def _from_file(settings: MotionSettings) -> Motion:
     count = max(2, math.ceil(duration / _GRID))
     if count > _MAX_SAMPLES:
         raise UsageError(
-            f"{settings.file}: {duration:g} s are too long; give a motion of at most {_MAX_SAMPLES * _GRID:g} s"
+            f"{settings.file}: a motion of {duration:g} s is too long; give at most {_MAX_SAMPLES * _GRID:g} s"
         )
     if "omega_j" in columns:
         spline = CubicHermiteSpline(t, columns["q_j"], columns["omega_j"])

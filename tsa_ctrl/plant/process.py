@@ -48,7 +48,7 @@ class ControlSocket:
             self._socket.close()
             reason = error.strerror or error  # a path that is too long has no number
             raise UsageError(
-                f"{path}: no socket can be made here ({reason}); stop the plant that uses it, or choose another place"
+                f"{path}: the socket cannot be created ({reason}); stop the plant that uses it or choose another path"
             ) from None
         finally:
             os.umask(before)
@@ -210,7 +210,7 @@ def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) ->
         frame = bus.recv(left)
         if frame is not None and frame[0] in asked:
             raise BusError(
-                f"node {asked[frame[0]]} answers on {bus.name} already: another plant or a device; "
+                f"node {asked[frame[0]]} already answers on {bus.name}: another plant or a device; "
                 "stop it, or give these nodes other ids"
             )
 
@@ -269,8 +269,8 @@ def _run(machine: Machine) -> None:
     finally:
         counts = machine.counts
         dropped = sum(bus.counters.dropped for bus in machine.buses)
-        skipped = f", {counts.skipped:.3f} s not followed" if counts.skipped else ""
-        print(f"plant: {counts.syncs} SYNC, {counts.frames} frames in, {dropped} dropped{skipped}", file=sys.stderr)
+        skipped = f", {counts.skipped:.3f} s not simulated" if counts.skipped else ""
+        print(f"plant: {counts.syncs} SYNC, {counts.frames} frames received, {dropped} dropped{skipped}", file=sys.stderr)
 
 
 def _real_time(priority: int) -> str:

@@ -260,7 +260,7 @@ def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
     mechanism = plant.mechanism
     if mechanism.kind == "joints":
         if mechanism.model is not None:
-            raise UsageError(f'{path}: [mechanism] kind "joints" with a model; take model out, or set kind = "mujoco"')
+            raise UsageError(f'{path}: [mechanism] kind "joints" has no model; remove model, or set kind = "mujoco"')
         return mechanism
     for axis in plant.axis:
         start = JointSettings(initial_angle=axis.joint.initial_angle, hand=axis.joint.hand)
@@ -270,7 +270,7 @@ def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
                 raise UsageError(
                     f"{path}: axis '{axis.name}': [axis.{table}] describes a separate joint, and [mechanism] "
                     'kind "mujoco" a limb; allowed are initial_angle, hand and hand_repeat of [axis.joint]; '
-                    "take the rest out"
+                    "remove the rest"
                 )
     model = LEG if mechanism.model is None else path.parent / mechanism.model
     return msgspec.structs.replace(mechanism, model=str(model))
@@ -300,13 +300,13 @@ def _check_tables(axis: AxisSettings, where: str, on_limb: bool) -> None:
     for name in ("bending", "temperature"):
         table = getattr(axis.environment, name)
         if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):
-            raise UsageError(f"{where}: [axis.environment] {name}: times must rise; sort the table")
+            raise UsageError(f"{where}: [axis.environment] {name}: times must increase; sort the table")
     joint = axis.joint
     if any(a[0] >= b[0] for a, b in itertools.pairwise(joint.hand)):
-        raise UsageError(f"{where}: [axis.joint] hand: times must rise; sort the table")
+        raise UsageError(f"{where}: [axis.joint] hand: times must increase; sort the table")
     if joint.hand and joint.load in ("imposed", "held") and not on_limb:
         raise UsageError(
-            f'{where}: [axis.joint] hand with load "{joint.load}", whose joint no hand can move; take hand out, or '
+            f'{where}: [axis.joint] hand cannot move a joint with load "{joint.load}"; remove hand, or '
             "choose a load that moves: free, spring, weight, limb, wearer"
         )
     if not isinstance(axis.tendon.curvature, str):

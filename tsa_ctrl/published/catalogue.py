@@ -90,7 +90,7 @@ SETS: Mapping[str, Published] = MappingProxyType(
 )
 # Sets that were used to test the diagnosis, but have no address from which a program can fetch identical bytes
 ELSEWHERE: Mapping[str, str] = MappingProxyType(
-    {"bam": "its recordings lie in a shared drive, see https://github.com/Rhoban/bam; read them by tsa log import"}
+    {"bam": "its recordings are on a shared drive, see https://github.com/Rhoban/bam; read them with tsa log import"}
 )
 
 

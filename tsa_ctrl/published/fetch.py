@@ -133,7 +133,7 @@ def _converted(wanted: Published, file: File, address: str) -> bytes:
     if found != file.sha256:
         raise UsageError(
             f"{source}: is not the published file (SHA-256 of its CSV {found[:12]}..., "
-            f"expected {file.sha256[:12]}...); nothing of it was kept"
+            f"expected {file.sha256[:12]}...); nothing was kept"
         )
     return text
 
@@ -145,7 +145,7 @@ def _download(source: str) -> bytes:
     except (OSError, ValueError, http.client.HTTPException) as error:
         reason = getattr(error, "reason", None) or error
         raise BusError(
-            f"{source}: not reached ({reason}); try again with a network, or give another address by --from"
+            f"{source}: cannot be reached ({reason}); check the network, or give another address with --from"
         ) from None
     if len(data) > LARGEST:
         raise UsageError(f"{source}: is larger than {LARGEST >> 20} MiB and not the published file; nothing was kept")

@@ -33,17 +33,17 @@ ROUNDS = 4  # iterations: the error of the friction torque is 1e-6 after three
 def unsupported_by(model: TendonSheath, has_encoder: bool) -> str:
     """Return why the elongation cannot determine the joint torque, with the remedy, or an empty string if it can."""
     if not has_encoder:
-        return "no [axis.encoder], so that the tendons' stretch is not known either; give one"
+        return "no [axis.encoder] that would show the tendon elongation instead; give one"
     if model.bending_centre is None and "elongation_coupling" not in model.effects:
-        return "the model file does not give the place of the bends; give [sheath] bending_centre"
+        return "the model file does not state where the sheath bends; give [sheath] bending_centre"
     return unsupported_reason(model)
 
 
 def moved_by_hand(torque: float) -> str:
     """Return the advice for a joint that its own torque, up to `torque` (N*m), moves too little."""
     return (
-        "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
-        f"fro all the while, against up to {torque:.2g} N*m"
+        "without a joint torque sensor, the tendons must slide steadily in both directions: move the joint by hand, "
+        f"slowly back and forth, against up to {torque:.2g} N*m"
     )
 
 
@@ -165,8 +165,8 @@ def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath
     if at_joint.low <= before <= at_joint.high:
         return found
     note = (
-        f"the elongation of the tendons shows a half loop of {at_joint}, the torques where the joint moves "
-        f"{before:.4g} N*m: the tendons slide only in part there; the value by the elongation is used"
+        f"the friction torque from the tendon elongation is {at_joint}, from the torques during motion "
+        f"{before:.4g} N*m: the tendons slide only partly there; the value from the elongation is used"
     )
     better = found.model
     for _ in range(ROUNDS):

@@ -74,13 +74,15 @@ class LiveBlocks:
                 raise UsageError("the daemon has not run a cycle yet; compare when `tsa status` reports running")
             self._before.setdefault(parameter, float(answer["before"]))
             if self.axis not in ("", answer["axis"]):
-                raise UsageError(f"'{parameter}' is of axis {answer['axis']}, others of {self.axis}; compare one axis")
+                raise UsageError(
+                    f"'{parameter}' belongs to axis {answer['axis']}, others to {self.axis}; compare one axis"
+                )
             self.axis = str(answer["axis"])
         end = time.monotonic() + SLOWEST
         while not self._arrived(name) and time.monotonic() < end:
             time.sleep(POLL)
         if not self._arrived(name):
-            raise BusError(f"axis '{self.axis}': {name.upper()} has not arrived within {SLOWEST:g} s; see `tsa status`")
+            raise BusError(f"axis '{self.axis}': {name.upper()} was not reached within {SLOWEST:g} s; see `tsa status`")
         time.sleep(SETTLE)
 
     def measure(self) -> float:
@@ -95,15 +97,13 @@ class LiveBlocks:
         while time.monotonic() < end:
             axis = self._axis()
             if axis["state"] != "operation_enabled":
-                raise BusError(f"axis '{self.axis}' is {axis['state']}: the comparison ends; see `tsa status`")
+                raise BusError(f"axis '{self.axis}' is {axis['state']}: the comparison was stopped; see `tsa status`")
             if axis["tau_j"] is None:
                 raise UsageError(f"axis '{self.axis}' has no joint torque sensor, so errors cannot be compared")
             squares[axis["t"]] = (axis["tau_j"] - axis["tau_j_des"]) ** 2
             time.sleep(POLL)
         if len(squares) < FEWEST:
-            raise BusError(
-                f"axis '{self.axis}': only {len(squares)} different samples in a block; is the loop hanging?"
-            )
+            raise BusError(f"axis '{self.axis}': only {len(squares)} different samples in a block; is the loop stuck?")
         return math.sqrt(math.fsum(squares.values()) / len(squares))
 
     def restore(self) -> None:

@@ -188,11 +188,11 @@ COUPLING = "elongation_coupling"
 class Form(Enum):
     """The form of the transmission. The values are printed."""
 
-    GIVEN = "as the file gives it"
+    GIVEN = "as in the file"
     UNIFORM = "full model (3.53), evenly bent sheath"
     MOTOR_END = "full model (3.53), sheath bent at the motor"
     JOINT_END = "full model (3.53), sheath bent at the joint: (3.55)"
-    ANGLES = "full model (3.53), sheath bent as the angles of motor and joint show"
+    ANGLES = "full model (3.53), curvature from the angles of motor and joint"
 
 
 NAMED_FORMS = {"uniform": Form.UNIFORM, "motor_end": Form.MOTOR_END, "joint_end": Form.JOINT_END}
@@ -269,8 +269,8 @@ def estimate(
     if best is not Form.GIVEN:
         notes.append(
             f"{best.value} predicts sliding better than the given form ({1e3 * errors[best]:.1f} against "
-            f"{1e3 * errors[Form.GIVEN]:.1f} mN*m); at one bending angle an error of the torque "
-            "constant would look alike"
+            f"{1e3 * errors[Form.GIVEN]:.1f} mN*m); at a single bending angle an error of the "
+            "torque constant would look the same"
         )
     chosen = Estimate(found[best].model, found[best], best, errors, (), tuple(notes))
     return _late(chosen, logs) if forms else chosen
@@ -320,7 +320,7 @@ def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
         model=model,
         calibration=dataclasses.replace(chosen.calibration, model=model),
         effects=(EFFECT,),
-        notes=(*chosen.notes, f"the log's velocity is {1e3 * lag.value:.2f} ms late"),
+        notes=(*chosen.notes, f"the log's velocity lags by {1e3 * lag.value:.2f} ms"),
         parameters={**chosen.parameters, f"{EFFECT}.time_constant": lag},
     )
 
@@ -351,9 +351,9 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
         return dataclasses.replace(without, notes=(*without.notes, f"diagnosis: {found.sentence}"))
     beside, _ = of_the_stretch(found.model.effects)
     better = found.model.with_effects({name: v for name, v in found.model.effects.items() if name not in beside})
-    reason = f"rivals of {open_names} are not excluded" if open_names else ""
+    reason = f"alternatives to {open_names} are not excluded" if open_names else ""
     if found.gain < LEAST_GAIN:
-        reason = f"its gain is {found.gain:.0%}"
+        reason = f"its gain is {found.gain:.0%}, at least {LEAST_GAIN:.0%} is needed"
     try:
         notes = Feedforward(better, PERIOD).notes
     except UsageError as error:

@@ -146,7 +146,7 @@ def from_file(path: Path) -> Waveform:
     given = from_zero(columns["t"])
     if not 4.0 * RAMP <= given[-1] <= LONGEST or not np.any(columns["tau_j_des"]):
         raise UsageError(
-            f"{path}: {given[-1]:.3g} s of at most {np.abs(columns['tau_j_des']).max():.3g} N*m; give "
+            f"{path}: the file lasts {given[-1]:.3g} s with at most {np.abs(columns['tau_j_des']).max():.3g} N*m; give "
             f"{4.0 * RAMP:g} to {LONGEST:g} s with torque"
         )
     t = np.arange(0.0, given[-1], 1.0 / RATE)
@@ -157,7 +157,7 @@ def from_file(path: Path) -> Waveform:
 def playing(designed: Design, wave: Waveform) -> Design:
     """Return the design with `wave` as its excitation, scaled down to the torque that the design permits."""
     share = min(1.0, designed.excitation.peak / wave.peak)
-    reason = f"the excitation is the file given, at {share:.0%} of its torque ({share * wave.peak:.2g} N*m)"
+    reason = f"the excitation is the given file at {share:.0%} of its torque ({share * wave.peak:.2g} N*m)"
     excitation = Waveform(wave.t, share * wave.tau_j_des)
     return dataclasses.replace(designed, excitation=excitation, reasons=(*designed.reasons, reason))
 
@@ -200,7 +200,7 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
     if found.rms_speed < MOVING:
         raise UsageError(
             f"tune: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at {probed:.2g} N*m), so friction cannot "
-            "show; move it, free it, or allow more --torque"
+            "be measured; move it, release it, or allow more --torque"
         )
     reasons = []
     frequencies: tuple[float, ...] = FREQUENCIES
@@ -209,7 +209,7 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
     if found.by_torque >= MOVED_BY_TORQUE:
         torque = min(torque, probed * HEADROOM * bounds.speed / max(found.peak_speed, 1e-9))
         reasons.append(
-            f"the joint moves by the torque ({found.peak_speed:.2g} rad/s at {probed:.2g} N*m): {torque:.2g} N*m keeps "
+            f"the torque moves the joint ({found.peak_speed:.2g} rad/s at {probed:.2g} N*m): {torque:.2g} N*m keeps "
             f"it below {bounds.speed:.2g} rad/s"
         )
         if bounds.travel is not None and found.angle is not None:
@@ -217,21 +217,21 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
             reach = max(found.angle[1] - middle, middle - found.angle[0], 1e-6)
             room = min(bounds.travel[1] - middle, middle - bounds.travel[0])
             torque = min(torque, probed * HEADROOM * max(room, 0.0) / reach)
-            reasons.append(f"and {torque:.2g} N*m within its travel")
+            reasons.append(f"{torque:.2g} N*m keeps the joint within its travel")
     else:
         if found.peak_speed > bounds.speed:
             raise UsageError(
-                f"tune: the joint is moved at up to {found.peak_speed:.2g} rad/s, allowed are {bounds.speed:.2g} "
-                "rad/s; slow the motion down, or raise --speed and limits.joint_speed"
+                f"tune: the joint is moved at up to {found.peak_speed:.2g} rad/s; at most {bounds.speed:.2g} rad/s "
+                "is allowed: slow the motion down, or raise --speed and limits.joint_speed"
             )
         frequencies = tuple(apart(f, found.frequency) for f in FREQUENCIES)
         others = tuple(apart(f, found.frequency) for f in OTHER_FREQUENCIES)
         reasons.append(
             f"the joint is moved from outside at {found.frequency:.2g} Hz: the load varies at "
-            f"{', '.join(f'{f:.2g}' for f in frequencies)} Hz, none of them that motion's"
+            f"other frequencies, {', '.join(f'{f:.2g}' for f in frequencies)} Hz"
         )
     if torque <= 0.0:
-        raise UsageError("tune: the joint is at the end of its travel; move it inside, or widen --travel")
+        raise UsageError("tune: the joint is at the end of its travel; move it away from there, or widen --travel")
     return Design(
         multi_sine(frequencies, torque, seconds),
         multi_sine(others, VERIFICATION_SHARE * torque, verification_seconds),

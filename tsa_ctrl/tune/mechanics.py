@@ -76,7 +76,7 @@ def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
         same = False
     if not same:
         lines = ", ".join(f"{name} = {key.value:g}" for name, key in keys.items())
-        raise UsageError(f"axis '{axis}': {lines} does not go into this layout; put it into [axis.law]")
+        raise UsageError(f"axis '{axis}': {lines} cannot be inserted into this layout; write it into [axis.law]")
     return new
 
 
@@ -165,8 +165,8 @@ def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
     found = swing(logs, radii, motor_stiffness(model), delay)
     if found is None:
         note = (
-            "the joint slides too little compared with the motor's swing: motor inertia and stiffness are not "
-            "measured, and the swing is not damped unless [axis.law] has motor_inertia; "
+            "the joint slides too little compared with the motor's oscillation: motor inertia and stiffness are "
+            "not measured, and the oscillation is not damped unless [axis.law] has motor_inertia; "
             "move the joint farther and faster"
         )
         return Mechanics(delay, None, (note,))
@@ -225,8 +225,8 @@ def law_tuning(
 
     late = delay.high + max(0.0, swing.late)
     plan, worst = planned(), planned(delay=late)
-    keys["turn"] = Key(_floored(plan.turn), "s that a reversal takes, by the limits of the drive")
-    keys["lead"] = Key(_floored(plan.lead), "half the turn and the delay")
+    keys["turn"] = Key(_floored(plan.turn), "s, duration of a reversal by the limits of the drive")
+    keys["lead"] = Key(_floored(plan.lead), "s, half of turn plus delay")
     notes = list(found.notes)
     gain = _floored(min(plan.damping, worst.damping))
     if gain > 0.0:
@@ -237,14 +237,14 @@ def law_tuning(
     if gain > 0.0:
         keys["damping"] = Key(gain, f"gain margin {margin:.2g} at {1e3 * late:.2g} ms")
         notes.append(
-            f"damping of the motor's swing: {gain:.3g} N*m*s/rad, gain margin {margin:.2g} at a delay of "
+            f"damping of the motor's oscillation: {gain:.3g} N*m*s/rad, gain margin {margin:.2g} at a delay of "
             f"{1e3 * late:.2g} ms and a ringing of {swing.ringing.value:.3g} Hz"
         )
         return LawTuning(keys, known, margin, tuple(notes))
     keys["damping"] = Key(0.0, f"none: no gain margin of {LEAST_MARGIN:g} at {1e3 * late:.2g} ms")
     notes.append(
         f"a delay of {1e3 * late:.2g} ms leaves no gain margin of {LEAST_MARGIN:g} at a ringing of "
-        f"{swing.ringing.value:.3g} Hz: the motor's swing is not damped"
+        f"{swing.ringing.value:.3g} Hz: the motor's oscillation is not damped"
     )
     return LawTuning(keys, known, None, tuple(notes))
 
@@ -262,8 +262,8 @@ def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tup
         return compensation, None
     share = _floored(least / said)
     return share, (
-        f"the given file has {said:.3g} N*m of friction at the motor, the rig at least {least:.3g} N*m: so that the "
-        f"joint does not run by itself, the file was tried with {100.0 * share:.3g} % of its friction term, not "
+        f"the given file has {said:.3g} N*m of friction at the motor, the rig at least {least:.3g} N*m: so that "
+        f"the joint does not move by itself, the file was tested with {100.0 * share:.3g} % of its friction term, not "
         f"{100.0 * compensation:.3g} %"
     )
 
@@ -277,7 +277,7 @@ def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
     share = _floored(min(MOST_COMPENSATION, loop.low / loop.value))
     if not share >= LEAST_COMPENSATION or given == 0.0:
         return {}
-    return {"compensation": Key(share, f"half loop at least {100.0 * share:.3g} % of the model's")}
+    return {"compensation": Key(share, f"friction torque at least {100.0 * share:.3g} % of the model's")}
 
 
 def _floored(value: float) -> float:

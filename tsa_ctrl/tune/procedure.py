@@ -114,17 +114,17 @@ def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheat
             "and encoder"
         )
         raise UsageError(
-            f"{model.source}: [actuator] joint_pulley_radius over motor_pulley_radius is {file:.4g}, the angles of "
-            f"motor and joint make it {found}; allowed is a difference of {100.0 * WRONG:g} %: {hint}"
+            f"{model.source}: [actuator] joint_pulley_radius over motor_pulley_radius is {file:.4g}, but the angles "
+            f"of motor and joint give {found}; the allowed difference is {100.0 * WRONG:g} %: {hint}"
         )
     if found.share > WANTED:
         return model, (
-            f"r_J/r_M is known to {100.0 * found.share:.2g} % alone, and stays as the file has it: more travel of the "
-            "joint shows it",
+            f"r_J/r_M is known only to {100.0 * found.share:.2g} %, so the file's value is kept: more travel of the "
+            "joint determines it",
         )
     radius = rounded(found.value * model.motor_pulley_radius, found.share)
     notes = (
-        f"r_J/r_M is {found}, {100.0 * correction:+.2g} % of the file's {file:.4g}: joint_pulley_radius follows it",
+        f"r_J/r_M is {found}, {100.0 * correction:+.2g} % from the file's {file:.4g}: joint_pulley_radius is adapted",
     )
     return dataclasses.replace(model, joint_pulley_radius=radius), notes if abs(correction) > REPORTED else ()
 
@@ -457,11 +457,11 @@ class Procedure:
         else:
             if self._ask is None:
                 raise UsageError(
-                    f"tune: joint '{name}' moves by less than {LEAST_SWING:g} rad with {wave.peak:.2g} N*m, so it does "
-                    "not show how it bends the sheath; run tsa tune in a terminal and move the joint by hand, or give "
-                    "logs of such motion by --from-log"
+                    f"tune: joint '{name}' moves by less than {LEAST_SWING:g} rad with {wave.peak:.2g} N*m, so its "
+                    "effect on the wrap angle cannot be measured; run tsa tune in a terminal and move the joint by "
+                    "hand, or give logs of such motion by --from-log"
                 )
-            self._ask(f"move joint '{name}' by hand, slowly to and fro, until the runs have ended")
+            self._ask(f"move joint '{name}' by hand, slowly back and forth, until the runs have ended")
             return multi_sine(OTHER_JOINTS, 0.0, self._settings.seconds)
         found = response(motion)
         if found.by_torque < MOVED_BY_TORQUE:  # moved from outside
@@ -542,10 +542,10 @@ def _agreeing(run: Run, found: Estimate) -> str:
     if not difference < AGREES * half_loop:
         return ""
     return (
-        "the joint torque by the tendon elongation agrees with the sensor within "
+        "the joint torque from the tendon elongation agrees with the sensor within "
         f"{100.0 * difference / half_loop:.1f} % of the "
-        'friction torque. On this rig [axis.estimator] kind = "stretch" follows a change of the friction sooner than '
-        'the default "sensor" while the joint is held'
+        'friction torque. On this rig, [axis.estimator] kind = "stretch" detects a change of the friction earlier '
+        'than the default "sensor" while the joint is held'
     )
 
 
@@ -557,8 +557,8 @@ def _milli(error: float) -> str:
 def _worse(learned: Estimate, first: float, second: float) -> str:
     """Return the note that explains why the effects added by the diagnosis are not written."""
     return (
-        f"not used: {' and '.join(learned.effects)}, which the diagnosis named; on a motion not used for the fit the "
-        f"error is {_milli(first)} with and {_milli(second)} without"
+        f"not used: {' and '.join(learned.effects)}, which the diagnosis identified; on a motion not used for the "
+        f"fit the error is {_milli(first)} with and {_milli(second)} without it"
     )
 
 

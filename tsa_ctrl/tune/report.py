@@ -45,8 +45,8 @@ def write_page(
         runs=run_rows(outcome),
         notes=notes(outcome),
         pictures=encoded,
-        file=path.name if outcome.law is None else f"{path.name} and the controller's file",
-        diff=difference or "nothing",
+        file=path.name if outcome.law is None else f"{path.name} and the controller file",
+        diff=difference or "none",
         logs=", ".join(log.name for log in outcome.logs),
         version=__version__,
         date=datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
@@ -105,7 +105,7 @@ def run_rows(outcome: Outcome) -> list[tuple[str, str, str]]:
         return []
     named = (("none", verified.without), ("given file", verified.before), ("new file", verified.after))
     return [
-        (name, "-", "a fault ended it")
+        (name, "-", "ended by a fault")
         if run is None
         else (name, f"{1e3 * run.rms:.1f}", f"{verified.reduction(run):.1f} %")
         for name, run in named

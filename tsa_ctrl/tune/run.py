@@ -82,7 +82,7 @@ class Run:
         """Return the pieces of the log without missing cycles. Raise BusError if all pieces are too short."""
         if not self.pieces:
             raise BusError(
-                f"the run '{self.name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; "
+                f"the run '{self.name}' has no interval of {SHORTEST_PIECE:g} s without missing cycles; "
                 "the machine is too busy: stop other work, or lower [controller] rate"
             )
         return self.pieces

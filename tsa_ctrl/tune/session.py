@@ -196,13 +196,13 @@ def last(path: Path, *others: Path) -> dict[Path, Path]:
     """
     old = backups(path)
     if not old:
-        raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is next to it")
+        raise UsageError(f"{path}: nothing to undo; there is no backup {path.name}.~N~ next to it")
     number = max(old)
     found = {path: old[number]}
     for other in others:
         kept = backups(other)
         if number in kept and max(kept) > number:
-            raise UsageError(f"{other}: was replaced again since, see {kept[max(kept)].name}; undo that first")
+            raise UsageError(f"{other}: was replaced again later, see {kept[max(kept)].name}; undo that first")
         if number in kept:
             found[other] = kept[number]
     return found
@@ -374,7 +374,7 @@ class Session:
         """Return the planned run as text."""
         bounds, settings = self.bounds, self._settings
         wave = (
-            f"at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz" if settings.excitation is None else "of the file given"
+            f"at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz" if settings.excitation is None else "of the given file"
         )
         travel = "any" if bounds.travel is None else f"{bounds.travel[0]:g} to {bounds.travel[1]:g} rad"
         moved = [f"   {seconds:g} s while {what} moves" for what, seconds in routing_runs(settings)]
@@ -382,16 +382,17 @@ class Session:
             (
                 f"axis {self.axis.name}, model file {self.path}",
                 f"limits: {bounds.torque:.3g} N*m at the joint, {bounds.speed:g} rad/s, travel {travel}",
-                f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: does the joint move, and by what",
-                f"2. the motor is shaken a little, {SHAKE_SECONDS:g} s: delay, motor inertia, stiffness of the tendons",
+                f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: determine whether the joint moves, and "
+                "what moves it",
+                f"2. shake the motor slightly, {SHAKE_SECONDS:g} s: delay, motor inertia, stiffness of the tendons",
                 f"3. excitation, {settings.seconds:.4g} s {wave}, without compensation, and estimate: friction angle, "
                 "pretension, where the sheath bends; turn, lead and damping with a gain margin of 2",
                 *moved,
                 f"4. verification, 3 x {settings.verification_seconds:g} s at "
                 f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "
                 f"the new file at {settings.compensation:g} of the friction term",
-                "5. a diff of the model file and of the controller's, and a question",
-                "dry run: nothing was moved, nothing written",
+                "5. show the changes of the model file and of the controller file, and ask before writing",
+                "dry run: nothing was moved or written",
             )
         )
 
@@ -469,7 +470,7 @@ class Session:
         file = self._configuration.file
         for check in can_interface.checks(file.bus_of(self.axis), (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
-                raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
+                raise BusError(f"{check.name}: found {check.found}, required {check.wanted}; {check.fix}")
 
     def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
         """Return the estimate from existing logs. See `load_log` for `cutoff`. Raise UsageError for unsuitable logs."""

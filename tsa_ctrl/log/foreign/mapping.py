@@ -240,7 +240,7 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     import tomlkit
 
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"How the columns of {table.path.name} become ours: tsa log import ... --map THIS"))
+    document.add(tomlkit.comment(f"Mapping of the columns of {table.path.name} to log columns: tsa log import ... --map THIS"))
     shape = tomlkit.table()
     for key in ("encoding", "separator", "decimal", "header"):
         shape[key] = getattr(table.shape, key)
@@ -286,7 +286,7 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
     known: Mapping[str, Any] = UNITS.get(si, {"1": 1.0})
     here = f"{where}: {name} from '{source}'"
     if scale is None and unit.lower() in DEVICE_UNITS:
-        raise UsageError(f"{here}: the unit '{unit}' is the device's own; give scale ({DEVICE_UNITS[unit.lower()]})")
+        raise UsageError(f"{here}: the unit '{unit}' depends on the device; give scale ({DEVICE_UNITS[unit.lower()]})")
     other = any(unit in units for quantity, units in UNITS.items() if {quantity, si} != LEVER_ARM)
     if unit not in known and (scale is None or other):
         wrong = "belongs to another quantity" if other else "is not known"
@@ -297,17 +297,17 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
     if scale is None:
         scale = float(known[unit])
     if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):
-        raise UsageError(f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers, the scale not 0")
+        raise UsageError(f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers and a scale other than 0")
     return Mapped(name, source, unit, scale, offset + SHIFT.get(unit, 0.0))
 
 
 POINTS = 4000  # least number of drawn points of a longer curve
 Columns = Mapping[str, NDArray[np.float64]]
 
-RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. A key behind # may be a cause.
+RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. A key behind # can be identified.
 [actuator]
 kind = "rigid_drive"
-coulomb_friction = {coulomb:.3g}{pad}# N*m: half of the torque's usual size in this log; your best guess instead
+coulomb_friction = {coulomb:.3g}{pad}# N*m: half the median torque of this log; replace it with your estimate
 # inertia = 1e-4                 # kg*m^2
 # viscous_friction = 0.0         # N*m*s/rad
 # torque_offset = 0.0            # N*m
@@ -316,9 +316,9 @@ GEARED = """# A drive with a gear and a joint torque sensor, without tendons:
 # tau_J = eta^s N tau_M - tau_c sigma - b omega_J, s = +1 where the motor drives, -1 where it is driven.
 [actuator]
 kind = "geared_drive"
-ratio = 1.0                      # N, motor turns per joint turn: put in yours
+ratio = 1.0                      # N, motor turns per joint turn: replace it with yours
 efficiency = 0.9                 # eta, 1
-coulomb_friction = {coulomb:.3g}{pad}# tau_c, N*m: a twentieth of the torque's usual size in this log; your best guess
+coulomb_friction = {coulomb:.3g}{pad}# tau_c, N*m: 5 % of the median torque of this log; replace it with your estimate
 viscous_friction = 0.0           # b, N*m*s/rad
 """
 
@@ -375,7 +375,7 @@ def write(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{folder}: cannot be created ({error.strerror}); choose another --out") from None
     for path in (log, mapping, picture):
         outputs.refuse_inputs(path, [table.path])
     write_columns(log, columns)
@@ -393,7 +393,7 @@ def _skeleton(columns: Columns, tendon_sheath: Path, kind: str) -> str:
     kind = kind or ("tendon_sheath" if "tau_j" in columns else "rigid_drive")
     if kind == "tendon_sheath":
         text = tendon_sheath.read_text(encoding="utf-8")
-        return "# A SKELETON: replace the radii, the tendon and the sheath of the example by yours.\n" + text
+        return "# A SKELETON: replace the radii, the tendon and the sheath of the example with yours.\n" + text
     text, name, share = (GEARED, "tau_j", 0.05) if kind == "geared_drive" else (RIGID, "tau_m", 0.5)
     tau = columns.get(name, np.zeros(1))
     coulomb = share * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0

@@ -90,7 +90,7 @@ def columns(found: Iterator[tuple[str, Any]], path: Path) -> Columns:
             by_column = array if array.shape[0] >= array.shape[1] else array.T
             every |= {f"{name}.{i}" if name else f"column {i}": c for i, c in enumerate(by_column.T, start=1)}
     if not every:
-        raise UsageError(f"{path}: holds no column of numbers; give a file with at least a time and a torque")
+        raise UsageError(f"{path}: contains no column of numbers; give a file with at least a time and a torque")
     lengths = [len(column) for column in every.values()]
     rows = max(lengths, key=lambda length: (lengths.count(length), length))
     return {name: column for name, column in every.items() if len(column) == rows}
@@ -199,7 +199,7 @@ def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Columns:
         for values in numbers.values():
             values += [np.nan] * (len(stamps) - len(values))
     if not any(numbers for _, numbers in rows.values()):
-        raise UsageError(f"{path}: no topic holds numbers; give a record with at least a torque")
+        raise UsageError(f"{path}: no topic contains numbers; give a recording with at least a torque")
     first = min(stamps[0] for stamps, _ in rows.values())
     return on_one_clock(
         {
@@ -244,7 +244,7 @@ def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
     except Exception as error:  # each library raises its own errors, but a damaged file must not cause a traceback
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise UsageError(
-            f"{path}: is damaged or no {path.suffix or 'ROS 2'} file ({reason}); export it again"
+            f"{path}: is damaged or not a {path.suffix or 'ROS 2'} file ({reason}); export it again"
         ) from None
 
 
@@ -326,7 +326,7 @@ class ForeignTable:
                 found.append(datetime.fromisoformat(cell.strip().strip('"').replace(",", ".")).timestamp())
             except ValueError:
                 raise UsageError(
-                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a date and time as in "
+                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a date and time like "
                     "2025-01-31 14:25:01.5; convert it"
                 ) from None
         return np.array(found) - (found[0] if found else 0.0)
@@ -358,7 +358,7 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
         text, encoding = _text(path, None if shape is None else shape.encoding)
     lines = _recorded(text.splitlines())
     if not any(line.strip() for line in lines):
-        raise UsageError(f"{path}: is empty; give a table with a line of names and rows of numbers")
+        raise UsageError(f"{path}: is empty; give a table with a header line and rows of numbers")
     told = _told(path, lines, encoding) if shape is None else shape
     above = max(0, told.header - 1)
     rows = _rows(lines[above:], told.separator, path, above)
@@ -381,7 +381,7 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
             first = number
         body.append(row)
     if not body:
-        raise UsageError(f"{path}: no row of {len(names)} fields below line {told.header}; is that the line of names?")
+        raise UsageError(f"{path}: no row of {len(names)} fields below line {told.header}; is that the header line?")
     cells = {name: [row[i] for row in body] for i, name in enumerate(names)}
     return ForeignTable(path, told, names, cells, first, ignored)
 
@@ -454,7 +454,7 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
                 best = (count, width, separator)
     if best is None:
         _rows(lines, SEPARATORS[0], path)  # an open quote hides the rows below it
-        raise UsageError(f"{path}: one column only; give a table with at least a time and a torque")
+        raise UsageError(f"{path}: only one column; give a table with at least a time and a torque")
     _, width, separator = best
     rows = _rows(some, separator)
     numeric = next((i for i, row in enumerate(rows) if len(row) == width and _mostly_numbers(row)), None)

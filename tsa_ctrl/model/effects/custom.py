@@ -75,7 +75,8 @@ class Custom:
             row = int(np.argmin(np.isfinite(taken)))
             raise UsageError(
                 f"[effects.custom] expression '{self.expression}' has no finite value at tau = {tau[row]:.4g} N*m and "
-                f"{float(np.broadcast_to(state.omega, np.shape(tau))[row]):.4g} rad/s; change it so that it has one"
+                f"{float(np.broadcast_to(state.omega, np.shape(tau))[row]):.4g} rad/s; change it so that its value "
+                "is always finite"
             )
         return taken
 

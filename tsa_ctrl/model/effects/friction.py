@@ -60,7 +60,7 @@ class StribeckFriction:
     specification: ClassVar = Specification(
         name="stribeck_friction",
         stage=Stage.FRICTION,
-        summary="friction falls with speed at low speed",
+        summary="friction decreases with speed at low speed",
         search=_velocities,
         unresolved="the velocity is too noisy to resolve slow motion",
         twins=(Twins(("velocity_lag", "motor_side_friction", "parameter_error"), (Motion.SPEEDS,)),),
@@ -74,7 +74,7 @@ class StribeckFriction:
 
 
 def _heated_too_little(s: Scales) -> str:
-    return f"the temperature varies by {s.heating:.2g} K only" if s.heating < LEAST_HEATING else ""
+    return f"the temperature varies by only {s.heating:.2g} K" if s.heating < LEAST_HEATING else ""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class ThermalFrictionDrift:
     specification: ClassVar = Specification(
         name="thermal_friction_drift",
         stage=Stage.FRICTION,
-        summary="friction follows the temperature",
+        summary="friction changes with the temperature",
         search=linear("temperature_coefficient", lambda s: 1.0 / s.heating),
         untestable=_heated_too_little,
         twins=(Twins(("pretension_relaxation",), (Motion.WARM,)),),

@@ -41,20 +41,28 @@ def check_invertible(custom: Custom, largest: float, period: float, where: str) 
         for (elapsed, least), parts in product(spans.items(), _levels(number)):
             passes = _passed(custom, tau, known, parts, elapsed) > least
             if not passes.all():
-                comes = "no more" if least == 0.0 else f"hardly any more (below {100.0 * least:g} %)"
-                when = "" if not number else " in the end" if elapsed == math.inf else f" within {1e3 * period:g} ms"
-                said = f"more torque going in gives {comes} coming out{when}"
+                comes = (
+                    "does not increase" if least == 0.0 else f"increases by less than {100.0 * least:g} % of the input"
+                )
+                when = (
+                    ""
+                    if not number
+                    else " in the steady state"
+                    if elapsed == math.inf
+                    else f" within {1e3 * period:g} ms"
+                )
+                said = f"with rising input torque the output torque {comes}{when}"
                 raise _refused(where, float(tau[int(np.argmin(passes))]), known, said)
         for torque, sticks in product(np.linspace(-largest, largest, LOADS) if number else (), (True, False)):
             if not _settles(custom, float(torque), known, sticks, period, SMALL * largest):
-                raise _refused(where, float(torque), known, "the torque that undoes it grows without end")
+                raise _refused(where, float(torque), known, "the torque that compensates for it grows without bound")
 
 
 def _refused(where: str, tau: float, known: Mapping[str, float], said: str) -> UsageError:
     place = ", ".join(f"{name} = {value:.3g}" for name, value in known.items())
     return UsageError(
         f"{where}: [effects.custom] cannot be inverted: at tau = {tau:.3g} N*m ({place or 'anywhere'}) {said}; "
-        "a controller needs a formula that takes less"
+        "give a formula with a smaller effect"
     )
 
 

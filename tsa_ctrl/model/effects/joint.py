@@ -73,9 +73,9 @@ class Inertia:
     specification: ClassVar = Specification(
         name="inertia",
         stage=Stage.JOINT,
-        summary="torque that accelerates a mass",
+        summary="torque that accelerates an inertia",
         search=linear("inertia", lambda s: s.torque / s.acceleration, low=0.0),
-        feedforward=f"compensated with an acceleration from omega_j that is {1e3 * ACCELERATION_TIME:g} ms late",
+        feedforward=f"compensated with an acceleration from omega_j that lags by {1e3 * ACCELERATION_TIME:g} ms",
         equation="τ_J ← τ_J − J dω/dt",
         demo={"inertia": Draw(0.015, 0.03)},
     )
@@ -162,7 +162,7 @@ class TorqueOffset:
     specification: ClassVar = Specification(
         name="torque_offset",
         stage=Stage.JOINT,
-        summary="a constant torque or an offset of a sensor",
+        summary="a constant torque or a sensor offset",
         search=linear("offset", lambda s: s.torque),
         twins=(
             Twins(("direction_asymmetric_friction",), (Motion.BOTH_WAYS,)),

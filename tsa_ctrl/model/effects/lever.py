@@ -70,7 +70,7 @@ class PulleyEccentricity:
     specification: ClassVar = Specification(
         name="pulley_eccentricity",
         stage=Stage.LEVER,
-        summary="the lever arm at the joint changes with its angle: a pulley off its centre",
+        summary="the lever arm at the joint changes with its angle: an eccentric pulley",
         search=lambda name, _: [wave(name, "relative_eccentricity", 1.0, _SIDE)],
         twins=(
             Twins(("torque_constant_error", "parameter_error", "configuration_dependent_bending"), (Motion.RANGE,)),

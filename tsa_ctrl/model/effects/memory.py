@@ -160,12 +160,12 @@ class Backlash:
     specification: ClassVar = Specification(
         name="backlash",
         stage=Stage.BACKLASH,
-        summary="play after each reversal",
+        summary="lost motion after each reversal",
         search=_gaps,
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis"), (Motion.SPEEDS,)),),
         columns=(("q_j",),),
         kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no separate joint
-        feedforward="not compensated, no torque crosses the play of {gap} rad",
+        feedforward="not compensated: no torque crosses the backlash of {gap} rad",
         equation="tendon part 0 while |q − q_r| < gap",
     )
 
@@ -191,7 +191,7 @@ class TorqueSensorLag:
     specification: ClassVar = Specification(
         name="torque_sensor_lag",
         stage=Stage.DELAY,
-        summary="the joint torque sensor follows its torque slowly",
+        summary="the joint torque sensor responds slowly",
         search=duration("time_constant", 0.5, (0.003, 0.3, 9)),
         twins=(
             Twins(
@@ -200,7 +200,7 @@ class TorqueSensorLag:
             ),
         ),
         kinds=(Kind.TENDON_SHEATH, Kind.GEARED_DRIVE),  # a plain drive has no such sensor
-        feedforward="not compensated, the sensor's lag of {time_constant} s does not change the joint torque",
+        feedforward="not compensated: the sensor's lag of {time_constant} s does not change the joint torque",
         equation="τ_J ← τ_J / (1 + T s)",
     )
 
@@ -217,10 +217,10 @@ class TransportDelay:
     specification: ClassVar = Specification(
         name="transport_delay",
         stage=Stage.DELAY,
-        summary="the measured joint torque is late",
+        summary="the measured joint torque is delayed",
         search=duration("delay", 0.2, (0.003, 0.1, 8)),
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis", "backlash"), (Motion.SPEEDS,)),),
-        feedforward="not compensated, {delay} s cannot be undone ahead of time",
+        feedforward="not compensated: a delay of {delay} s cannot be compensated in advance",
         equation="τ_J(t) ← τ_J(t − T_d)",
     )
 

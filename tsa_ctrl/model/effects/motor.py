@@ -56,7 +56,7 @@ class VelocityLag:
         search=duration("time_constant", 0.3, (0.004, 0.15, 9), lambda s: max(0.3, 1.5 * s.period / 0.01)),
         untestable=_derived,
         columns=(("omega_j",),),
-        feedforward="compensated in the velocity; the direction is led by the loop",
+        feedforward="compensated in the velocity; the loop leads the direction",
         equation="σ = sign(ω + T dω/dt)",
     )
 
@@ -85,7 +85,7 @@ class TorqueSaturation:
     specification: ClassVar = Specification(
         name="torque_saturation",
         stage=Stage.MOTOR_TORQUE,
-        summary="the motor delivers no more than a limit, whatever torque the drive reports",
+        summary="the motor torque is limited, whatever torque the drive reports",
         search=_limits,
         unresolved="the motor torque is always 0",
         twins=(Twins(("torque_constant_error", "load_dependent_friction"), (Motion.SIGNS,)),),
@@ -114,7 +114,7 @@ class TorqueConstantError:
     specification: ClassVar = Specification(
         name="torque_constant_error",
         stage=Stage.MOTOR_TORQUE,
-        summary="the drive's torque has a wrong scale",
+        summary="the torque that the drive reports has a wrong scale",
         search=linear("relative_error", one, -0.5, 0.5),
         twins=(Twins(("parameter_error",), (Motion.GAIN,)),),
         equation="τ_M ← (1 + e) τ_M",
@@ -152,7 +152,7 @@ class TorqueRipple:
         stage=Stage.MOTOR_TORQUE,
         summary="cogging or torque ripple of the motor",
         search=_ripples,
-        unresolved="the motor turns too little to show a line of its angle",
+        unresolved="the motor turns too little to show a torque ripple",
         columns=(("q_m",),),
         equation="τ_M ← τ_M + A sin(N q_M + φ)",
         demo={

@@ -38,7 +38,7 @@ class ConfigurationDependentBending:
     specification: ClassVar = Specification(
         name="configuration_dependent_bending",
         stage=Stage.BENDING,
-        summary="the sheath's bending follows the joint angle",
+        summary="the wrap angle changes with the joint angle",
         search=linear("bending_per_joint_angle", lambda s: 1.0 / s.reach),
         columns=(("q_j",),),
         kinds=(Kind.TENDON_SHEATH,),
@@ -77,7 +77,7 @@ class RoutingByJoint:
     specification: ClassVar = Specification(
         name="routing_by_joint",
         stage=Stage.BENDING,
-        summary="another joint bends the sheath otherwise than [routing] states",
+        summary="another joint changes the wrap angle, but not as [routing] states",
         search=_routes,
         constants=Parameter("rad/rad", low=-MOST_GAIN, high=MOST_GAIN),
         untestable=_no_other_joint,
@@ -95,7 +95,7 @@ class RoutingByJoint:
 
 
 def _bent_alike(s: Scales) -> str:
-    return "" if s.bending > LEAST_BENDING else "the path length is not varied (no column theta that changes)"
+    return "" if s.bending > LEAST_BENDING else "the path length does not vary (no column theta that changes)"
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class PretensionRelaxation:
     specification: ClassVar = Specification(
         name="pretension_relaxation",
         stage=Stage.PRETENSION,
-        summary="the pretension creeps away with time",
+        summary="the pretension relaxes with time",
         search=_relaxations,
         twins=(Twins(("motor_side_friction", "stiffness_nonlinearity", "parameter_error"), (Motion.BENDING,)),),
         kinds=(Kind.TENDON_SHEATH,),

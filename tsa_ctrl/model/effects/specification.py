@@ -59,14 +59,14 @@ class Motion(Enum):
 
     SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
     BOTH_WAYS = f"{SPEEDS}, in both directions"
-    SIGNS = "load the joint with torques of both signs and of several levels"
+    SIGNS = "load the joint with torques of both signs at several levels"
     RANGE = "move over the whole range of the joint"
-    FREQUENCIES = f"{RANGE}, at two frequencies of motion at least"
+    FREQUENCIES = f"{RANGE}, at two or more frequencies of motion"
     WARM = "heat and cool the drive while it moves, and log its temperature"
     BENDING = "repeat the same motion at two or more known bending angles (column theta) or known pretensions"
     JOINTS = "move each other joint alone over its range, then all together, and log their angles (columns q_j.NAME)"
-    GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
-    LONGER = "record the same motion for several times as long"
+    GAIN = "hang a known weight on the joint and hold it, to calibrate the torque gain"
+    LONGER = "record the same motion several times as long"
     STIFFNESS = "measure the stiffness of a tendon separately, with a known weight on a known length"
 
 
@@ -194,7 +194,7 @@ class Specification:
     search: Search
     equation: str  # the change of the model by this effect
     twins: tuple[Twins, ...] = ()
-    unresolved: str = "the log does not reach the scale on which it acts"
+    unresolved: str = "the log does not resolve the scale on which it acts"
     untestable: Callable[[Scales], str] = _always
     asks: Motion | None = None
     columns: Columns = ()

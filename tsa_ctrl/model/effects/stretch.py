@@ -40,7 +40,7 @@ class SeriesSpring:
     specification: ClassVar = Specification(
         name="series_spring",
         stage=Stage.STRETCH,
-        summary="something other than the tendons gives way: a coupling, a pulley, a spring",
+        summary="compliance in series with the tendons: a coupling, a pulley, a spring",
         search=_springs,
         columns=_BOTH_ANGLES,
         twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),
@@ -75,7 +75,7 @@ class TendonCreep:
     specification: ClassVar = Specification(
         name="tendon_creep",
         stage=Stage.STRETCH,
-        summary="one tendon creeps longer than the other under its load",
+        summary="one tendon creeps more than the other under its load",
         search=_creeps,
         columns=_BOTH_ANGLES,
         twins=(Twins(("pulley_slip",), (Motion.LONGER,)),),
@@ -134,7 +134,7 @@ class JointPlay:
     specification: ClassVar = Specification(
         name="joint_play",
         stage=Stage.STRETCH,
-        summary="play between the joint's pulley and the joint, seen when the torque changes its sign",
+        summary="backlash between the joint's pulley and the joint, visible when the torque changes its sign",
         search=linear("gap", one, 0.0),
         columns=_BOTH_ANGLES,
         twins=(Twins(("series_spring",), (Motion.SIGNS,)),),

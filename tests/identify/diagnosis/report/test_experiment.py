@@ -14,7 +14,7 @@ from tsa_ctrl.identify.diagnosis.report.experiment import parted_by
         (("presliding_hysteresis", "transport_delay"), ["several speeds"]),
         (("elongation_coupling", "torque_constant_error"), ["bending angles", "known weight"]),
         (("parameter_error", "torque_constant_error"), ["known weight"]),
-        (("inertia", "joint_stiffness"), ["two frequencies"]),
+        (("inertia", "joint_stiffness"), ["two or more frequencies"]),
         (("thermal_friction_drift", "pretension_relaxation"), ["heat and cool"]),
         (("torque_ripple", "inertia"), ["several speeds", "torques of both signs"]),
     ],
