@@ -115,7 +115,7 @@ def check_increasing(table: Table, t: Array, doubled: bool = False) -> None:
         row = int(np.argmin(onward)) + 1
         cure = "sort the rows by time" if doubled else "sort the rows by time and remove duplicates"
         raise UsageError(
-            f"{table.label}: column t, {table.place(row)}: time {t[row]:.9g} s does not increase (before it "
+            f"{table.label}: column t, {table.place(row)}: time {t[row]:.9g} s does not increase "
             f"(previous row: {t[row - 1]:.9g} s); {cure}"
         )
     if len(steps) and not steps.any():
@@ -167,7 +167,7 @@ def _joined(table: Table) -> Table:
     row = table.place(int(np.argmin(new)))
     note = (
         f"{doubled} of {len(t)} rows ({doubled / len(t):.2%}) with the time stamp of the previous row were averaged, "
-            f"the first at {row}"
+        f"the first at {row}"
     )
     rows = starts if table.rows is None else table.rows[starts]
     return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))

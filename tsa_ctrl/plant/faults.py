@@ -448,7 +448,8 @@ FAULTS: Mapping[str, FaultKind] = {
         "TPDOs have a wrong length", lambda t: swap(t, t.transmit, "length", int(t.value)), 3, "bytes", 0, 8
     ),
     "wrong_mode": FaultKind(
-        "0x6061 reports another mode", lambda t: swap(t, t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
+        "0x6061 reports another mode",
+        lambda t: swap(t, t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127,
     ),
     "ignored_command": FaultKind(
         "bit 12 is low, the target torque is ignored", lambda t: swap(t, t.drive.faults, "ignore_command", True)
@@ -467,7 +468,8 @@ FAULTS: Mapping[str, FaultKind] = {
         _interface_down, 0.05, "s", 0.0, 10.0,
     ),
     "flood": FaultKind(
-        "frames with other identifiers flood the bus", lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
+        "frames with other identifiers flood the bus",
+        lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000,
     ),
     "torque_sensor_stuck": FaultKind(
         "the joint torque sensor is stuck", lambda t: swap(t, _sensor(t), "stuck", True), needs="torque_sensor"
@@ -510,9 +512,11 @@ FAULTS: Mapping[str, FaultKind] = {
     "encoder_stuck": FaultKind("the joint encoder repeats its last value", _encoder_stuck, needs="encoder"),
     "encoder_bit": FaultKind("a bit of the joint encoder is stuck at 1", _encoder_bit, 12, "bit", 0, 31, "encoder"),
     "forged_tpdo": FaultKind(
-        "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between two", 1e-4, 1.0
+        "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between frames", 1e-4, 1.0
     ),
-    "fraying": FaultKind("the tendons fray: the pretension drops", _fraying, 2.0, "of the pretension per second", 0, 100),
+    "fraying": FaultKind(
+        "the tendons fray: the pretension drops", _fraying, 2.0, "of the pretension per second", 0, 100
+    ),
     "dead_stage": FaultKind(
         "the power stage loses its voltage: no torque, bit 4 low, still enabled",
         lambda t: swap(t, t.drive.faults, "dead_stage", True),

@@ -270,7 +270,9 @@ def _run(machine: Machine) -> None:
         counts = machine.counts
         dropped = sum(bus.counters.dropped for bus in machine.buses)
         skipped = f", {counts.skipped:.3f} s not simulated" if counts.skipped else ""
-        print(f"plant: {counts.syncs} SYNC, {counts.frames} frames received, {dropped} dropped{skipped}", file=sys.stderr)
+        print(
+            f"plant: {counts.syncs} SYNC, {counts.frames} frames received, {dropped} dropped{skipped}", file=sys.stderr
+        )
 
 
 def _real_time(priority: int) -> str:

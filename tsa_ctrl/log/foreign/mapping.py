@@ -240,7 +240,9 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     import tomlkit
 
     document = tomlkit.document()
-    document.add(tomlkit.comment(f"Mapping of the columns of {table.path.name} to log columns: tsa log import ... --map THIS"))
+    document.add(
+        tomlkit.comment(f"Mapping of the columns of {table.path.name} to log columns: tsa log import ... --map THIS")
+    )
     shape = tomlkit.table()
     for key in ("encoding", "separator", "decimal", "header"):
         shape[key] = getattr(table.shape, key)
@@ -289,15 +291,17 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
         raise UsageError(f"{here}: the unit '{unit}' depends on the device; give scale ({DEVICE_UNITS[unit.lower()]})")
     other = any(unit in units for quantity, units in UNITS.items() if {quantity, si} != LEVER_ARM)
     if unit not in known and (scale is None or other):
-        wrong = "belongs to another quantity" if other else "is not known"
-        found = f"unit '{unit}' {wrong}" if unit else "no unit"
+        wrong = f"unit '{unit}' belongs to another quantity" if other else f"unknown unit '{unit}'"
+        found = wrong if unit else "no unit"
         raise UsageError(
             f"{here}: {found}; allowed are {', '.join(known)}, or a unit of your device with scale ({si} per unit)"
         )
     if scale is None:
         scale = float(known[unit])
     if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):
-        raise UsageError(f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers and a scale other than 0")
+        raise UsageError(
+            f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers and a scale other than 0"
+        )
     return Mapped(name, source, unit, scale, offset + SHIFT.get(unit, 0.0))
 
 
