@@ -158,7 +158,8 @@ def test_a_fault_reset_says_that_the_error_is_gone(bench: Bench) -> None:
 
 def test_a_cause_that_is_still_there_cannot_be_reset(bench: Bench) -> None:
     bench.enable()
-    bench.unit.drive.fault(0x2310, stays=True)
+    bench.unit.drive.error_cause = True
+    bench.unit.drive.fault(0x2310)
     settled(bench, 0)
     bench.sync(2, bench.command(0x80))
     assert bench.statusword() == 0x0218

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import struct
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from tests.plant.bench import Bench, tpdo1
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.plant.faults import FAULTS, parse_fault
+from tsa_ctrl.plant.faults import CHANGES, FAULTS, parse_fault
 from tsa_ctrl.plant.process import Console, ControlSocket, ask
 
 STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
@@ -172,6 +173,65 @@ def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.
         begin(bench, f"{name} duration=0.002")
         bench.sync(5, bench.command(0x0F, 100))
     assert bench.machine.faults.active == 0
+
+
+def faulted(bench: Bench) -> list[object]:
+    """Return everything that a fault changes, except the positions of the joint and the state of the nodes."""
+    unit = bench.unit
+    assert unit.encoder is not None
+    assert unit.torque_sensor is not None
+    parts = [unit.drive.faults, unit.encoder.faults, unit.torque_sensor.faults]
+    senders = [unit.transmit["drive"], unit.by_kind["drive"]]
+    names = ("stuck", "copies", "delay", "loss", "lost_in_a_row", "length", "mute", "deaf", "unhearing")
+    objects = {key: unit.drive.values.get(key) for key in ((0x1400, 5), (0x1016, 1), (0x60B2, 0))}
+    return [
+        *(dataclasses.asdict(part) for part in parts),
+        [getattr(sender, name, None) for sender in senders for name in names],
+        unit.axis.parameters[0].item(),
+        bench.machine.flood_rate,
+        objects,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        *((name, name) for name in {**FAULTS, **CHANGES} if name not in ("power_cycle", "fault")),  # they disable
+        ("slack", "fraying"),
+        ("fraying", "pretension"),
+        ("dead_stage", "flapping_stage"),
+        ("polarity", "reversed_sign"),
+        ("encoder_bit", "encoder_stuck"),
+        ("reported_gain", "reported_offset"),
+    ],
+)
+def test_nothing_remains_of_two_faults_that_overlap(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, one: str, other: str
+) -> None:
+    monkeypatch.setattr(bench.machine, "_switch", lambda channel, up: None)
+    bench.download(1, 0x1400, 5, "H", 100)
+    bench.sync(2, bench.command(0x0F, 100))
+    before = faulted(bench)
+    begin(bench, f"{one} duration=0.003")
+    bench.sync(1)
+    begin(bench, f"{other} duration=0.006")
+    bench.sync(20, bench.command(0x0F, 100))
+    assert bench.machine.faults.active == 0
+    assert faulted(bench) == before
+
+
+def test_a_fault_that_ends_leaves_the_others_in_force(bench: Bench) -> None:
+    begin(bench, "encoder_jump value=0.5 duration=0.01")
+    begin(bench, "encoder_jump value=0.2")
+    begin(bench, "digital_input value=3 duration=0.01")
+    begin(bench, "digital_input value=4")
+    begin(bench, "fault duration=0.01")
+    begin(bench, "fault duration=1")
+    bench.sync(20)
+    assert bench.unit.drive.error_cause
+    assert bench.unit.encoder is not None
+    assert bench.unit.encoder.faults.offset == pytest.approx(0.2)
+    assert bench.upload(1, 0x60FD, 0, "I") == 1 << 4
 
 
 def test_the_control_socket_answers(bench: Bench, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ class DriveFaults:
     torque_off: bool = False  # the safe torque off input is open
     turned: int = 1  # -1: position and velocity count in the opposite direction
     inputs: int = 0  # 0x60FD
-    distortions: dict[Key, Callable[[int], int]] = field(default_factory=dict)  # functions on the reported values
+    distortions: list[tuple[int, Callable[[int], int]]] = field(default_factory=list)  # of reported objects, by index
 
 
 CST = 10  # cyclic synchronous torque mode
@@ -88,7 +88,7 @@ class Drive:
         self.command = command
         self.machine = PowerStateMachine()
         self.faults = DriveFaults()
-        self.error_cause = False  # True while the cause of the fault persists
+        self.error_cause = False  # True while the cause of the fault persists, so that a reset fails
         self.limited = False
         self._own_cycle = 0
         self._unit_code = unit_code(settings)  # used by a drive without 0x60A9
@@ -153,10 +153,9 @@ class Drive:
 
     # reactions
 
-    def fault(self, code: int, vendor: bytes = bytes(5), stays: bool = False) -> None:
-        """Raise a drive error: EMCY, 0x603F, fault reaction. `stays`: a reset fails until the cause is cleared."""
+    def fault(self, code: int, vendor: bytes = bytes(5)) -> None:
+        """Raise a drive error: EMCY, 0x603F, fault reaction."""
         self.values[0x603F, 0] = code
-        self.error_cause = stays
         self.node.emergency(code, _ERROR_REGISTER_PROFILE, vendor)
         self.machine.fault()
         self._obey()
@@ -331,8 +330,8 @@ class Drive:
         values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
-        for key, distorted in self.faults.distortions.items():
-            values[key] = distorted(values[key])
+        for index, distorted in self.faults.distortions:
+            values[index, 0] = distorted(values[index, 0])
 
     def _mode_shown(self) -> int:
         when = self.emulation.mode_shows or self.settings.mode_shows

@@ -10,12 +10,13 @@ import heapq
 import itertools
 import random
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Protocol
 
 import msgspec
+import numpy as np
 
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
@@ -100,10 +101,48 @@ class TransmitFaults:
 Undo = Callable[[float], None]
 
 
+class Changes:
+    """Apply the changes of each value in the order of their start. The end of one leaves the others in force."""
+
+    def __init__(self) -> None:
+        self._active: dict[tuple[int, Any], tuple[Any, list[Callable[[Any], Any]]]] = {}
+
+    def begin(self, owner: Any, name: Any, change: Callable[[Any], Any]) -> Undo:
+        """Change an attribute or an item of `owner` by the function `change`, and return the function that ends it."""
+        place = id(owner), name
+        before, changes = self._active.setdefault(place, (_value_of(owner, name), []))
+        changes.append(change)
+
+        def apply() -> None:
+            value = before
+            for each in changes:
+                value = each(value)
+            if isinstance(owner, MutableMapping | np.ndarray):
+                owner[name] = value
+            else:
+                setattr(owner, str(name), value)
+
+        def end(now: float) -> None:
+            changes.remove(change)
+            apply()
+            if not changes:
+                del self._active[place]
+
+        apply()
+        return end
+
+
+def _value_of(owner: Any, name: Any) -> Any:
+    if isinstance(owner, np.ndarray):
+        return owner[name].item()
+    return owner[name] if isinstance(owner, MutableMapping) else getattr(owner, str(name))
+
+
 class Rig(Protocol):
     """Give a fault access to parts of the machine other than its axis."""
 
     flood_rate: float
+    changes: Changes
 
     def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
         """Send any frame on the bus at `place`."""
@@ -152,23 +191,14 @@ def nothing(now: float) -> None:
     """Do nothing, as the undo function of a fault that is a single event."""
 
 
-def swap(target: object, name: str, value: Any) -> Undo:
-    """Set an attribute and return the function that restores it."""
-    before = getattr(target, name)
-    setattr(target, name, value)
-    return lambda now: setattr(target, name, before)
+def swap(target: Target, owner: object, name: Any, value: Any) -> Undo:
+    """Set an attribute or an item of `owner` and return the function that ends this change."""
+    return target.rig.changes.begin(owner, name, lambda before: value)
 
 
 def parameter(target: Target, name: str, value: float) -> Undo:
-    """Change a parameter of the mechanics and return the function that restores it."""
-    record = target.axis.parameters
-    before = record[name][0].item()
-    record[name] = value
-
-    def undo(now: float) -> None:
-        record[name] = before
-
-    return undo
+    """Change a parameter of the mechanics and return the function that ends this change."""
+    return swap(target, target.axis.parameters, name, value)
 
 
 FLAP = 0.1  # s, period of a flapping power stage, which is off for half of it
@@ -201,28 +231,37 @@ def _repeated(target: Target, period: float, action: Callable[[float], None]) ->
     return end
 
 
-def _fraying(target: Target) -> Undo:
-    """Reduce the pretension by the share `value` per second."""
-    back = parameter(target, "pretension_factor", target.axis.parameters["pretension_factor"][0].item())
+def _varying(target: Target, owner: object, name: str, period: float, change: Callable[[int, float, Any], Any]) -> Undo:
+    """Change a value every `period` s; `change` has the number of the step, the time (s) and the unchanged value."""
+    number = itertools.count()
+    end: Undo = nothing
 
     def step(now: float) -> None:
-        target.axis.parameters["pretension_factor"] = max(_FRAYED, 1.0 - target.value * (now - target.now))
+        nonlocal end
+        end(now)
+        n = next(number)
+        end = target.rig.changes.begin(owner, name, lambda before: change(n, now, before))
 
-    return _all(back, _repeated(target, _STEP, step))
+    return _all(lambda now: end(now), _repeated(target, period, step))
+
+
+def _fraying(target: Target) -> Undo:
+    """Reduce the pretension by the share `value` per second."""
+
+    def frayed(number: int, now: float, before: float) -> float:
+        return before * max(_FRAYED, 1.0 - target.value * (now - target.now))
+
+    return _varying(target, target.axis.parameters, "pretension_factor", _STEP, frayed)
 
 
 def _flapping(target: Target) -> Undo:
-    faults = target.drive.faults
-    back = swap(faults, "dead_stage", False)
-
-    def turn(now: float) -> None:
-        faults.dead_stage = not faults.dead_stage
-
-    return _all(back, _repeated(target, FLAP / 2.0, turn))
+    return _varying(
+        target, target.drive.faults, "dead_stage", FLAP / 2.0, lambda number, now, before: before or number % 2 == 0
+    )
 
 
 def _torque_off(target: Target) -> Undo:
-    back = swap(target.drive.faults, "torque_off", True)
+    back = swap(target, target.drive.faults, "torque_off", True)
     target.drive.power_off()
     return back
 
@@ -230,19 +269,16 @@ def _torque_off(target: Target) -> Undo:
 def _watchdogs_lost(target: Target) -> Undo:
     """Clear the drive's watchdogs as a tool on another port would do, without any frame on the bus."""
     values = target.drive.values
-    keys = [key for key in ((0x1400, 5), (0x1016, 1)) if key in values]
-    before = {key: values[key] for key in keys}
-    values.update(dict.fromkeys(keys, 0))
+    return _all(*(swap(target, values, key, 0) for key in ((0x1400, 5), (0x1016, 1)) if key in values))
 
-    def undo(now: float) -> None:
-        values.update(before)
 
-    return undo
+def _turned(target: Target, name: str) -> Undo:
+    """Change the sign of an attribute of the drive's faults."""
+    return target.rig.changes.begin(target.drive.faults, name, lambda before: -before)
 
 
 def _polarity(target: Target) -> Undo:
-    faults = target.drive.faults
-    return _all(swap(faults, "torque_sign", -faults.torque_sign), swap(faults, "turned", -faults.turned))
+    return _all(_turned(target, "torque_sign"), _turned(target, "turned"))
 
 
 def _encoder(target: Target) -> EncoderFaults:
@@ -259,23 +295,20 @@ def _sensor(target: Target) -> TorqueSensor:
 
 def _encoder_drift(target: Target) -> Undo:
     faults = _encoder(target)
-    return _all(swap(faults, "since", target.now), swap(faults, "drift", target.value))
+    return _all(swap(target, faults, "since", target.now), swap(target, faults, "drift", target.value))
 
 
 def _encoder_slip(target: Target) -> Undo:
     faults = _encoder(target)
-    return _all(swap(faults, "pivot", target.axis.readings.joint_angle), swap(faults, "gain", target.value))
+    angle = target.axis.readings.joint_angle
+    return _all(swap(target, faults, "pivot", angle), swap(target, faults, "gain", target.value))
 
 
 def _object(target: Target, distorted: Callable[[int], int], index: int) -> Undo:
     """Distort the value that the drive reports in this object."""
-    distortions = target.drive.faults.distortions
-    distortions[index, 0] = distorted
-
-    def undo(now: float) -> None:
-        distortions.pop((index, 0), None)
-
-    return undo
+    distortion, distortions = (index, distorted), target.drive.faults.distortions
+    distortions.append(distortion)
+    return lambda now: distortions.remove(distortion)
 
 
 def _scaled(target: Target, index: int) -> Undo:
@@ -310,12 +343,12 @@ def _encoder_stuck(target: Target) -> Undo:
             held.append(counts)
         return held[0]
 
-    return swap(faults, "distorted", first)
+    return swap(target, faults, "distorted", first)
 
 
 def _encoder_bit(target: Target) -> Undo:
     mask = 1 << int(target.value)
-    return swap(_encoder(target), "distorted", lambda counts: counts | mask)
+    return swap(target, _encoder(target), "distorted", lambda counts: counts | mask)
 
 
 def _forged(target: Target) -> Undo:
@@ -349,34 +382,34 @@ MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
     "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
     "dead_stage": FaultKind(
         "the power stage loses its voltage: no torque, bit 4 low, still enabled",
-        lambda t: swap(t.drive.faults, "dead_stage", True),
+        lambda t: swap(t, t.drive.faults, "dead_stage", True),
     ),
     "flapping_stage": FaultKind("the power stage is off for half of each 0.1 s", _flapping),
     "torque_off": FaultKind("safe torque off; after the duration its input is closed again", _torque_off),
     "derating": FaultKind(
         "the drive is too hot and gives less: bit 11",
-        lambda t: swap(t.drive.faults, "most_torque", t.value),
+        lambda t: swap(t, t.drive.faults, "most_torque", t.value),
         0.2, "of rated torque", 0, 10,
     ),
     "polarity": FaultKind("0x607E is turned: torque, position and velocity the other way", _polarity),
     "encoder_drift": FaultKind("the joint encoder wanders", _encoder_drift, 0.5, "rad/s", -100, 100),
     "encoder_noise": FaultKind(
-        "the joint encoder is noisy", lambda t: swap(_encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10
+        "the joint encoder is noisy", lambda t: swap(t, _encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10
     ),
     "encoder_slip": FaultKind(
         "the joint encoder's coupling slips", _encoder_slip, 0.5, "of the joint motion", -10, 10
     ),
     "torque_sensor_gain": FaultKind(
         "the joint torque sensor is wrong by a factor",
-        lambda t: swap(_sensor(t).faults, "gain", t.value),
+        lambda t: swap(t, _sensor(t).faults, "gain", t.value),
         -1.0, "of the torque", -10, 10,
     ),
     "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
     "sparse_rpdo": FaultKind(
         "so many commands in a row do not reach the node, then one does",
-        lambda t: swap(t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
+        lambda t: swap(t, t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
     ),
-    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t.node, "unhearing", True)),
+    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t, t.node, "unhearing", True)),
 }  # fmt: skip
 
 
@@ -392,13 +425,9 @@ def _power_cycle(target: Target) -> Undo:
 
 
 def _fault(target: Target) -> Undo:
-    drive = target.drive
-    drive.fault(int(target.value), stays=target.duration > 0.0)
-
-    def cause_gone(now: float) -> None:
-        drive.error_cause = False
-
-    return cause_gone if target.duration > 0.0 else nothing
+    undo = swap(target, target.drive, "error_cause", True) if target.duration > 0.0 else nothing
+    target.drive.fault(int(target.value))
+    return undo
 
 
 def _emcy(target: Target) -> Undo:
@@ -409,13 +438,13 @@ def _emcy(target: Target) -> Undo:
 def _encoder_jump(target: Target) -> Undo:
     if target.encoder is None:
         raise UsageError(f"fault encoder_jump: axis '{target.axis.name}' has no encoder; choose another fault")
-    return swap(target.encoder.faults, "offset", target.encoder.faults.offset + target.value)
+    return target.rig.changes.begin(target.encoder.faults, "offset", lambda before: before + target.value)
 
 
 def _torque_sensor_stuck(target: Target) -> Undo:
     if target.torque_sensor is None:
         raise UsageError(f"fault torque_sensor_stuck: axis '{target.axis.name}' has no torque sensor")
-    return swap(target.torque_sensor.faults, "stuck", True)
+    return swap(target, target.torque_sensor.faults, "stuck", True)
 
 
 def _error_frame(target: Target) -> Undo:
@@ -433,13 +462,7 @@ def _foreign_sdo(target: Target) -> Undo:
 
 def _torque_offset(target: Target) -> Undo:
     """Write 0x60B2 without a frame on the bus, as a tool on another port would do."""
-    values = target.drive.values
-    before, values[0x60B2, 0] = values[0x60B2, 0], int(target.value)
-
-    def undo(now: float) -> None:
-        values[0x60B2, 0] = before
-
-    return undo
+    return swap(target, target.drive.values, (0x60B2, 0), int(target.value))
 
 
 def _replay(target: Target) -> Undo:
@@ -463,32 +486,34 @@ FAULTS: Mapping[str, FaultKind] = {
     "power_cycle": FaultKind("the nodes of the axis lose power; after the duration they boot", _power_cycle),
     "fault": FaultKind("the drive faults", _fault, 0x2310, "error code", 1, 0xFFFF),
     "emcy": FaultKind("an EMCY without a fault", _emcy, 0x2310, "error code", 0, 0xFFFF),
-    "stuck_tpdo": FaultKind("TPDOs repeat their last data", lambda t: swap(t.transmit, "stuck", True)),
+    "stuck_tpdo": FaultKind("TPDOs repeat their last data", lambda t: swap(t, t.transmit, "stuck", True)),
     "repeated_tpdo": FaultKind(
-        "each TPDO is sent several times", lambda t: swap(t.transmit, "copies", int(t.value)), 2, "times", 1, 10
+        "each TPDO is sent several times", lambda t: swap(t, t.transmit, "copies", int(t.value)), 2, "times", 1, 10
     ),
-    "late_tpdo": FaultKind("TPDOs are late", lambda t: swap(t.transmit, "delay", t.value), 2e-3, "s", 0.0, 1.0),
-    "missing_tpdo": FaultKind("TPDOs are lost", lambda t: swap(t.transmit, "loss", t.value), 1.0, "probability", 0, 1),
+    "late_tpdo": FaultKind("TPDOs are late", lambda t: swap(t, t.transmit, "delay", t.value), 2e-3, "s", 0.0, 1.0),
+    "missing_tpdo": FaultKind(
+        "TPDOs are lost", lambda t: swap(t, t.transmit, "loss", t.value), 1.0, "probability", 0, 1
+    ),
     "sparse_tpdo": FaultKind(
         "so many of each TPDO are lost in a row, then one is sent",
-        lambda t: swap(t.transmit, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
+        lambda t: swap(t, t.transmit, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
     ),
     "wrong_length": FaultKind(
-        "TPDOs have a wrong length", lambda t: swap(t.transmit, "length", int(t.value)), 3, "bytes", 0, 8
+        "TPDOs have a wrong length", lambda t: swap(t, t.transmit, "length", int(t.value)), 3, "bytes", 0, 8
     ),
     "wrong_mode": FaultKind(
-        "0x6061 shows another mode", lambda t: swap(t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
+        "0x6061 shows another mode", lambda t: swap(t, t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
     ),
     "ignored_command": FaultKind(
-        "bit 12 is low, the target torque is not followed", lambda t: swap(t.drive.faults, "ignore_command", True)
+        "bit 12 is low, the target torque is not followed", lambda t: swap(t, t.drive.faults, "ignore_command", True)
     ),
     "foreign_sdo": FaultKind("another master writes by SDO: the node no longer monitors our heartbeat", _foreign_sdo),
     "torque_offset": FaultKind(
         "another tool writes the torque offset 0x60B2 out of sight of this bus",
         _torque_offset, 120, "per mille of the rated torque", -1000, 1000,
     ),
-    "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t.node, "deaf", True)),
-    "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t.transmit, "mute", True)),
+    "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t, t.node, "deaf", True)),
+    "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t, t.transmit, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
     "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
@@ -496,16 +521,16 @@ FAULTS: Mapping[str, FaultKind] = {
         _interface_down, 0.05, "s", 0.0, 10.0,
     ),
     "flood": FaultKind(
-        "frames of other identifiers", lambda t: swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
+        "frames of other identifiers", lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),
     "torque_sensor_stuck": FaultKind("the joint torque sensor is stuck", _torque_sensor_stuck),
     "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0),
     "reversed_sign": FaultKind(
-        "the motor turns the wrong way", lambda t: swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
+        "the motor turns the wrong way", lambda t: _turned(t, "torque_sign")
     ),
     "torque_gain": FaultKind(
         "the motor gives so many times the torque that the drive reports",
-        lambda t: swap(t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
+        lambda t: swap(t, t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
     ),
     "torn_tendon": FaultKind(
         "a tendon tears: 0 is a (backward), 1 is b (forward)",
@@ -516,12 +541,12 @@ FAULTS: Mapping[str, FaultKind] = {
         "the tensioner gives way", lambda t: parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
     ),
     "clock_drift": FaultKind(
-        "the drive has a separate clock", lambda t: swap(t.drive.faults, "clock_drift", t.value),
+        "the drive has a separate clock", lambda t: swap(t, t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
     "digital_input": FaultKind(
         "an input of the drive is active (0x60FD)",
-        lambda t: swap(t.drive.faults, "inputs", t.drive.faults.inputs ^ 1 << int(t.value)),
+        lambda t: t.rig.changes.begin(t.drive.faults, "inputs", lambda before: before | 1 << int(t.value)),
         3, "bit", 0, 31,
     ),
     **MECHANICAL_FAULTS,

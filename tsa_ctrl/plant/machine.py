@@ -22,7 +22,7 @@ from tsa_ctrl.plant.cia402 import PowerState
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_emulation import AXIS_OFFSET, DriveEmulation, objects, pdos, shifted
-from tsa_ctrl.plant.faults import FaultPlan, Target, TransmitFaults, check_fault
+from tsa_ctrl.plant.faults import Changes, FaultPlan, Target, TransmitFaults, check_fault
 from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send
@@ -267,6 +267,7 @@ class Machine:
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self._transmit = tuple({id(out): out for unit in self.axes for out in unit.transmit.values()}.values())
         self.faults = FaultPlan()
+        self.changes = Changes()
         self.flood_rate = 0.0  # frames/s with an unused identifier
         self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Record | None = None

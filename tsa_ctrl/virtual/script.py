@@ -94,22 +94,19 @@ def beginnings(machine: Machine, faults: Iterable[Fault], wire: Wire) -> list[tu
             try:
                 axis, settings = parse_fault(fault.line, HOST_FAULTS)
                 host = settings.name in HOST_FAULTS
-                begin = _slow_loop(wire, settings) if host else machine.beginning(axis, settings)
+                begin = _slow_loop(machine, wire, settings) if host else machine.beginning(axis, settings)
             except UsageError as error:
                 raise UsageError(f"fault '{fault.line}' at {fault.at:g} s: {error}") from None
             found.append((begin, fault.at + settings.at))
     return found
 
 
-def _slow_loop(wire: Wire, settings: FaultSettings) -> Callable[[float], None]:
+def _slow_loop(machine: Machine, wire: Wire, settings: FaultSettings) -> Callable[[float], None]:
     """Return a function that makes each cycle of the host take `value` s, for the duration or without end."""
     value = HOST_FAULTS["slow_loop"].value if settings.value is None else settings.value
 
-    def end(now: float) -> None:
-        wire.host.cycle_time = 0.0
-
     def begin(now: float) -> None:
-        wire.host.cycle_time = value
+        end = machine.changes.begin(wire.host, "cycle_time", lambda before: value)
         if settings.duration > 0.0:
             wire.at(now + settings.duration, end)
 
