@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.plant.bench import Bench, tpdo1
+from tests.plant.bench import Bench, plant_file, tpdo1
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.faults import CHANGES, FAULTS, parse_fault
-from tsa_ctrl.plant.process import Console, ControlSocket, ask
+from tsa_ctrl.plant.process import Console, ControlSocket, ask, check
 
 STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
 
@@ -165,6 +165,27 @@ def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=".*".join(part for part in (said.replace("?", "."),))) as raised:
         parse_fault(text)
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("encoder_jump", "axis 'joint': fault encoder_jump: the axis has no encoder; choose another fault"),
+        ("encoder_noise", "the axis has no encoder"),
+        ("torque_sensor_gain", "the axis has no torque sensor"),
+        ("late_tpdo node=encoder", "the axis has no encoder"),
+        ("torque_offset", "the drive has no 0x60B2; choose another fault"),
+    ],
+)
+def test_a_fault_of_a_missing_part_is_rejected_at_the_request(tmp_path: Path, text: str, said: str) -> None:
+    plant = STILL + "encoder.present = false\ntorque_sensor.present = false\ndrive.absent = [0x60B2]\n"
+    with pytest.raises(UsageError, match=said):
+        begin(Bench(tmp_path, plant), f"{text} at=1")
+    name, *node = text.split(" node=")
+    lines = [f"name = '{name}'", "at = 1", *(f"node = '{each}'" for each in node)]
+    path = plant_file(tmp_path, plant + "[[axis.fault]]\n" + "\n".join(lines))
+    with pytest.raises(UsageError, match=f"^{path}: .*{said}"):
+        check(path)
 
 
 def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,9 +21,10 @@ import numpy as np
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.dictionary import Key
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.node import Node, Send
-from tsa_ctrl.plant.sensors import Encoder, EncoderFaults, TorqueSensor
+from tsa_ctrl.plant.sensors import Encoder, EncoderFaults, TorqueSensor, TorqueSensorFaults
 from tsa_ctrl.plant.settings import FaultSettings
 
 _HEARTBEAT = 0x700
@@ -177,7 +178,10 @@ class Target:
 
 @dataclass(frozen=True)
 class FaultKind:
-    """Hold one fault: its description, its effect, and the default, unit and range of its value."""
+    """Hold one fault: its description, its effect, and the default, unit and range of its value.
+
+    `needs`: kind of node, or object of the drive, without which the fault is impossible.
+    """
 
     doc: str
     start: Callable[[Target], Undo]
@@ -185,6 +189,7 @@ class FaultKind:
     unit: str = ""
     low: float = 0.0
     high: float = 0.0
+    needs: str | Key = "drive"
 
 
 def nothing(now: float) -> None:
@@ -204,6 +209,7 @@ def parameter(target: Target, name: str, value: float) -> Undo:
 FLAP = 0.1  # s, period of a flapping power stage, which is off for half of it
 _FRAYED = 0.05  # of the pretension: lower bound, held by the last wires
 _STEP = 1e-3  # s between two steps of a gradual fault
+_TORQUE_OFFSET: Key = (0x60B2, 0)
 
 
 def _all(*undos: Undo) -> Undo:
@@ -282,15 +288,13 @@ def _polarity(target: Target) -> Undo:
 
 
 def _encoder(target: Target) -> EncoderFaults:
-    if target.encoder is None:
-        raise UsageError(f"axis '{target.axis.name}' has no encoder; choose another fault")
+    assert target.encoder is not None
     return target.encoder.faults
 
 
-def _sensor(target: Target) -> TorqueSensor:
-    if target.torque_sensor is None:
-        raise UsageError(f"axis '{target.axis.name}' has no torque sensor; choose another fault")
-    return target.torque_sensor
+def _sensor(target: Target) -> TorqueSensorFaults:
+    assert target.torque_sensor is not None
+    return target.torque_sensor.faults
 
 
 def _encoder_drift(target: Target) -> Undo:
@@ -363,56 +367,6 @@ def _forged(target: Target) -> Undo:
     return _repeated(target, target.value, send)
 
 
-MECHANICAL_FAULTS: Mapping[str, FaultKind] = {
-    "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
-    "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
-    "position_gain": FaultKind(
-        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of the motor angle", -10, 10
-    ),
-    "velocity_gain": FaultKind("0x606C is wrong by a factor", lambda t: _scaled(t, 0x606C), 2.0, "1", -10, 10),
-    "motor_encoder_stuck": FaultKind("the motor's encoder rests: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
-    "reported_gain": FaultKind("0x6077 is wrong by a factor", lambda t: _scaled(t, 0x6077), 0.5, "1", -10, 10),
-    "reported_offset": FaultKind("0x6077 is wrong by an offset", _reported_offset, 0.2, "N*m", -100, 100),
-    "reported_stuck": FaultKind("0x6077 repeats its last value", lambda t: _stuck(t, 0x6077)),
-    "encoder_stuck": FaultKind("the joint encoder repeats its last value", _encoder_stuck),
-    "encoder_bit": FaultKind("a bit of the joint encoder is stuck at 1", _encoder_bit, 12, "bit", 0, 31),
-    "forged_tpdo": FaultKind(
-        "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between two", 1e-4, 1.0
-    ),
-    "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
-    "dead_stage": FaultKind(
-        "the power stage loses its voltage: no torque, bit 4 low, still enabled",
-        lambda t: swap(t, t.drive.faults, "dead_stage", True),
-    ),
-    "flapping_stage": FaultKind("the power stage is off for half of each 0.1 s", _flapping),
-    "torque_off": FaultKind("safe torque off; after the duration its input is closed again", _torque_off),
-    "derating": FaultKind(
-        "the drive is too hot and gives less: bit 11",
-        lambda t: swap(t, t.drive.faults, "most_torque", t.value),
-        0.2, "of rated torque", 0, 10,
-    ),
-    "polarity": FaultKind("0x607E is turned: torque, position and velocity the other way", _polarity),
-    "encoder_drift": FaultKind("the joint encoder wanders", _encoder_drift, 0.5, "rad/s", -100, 100),
-    "encoder_noise": FaultKind(
-        "the joint encoder is noisy", lambda t: swap(t, _encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10
-    ),
-    "encoder_slip": FaultKind(
-        "the joint encoder's coupling slips", _encoder_slip, 0.5, "of the joint motion", -10, 10
-    ),
-    "torque_sensor_gain": FaultKind(
-        "the joint torque sensor is wrong by a factor",
-        lambda t: swap(t, _sensor(t).faults, "gain", t.value),
-        -1.0, "of the torque", -10, 10,
-    ),
-    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
-    "sparse_rpdo": FaultKind(
-        "so many commands in a row do not reach the node, then one does",
-        lambda t: swap(t, t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
-    ),
-    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t, t.node, "unhearing", True)),
-}  # fmt: skip
-
-
 def _power_cycle(target: Target) -> Undo:
     for node in target.nodes:
         node.power_off()
@@ -436,15 +390,7 @@ def _emcy(target: Target) -> Undo:
 
 
 def _encoder_jump(target: Target) -> Undo:
-    if target.encoder is None:
-        raise UsageError(f"fault encoder_jump: axis '{target.axis.name}' has no encoder; choose another fault")
-    return target.rig.changes.begin(target.encoder.faults, "offset", lambda before: before + target.value)
-
-
-def _torque_sensor_stuck(target: Target) -> Undo:
-    if target.torque_sensor is None:
-        raise UsageError(f"fault torque_sensor_stuck: axis '{target.axis.name}' has no torque sensor")
-    return swap(target, target.torque_sensor.faults, "stuck", True)
+    return target.rig.changes.begin(_encoder(target), "offset", lambda before: before + target.value)
 
 
 def _error_frame(target: Target) -> Undo:
@@ -462,7 +408,7 @@ def _foreign_sdo(target: Target) -> Undo:
 
 def _torque_offset(target: Target) -> Undo:
     """Write 0x60B2 without a frame on the bus, as a tool on another port would do."""
-    return swap(target, target.drive.values, (0x60B2, 0), int(target.value))
+    return swap(target, target.drive.values, _TORQUE_OFFSET, int(target.value))
 
 
 def _replay(target: Target) -> Undo:
@@ -510,7 +456,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "foreign_sdo": FaultKind("another master writes by SDO: the node no longer monitors our heartbeat", _foreign_sdo),
     "torque_offset": FaultKind(
         "another tool writes the torque offset 0x60B2 out of sight of this bus",
-        _torque_offset, 120, "per mille of the rated torque", -1000, 1000,
+        _torque_offset, 120, "per mille of the rated torque", -1000, 1000, needs=_TORQUE_OFFSET,
     ),
     "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t, t.node, "deaf", True)),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t, t.transmit, "mute", True)),
@@ -523,8 +469,10 @@ FAULTS: Mapping[str, FaultKind] = {
     "flood": FaultKind(
         "frames of other identifiers", lambda t: swap(t, t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),
-    "torque_sensor_stuck": FaultKind("the joint torque sensor is stuck", _torque_sensor_stuck),
-    "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0),
+    "torque_sensor_stuck": FaultKind(
+        "the joint torque sensor is stuck", lambda t: swap(t, _sensor(t), "stuck", True), needs="torque_sensor"
+    ),
+    "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0, "encoder"),
     "reversed_sign": FaultKind(
         "the motor turns the wrong way", lambda t: _turned(t, "torque_sign")
     ),
@@ -549,7 +497,53 @@ FAULTS: Mapping[str, FaultKind] = {
         lambda t: t.rig.changes.begin(t.drive.faults, "inputs", lambda before: before | 1 << int(t.value)),
         3, "bit", 0, 31,
     ),
-    **MECHANICAL_FAULTS,
+    "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
+    "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
+    "position_gain": FaultKind(
+        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of the motor angle", -10, 10
+    ),
+    "velocity_gain": FaultKind("0x606C is wrong by a factor", lambda t: _scaled(t, 0x606C), 2.0, "1", -10, 10),
+    "motor_encoder_stuck": FaultKind("the motor's encoder rests: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
+    "reported_gain": FaultKind("0x6077 is wrong by a factor", lambda t: _scaled(t, 0x6077), 0.5, "1", -10, 10),
+    "reported_offset": FaultKind("0x6077 is wrong by an offset", _reported_offset, 0.2, "N*m", -100, 100),
+    "reported_stuck": FaultKind("0x6077 repeats its last value", lambda t: _stuck(t, 0x6077)),
+    "encoder_stuck": FaultKind("the joint encoder repeats its last value", _encoder_stuck, needs="encoder"),
+    "encoder_bit": FaultKind("a bit of the joint encoder is stuck at 1", _encoder_bit, 12, "bit", 0, 31, "encoder"),
+    "forged_tpdo": FaultKind(
+        "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between two", 1e-4, 1.0
+    ),
+    "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
+    "dead_stage": FaultKind(
+        "the power stage loses its voltage: no torque, bit 4 low, still enabled",
+        lambda t: swap(t, t.drive.faults, "dead_stage", True),
+    ),
+    "flapping_stage": FaultKind("the power stage is off for half of each 0.1 s", _flapping),
+    "torque_off": FaultKind("safe torque off; after the duration its input is closed again", _torque_off),
+    "derating": FaultKind(
+        "the drive is too hot and gives less: bit 11",
+        lambda t: swap(t, t.drive.faults, "most_torque", t.value),
+        0.2, "of rated torque", 0, 10,
+    ),
+    "polarity": FaultKind("0x607E is turned: torque, position and velocity the other way", _polarity),
+    "encoder_drift": FaultKind("the joint encoder wanders", _encoder_drift, 0.5, "rad/s", -100, 100, "encoder"),
+    "encoder_noise": FaultKind(
+        "the joint encoder is noisy", lambda t: swap(t, _encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10,
+        "encoder",
+    ),
+    "encoder_slip": FaultKind(
+        "the joint encoder's coupling slips", _encoder_slip, 0.5, "of the joint motion", -10, 10, "encoder",
+    ),
+    "torque_sensor_gain": FaultKind(
+        "the joint torque sensor is wrong by a factor",
+        lambda t: swap(t, _sensor(t), "gain", t.value),
+        -1.0, "of the torque", -10, 10, "torque_sensor",
+    ),
+    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame reports it", _watchdogs_lost),
+    "sparse_rpdo": FaultKind(
+        "so many commands in a row do not reach the node, then one does",
+        lambda t: swap(t, t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
+    ),
+    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t, t.node, "unhearing", True)),
 }  # fmt: skip
 
 

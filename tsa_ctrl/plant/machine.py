@@ -22,7 +22,7 @@ from tsa_ctrl.plant.cia402 import PowerState
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_emulation import AXIS_OFFSET, DriveEmulation, objects, pdos, shifted
-from tsa_ctrl.plant.faults import Changes, FaultPlan, Target, TransmitFaults, check_fault
+from tsa_ctrl.plant.faults import Changes, FaultKind, FaultPlan, Target, TransmitFaults, check_fault
 from tsa_ctrl.plant.identity import Identity
 from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send
@@ -183,6 +183,21 @@ class AxisNodes:
         """Return the nodes, the drive first; a node of several axes belongs to each of them."""
         return tuple(self.by_kind[kind] for kind in ("drive", "encoder", "torque_sensor") if kind in self.by_kind)
 
+    def kind_of(self, fault: FaultSettings, where: str) -> FaultKind:
+        """Return the kind of a fault; raises UsageError, with a text that begins with `where`, if it is impossible."""
+        where = f"{where}axis '{self.axis.name}'"
+        kind = check_fault(fault, where)
+        for part in (fault.node, kind.needs):
+            if isinstance(part, str) and part not in self.by_kind:
+                name = part.replace("_", " ")
+                raise UsageError(f"{where}: fault {fault.name}: the axis has no {name}; choose another fault")
+        if not isinstance(kind.needs, str) and kind.needs not in self.drive.values:
+            raise UsageError(
+                f"{where}: fault {fault.name}: the drive has no 0x{kind.needs[0]:04X}; choose another fault, or remove "
+                "the object from [axis.drive] absent"
+            )
+        return kind
+
 
 @dataclass
 class Counts:
@@ -293,7 +308,7 @@ class Machine:
             node.boot(self._epoch)
         for unit in self.axes:
             for fault in unit.axis.settings.fault:
-                self.faults.schedule(self._epoch + fault.at, self._beginning(unit, fault))
+                self.faults.schedule(self._epoch + fault.at, self.beginning(unit.axis.name, fault))
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer frames and advance time until `stop` returns True; raises BusError if an interface is gone."""
@@ -367,13 +382,7 @@ class Machine:
         unit = self.axes[0] if axis is None else named.get(axis)
         if unit is None:
             raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
-        return self._beginning(unit, fault)
-
-    def _beginning(self, unit: AxisNodes, fault: FaultSettings) -> Callable[[float], None]:
-        kind = check_fault(fault, f"axis '{unit.axis.name}'")
-        node = unit.by_kind.get(fault.node)
-        if node is None:
-            raise UsageError(f"axis '{unit.axis.name}': fault {fault.name}: the axis has no {fault.node}")
+        kind = unit.kind_of(fault, "")
         value = kind.value if fault.value is None else fault.value
 
         def begin(now: float) -> None:
@@ -384,7 +393,7 @@ class Machine:
                 unit.encoder,
                 unit.torque_sensor,
                 unit.nodes,
-                node,
+                unit.by_kind[fault.node],
                 unit.transmit[fault.node],
                 value,
                 fault.duration,

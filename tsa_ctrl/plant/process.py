@@ -18,10 +18,10 @@ from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.plant.axis import Axis, Recorder
+from tsa_ctrl.plant.axis import Recorder
 from tsa_ctrl.plant.dictionary import eds, file_names
-from tsa_ctrl.plant.faults import CHANGES, FAULTS, check_fault, parse_fault
-from tsa_ctrl.plant.machine import Machine, build_axes
+from tsa_ctrl.plant.faults import CHANGES, FAULTS, parse_fault
+from tsa_ctrl.plant.machine import AxisNodes, Machine, build_axes
 from tsa_ctrl.plant.mechanism import build_mechanism
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
@@ -145,11 +145,11 @@ ANSWER_TIME = 0.1  # s; a simulated node answers within milliseconds, a real dev
 def check(path: str | Path) -> PlantSettings:
     """Return the settings after checks of everything that a run would read; raises UsageError."""
     plant = load_plant(path)
-    on_limb = plant.mechanism.kind == "mujoco"
-    build_mechanism(plant, [Axis(settings, plant.physics, on_limb=on_limb) for settings in plant.axis], str(path))
-    for settings in plant.axis:
-        for fault in settings.fault:
-            check_fault(fault, f"{path}: axis '{settings.name}'")
+    units = _units(plant)
+    build_mechanism(plant, [unit.axis for unit in units], str(path))
+    for unit in units:
+        for fault in unit.axis.settings.fault:
+            unit.kind_of(fault, f"{path}: ")
     return plant
 
 
@@ -162,8 +162,12 @@ def eds_files(configuration: str | Path, path: Path) -> list[tuple[Path, str]]:
 
 def nodes_of(plant: PlantSettings) -> list[Node]:
     """Return every node of the plant once, without a bus."""
-    units = build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0)
-    return list({id(node): node for unit in units for node in unit.nodes}.values())
+    return list({id(node): node for unit in _units(plant) for node in unit.nodes}.values())
+
+
+def _units(plant: PlantSettings) -> list[AxisNodes]:
+    """Return the axes with their nodes, without a bus."""
+    return build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0)
 
 
 def open_bus(settings: BusSettings) -> Bus:
