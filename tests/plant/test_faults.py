@@ -156,6 +156,7 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
     [
         ("torn_tendn", "did you mean 'torn_tendon'?"),
         ("torn_tendon value=7", "allowed is 0 to 1"),
+        ("torque_gain value=0", "allowed is 0.01 to 10"),
         ("stuck_tpdo value=1", "takes no value"),
         ("slack strength=1", "keys are axis, node, value, duration, at"),
         ("slack value", "write key=value"),
@@ -239,6 +240,25 @@ def test_nothing_remains_of_two_faults_that_overlap(
     bench.sync(20, bench.command(0x0F, 100))
     assert bench.machine.faults.active == 0
     assert faulted(bench) == before
+
+
+def test_a_distorted_value_saturates_as_in_a_drive(bench: Bench) -> None:
+    begin(bench, "reported_offset value=40")
+    assert tpdo1(bench.sync())[1] == 0x7FFF
+    begin(bench, "reported_offset value=-100")
+    assert tpdo1(bench.sync())[1] == -0x7FFF
+    begin(bench, "velocity_gain value=10")
+    for _ in range(9):
+        begin(bench, "velocity_gain value=10")
+    bench.unit.axis.readings.motor_speed = 1.0
+    bench.unit.drive.sample()
+    assert bench.unit.drive.values[0x606C, 0] == 0x7FFFFFFF
+
+
+def test_the_temperature_of_the_torque_sensor_saturates(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, STILL + "environment.temperature = [[0.0, 1e7]]\n")
+    bench.sync(2)
+    assert bench.upload(64, 0x9130, 2, "i") == 0x7FFFFFFF
 
 
 def test_a_fault_that_ends_leaves_the_others_in_force(bench: Bench) -> None:

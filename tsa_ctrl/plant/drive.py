@@ -327,11 +327,11 @@ class Drive:
         mode = self.faults.wrong_mode
         values[0x6061, 0] = self._mode_shown() if mode is None else mode
         values[0x60FD, 0] = self.faults.inputs
-        values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
-        values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
-        values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
+        values[0x6077, 0] = _reported(0x6077, round(torque * digits))
+        values[0x606C, 0] = _reported(0x606C, round(velocity))
+        values[0x6064, 0] = _reported(0x6064, math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
         for index, distorted in self.faults.distortions:
-            values[index, 0] = distorted(values[index, 0])
+            values[index, 0] = _reported(index, distorted(values[index, 0]))
 
     def _mode_shown(self) -> int:
         when = self.emulation.mode_shows or self.settings.mode_shows
@@ -350,6 +350,8 @@ def _bounded(value: int, bound: int) -> int:
     return max(-bound, min(bound, value))
 
 
-def _wrapped(counts: int) -> int:
-    """Return a position wrapped to 32 bits."""
-    return (counts + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+def _reported(index: int, value: int) -> int:
+    """Return a measured value as its object holds it: a position wraps at 32 bits, torque and velocity saturate."""
+    if index == 0x6064:
+        return (value + 0x80000000 & 0xFFFFFFFF) - 0x80000000
+    return _bounded(value, 0x7FFF if index == 0x6077 else 0x7FFFFFFF)

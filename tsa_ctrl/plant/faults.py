@@ -478,7 +478,7 @@ FAULTS: Mapping[str, FaultKind] = {
     ),
     "torque_gain": FaultKind(
         "the motor gives so many times the torque that the drive reports",
-        lambda t: swap(t, t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
+        lambda t: swap(t, t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.01, 10.0,
     ),
     "torn_tendon": FaultKind(
         "a tendon tears: 0 is a (backward), 1 is b (forward)",

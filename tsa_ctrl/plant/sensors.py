@@ -149,4 +149,4 @@ class TorqueSensor(Node):
             torque += self._noise.gauss(0.0, settings.noise)
         bound = 0x7FFFFFFF
         self.values[0x9130, 1] = max(-bound, min(bound, round(torque / settings.resolution)))
-        self.values[0x9130, 2] = round(self.readings.temperature * 1e3)
+        self.values[0x9130, 2] = max(-bound, min(bound, round(self.readings.temperature * 1e3)))
