@@ -225,6 +225,28 @@ def test_another_drive_can_be_imitated(tmp_path: Path) -> None:
     assert bench.download(1, 0x6072, 0, "H", 100) == 0x06020000
 
 
+@pytest.mark.parametrize(
+    ("kind", "absent", "torque"),
+    [
+        ("generic", "0x6060", 0.0),
+        ("generic", "0x6071", 0.0),
+        ("generic", "0x1600", 0.0),
+        ("generic", "0x1400, 0x6040", 0.0),
+        ("generic", "0x1A00", 0.3),
+        ("epos4", "0x3001", 0.3),
+    ],
+)
+def test_a_drive_may_lack_an_object(tmp_path: Path, kind: str, absent: str, torque: float) -> None:
+    """The drive answers SDO requests without the object, and has no torque without a mode, a target or an RPDO."""
+    text = f"[[axis]]\nname='joint'\n[axis.drive]\nkind='{kind}'\nabsent=[{absent}]\n"
+    bench = Bench(tmp_path, text)
+    bench.set_up()
+    bench.enable(300)
+    bench.wait(0.01)
+    assert bench.upload(1, 0x6041, 0, "H") & 0x10
+    assert bench.unit.axis.command.torque == pytest.approx(torque)
+
+
 def test_gear_and_signs(tmp_path: Path) -> None:
     bench = Bench(
         tmp_path,

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from enum import Enum, IntEnum
 from pathlib import Path
 
+from tsa_ctrl.errors import UsageError
+
 Key = tuple[int, int]  # index, sub-index
 
 
@@ -148,8 +150,14 @@ class ObjectDictionary:
         self.entries[entry.key] = entry
         if isinstance(entry.default, str):
             self.texts[entry.key] = entry.default
-        else:
-            self.values[entry.key] = self.power_on_value(entry)
+            return
+        value = self.power_on_value(entry)
+        if not entry.type.low <= value <= entry.type.high:
+            raise UsageError(
+                f"object 0x{entry.index:04X}:{entry.sub} is {value} at power-on; allowed is {entry.type.low} to "
+                f"{entry.type.high}; correct the setting that it follows from"
+            )
+        self.values[entry.key] = value
 
     def power_on_value(self, entry: Entry) -> int:
         """Return the value of a numeric object after power-on."""

@@ -238,7 +238,7 @@ class Drive:
         Source: CiA 402-2, cyclic synchronous torque mode and profile torque mode.
         """
         values, now = self.values, self.node.now
-        mode, target = values[0x6060, 0], values[0x6071, 0]
+        mode, target = self._mode(), values.get((0x6071, 0), 0)
         elapsed, self._ramped_at = now - self._ramped_at, now
         if mode == CST:
             return target + self._digits(values.get((0x60B2, 0), 0))
@@ -248,6 +248,10 @@ class Drive:
         step = elapsed * self._digits(values.get((0x6087, 0), 0))
         self._ramp += max(-step, min(step, target - self._ramp))
         return round(self._ramp)
+
+    def _mode(self) -> int:
+        """Return the mode of operation; 0 in a drive without 0x6060."""
+        return self.values.get((0x6060, 0), 0)
 
     def _digits(self, per_mille: int) -> int:
         """Convert per mille of the rated torque to digits of 0x6071."""
@@ -269,7 +273,7 @@ class Drive:
         """Return the torque limit of the objects alone, in digits of 0x6071."""
         values = self.values
         clamp = self.emulation.clamp
-        if clamp is not None:
+        if clamp is not None and clamp.key in values:
             rated = values[clamp.rated] if isinstance(clamp.rated, tuple) else clamp.rated
             share = (values[clamp.key] - clamp.zero) / ((rated - clamp.zero) or 1)
             return math.floor(max(0.0, share) * self.emulation.torque_digits + 1e-9)
@@ -295,7 +299,7 @@ class Drive:
             word |= _VOLTAGE_ENABLED
         if self.limited or self.readings.speed_limited:
             word |= _INTERNAL_LIMIT
-        follows = self.values[0x6060, 0] == CST and not self.faults.ignore_command
+        follows = self._mode() == CST and not self.faults.ignore_command
         if self.machine.state is PowerState.OPERATION_ENABLED and follows and settings.reports_following:
             word |= _FOLLOWS_COMMAND
         if self.values[0x1001, 0] and self.machine.state is not PowerState.FAULT:
@@ -338,7 +342,7 @@ class Drive:
         operational = self.node.state is NmtState.OPERATIONAL
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"
-        return self.values[0x6060, 0] if shown else 0
+        return self._mode() if shown else 0
 
 
 def _turned(bit: int) -> int:

@@ -63,6 +63,17 @@ class DriveNode(Node):
             drive.attach(self)
             self._impersonate(drive)
             self._apply_quirks(drive)
+        for pdo in (*self.tpdos, *self.rpdos):
+            try:
+                pdo.compile()
+            except SdoAbort:
+                lost = ", ".join(
+                    f"0x{index:04X}" for index, sub in pdo.keys if (index, sub) not in self.dictionary.entries
+                )
+                raise UsageError(
+                    f"[axis.drive] absent: the PDO 0x{pdo.communication:04X} contains {lost} at power-on; remove it "
+                    f"from absent, or add 0x{pdo.communication:04X} to absent"
+                ) from None
 
     # methods of Node that act on every drive
 
@@ -208,11 +219,13 @@ class Counts:
     skipped: float = 0.0  # s of real time that the mechanics skipped
 
 
-def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], float]) -> list[AxisNodes]:
+def build_axes(
+    plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], float], where: str = "plant"
+) -> list[AxisNodes]:
     """Return the axes with their nodes before boot.
 
     Each has its own noise. The seed is the plant's for drives and torque sensors, and the node id for encoders. `sends`
-    has one function per bus.
+    has one function per bus. Raises UsageError, with a text that begins with `where`, for an impossible drive.
     """
     units: list[AxisNodes] = []
     devices: dict[int | None, list[AxisNodes]] = {}
@@ -222,7 +235,10 @@ def build_axes(plant: PlantSettings, sends: Sequence[Send], clock: Callable[[], 
         devices.setdefault(settings.drive.node_id, []).append(unit)
     for members in devices.values():
         transmit = members[0].transmit["drive"]
-        node = DriveNode([unit.drive for unit in members], transmit)
+        try:
+            node = DriveNode([unit.drive for unit in members], transmit)
+        except UsageError as error:
+            raise UsageError(f"{where}: axis '{members[0].axis.name}': {error}") from None
         for unit in members:
             unit.by_kind["drive"] = node
             unit.transmit["drive"] = transmit

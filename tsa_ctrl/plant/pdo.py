@@ -143,7 +143,7 @@ class Pdo:
         values = self._dictionary.values
         self.raw_cob_id = values.get((self.communication, 1), INVALID)
         self.cob_id = self.raw_cob_id & 0x7FF
-        self.valid = not self.raw_cob_id & INVALID
+        self.valid = not self.raw_cob_id & INVALID and (self.mapping, 0) in values
         self.transmission = values.get((self.communication, 2), 255)
         self.synchronous = is_synchronous(self.transmission)
         self.inhibit = values.get((self.communication, 3), 0) * 1e-4  # s

@@ -145,7 +145,7 @@ ANSWER_TIME = 0.1  # s; a simulated node answers within milliseconds, a real dev
 def check(path: str | Path) -> PlantSettings:
     """Return the settings after checks of everything that a run would read; raises UsageError."""
     plant = load_plant(path)
-    units = _units(plant)
+    units = _units(plant, str(path))
     build_mechanism(plant, [unit.axis for unit in units], str(path))
     for unit in units:
         for fault in unit.axis.settings.fault:
@@ -165,9 +165,9 @@ def nodes_of(plant: PlantSettings) -> list[Node]:
     return list({id(node): node for unit in _units(plant) for node in unit.nodes}.values())
 
 
-def _units(plant: PlantSettings) -> list[AxisNodes]:
-    """Return the axes with their nodes, without a bus."""
-    return build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0)
+def _units(plant: PlantSettings, where: str = "plant") -> list[AxisNodes]:
+    """Return the axes with their nodes, without a bus; `where` begins the text of an error."""
+    return build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0, where)
 
 
 def open_bus(settings: BusSettings) -> Bus:
