@@ -15,7 +15,9 @@ from tests.blind import stretch_effects
 from tests.blind.plant import Tensions
 from tests.model.test_vectors import CASES, STATES
 from tests.plant.bench import R_J, R_M, axis
+from tsa_ctrl.errors import UsageError
 
+DELAYED = [(1e-4, 0.42), (1e-5, 0.042)]  # s, physics.step and a delay that is too long for it
 APART = {"velocity_lag"}  # an effect of a sensor in the plant, tested below
 WINDOW = 0.05  # s of motion before the evaluated state
 
@@ -201,3 +203,25 @@ def test_what_only_the_angles_show(tmp_path: Path, name: str) -> None:
         expected = stretch_effects.added(name, BESIDE[name], tensions, clock, R_J)[-1]
         assert stretches[1] - stretches[0] == pytest.approx(expected, abs=3e-6)
     assert compared > 12
+
+
+@pytest.mark.parametrize(("step", "delay"), DELAYED)
+def test_a_delay_beyond_the_memory_of_the_torque_is_rejected(tmp_path: Path, step: float, delay: float) -> None:
+    with pytest.raises(UsageError, match=rf"delay {delay:g} s; allowed is 0 to {0.4096 * step / 1e-4:g} s"):
+        axis(tmp_path, step, effects={"transport_delay": {"delay": delay}})
+
+
+@pytest.mark.parametrize(("step", "delay"), DELAYED)
+def test_the_longest_delay_is_simulated_with_sub_steps_of_half_the_step(
+    tmp_path: Path, step: float, delay: float
+) -> None:
+    late = 0.95 * delay
+    joint = axis(tmp_path, step, effects={"transport_delay": {"delay": late}})
+    joint.command.enabled, joint.command.torque = True, 0.3
+    times = 0.55 * step * np.arange(1, math.ceil(3.0 * delay / (0.55 * step)))
+    sensed, true = np.empty_like(times), np.empty_like(times)
+    for row, time in enumerate(times):
+        joint.advance(float(time))
+        sensed[row], true[row] = joint.readings.joint_torque, joint.values()["tau_j"]
+    after = times > late + 0.01
+    assert sensed[after] == pytest.approx(np.interp(times[after] - late, times, true), abs=1e-6)

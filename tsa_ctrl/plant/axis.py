@@ -200,6 +200,13 @@ class Axis:
         _set(self.parameters, step=physics.step)
         _set(self.parameters, **_transmission(model, settings), **_motor(settings), **load_parameters(settings.joint))
         _set(self.parameters, **effect_values(settings.effects, model))
+        # A command between two SYNCs shortens the sub-steps: at 4 kHz to 0.6 of the step.
+        delay, longest = float(self.parameters["sensor_delay"][0]), 0.5 * DELAY_SAMPLES * physics.step
+        if delay > longest:
+            raise UsageError(
+                f"axis '{self.name}': [axis.effects.transport_delay] delay {delay:g} s; allowed is 0 to {longest:g} s "
+                f"with [physics] step {physics.step:g} s; lower delay, or raise step (at most 1e-4 s)"
+            )
         _set(self.parameters, backlash_threshold=2.0 * 2.0 * math.pi / settings.encoder.counts_per_revolution)
         _set(
             self.parameters,
