@@ -57,6 +57,22 @@ def test_nobody_sleeps_and_no_thread_starts(tmp_path: Path, monkeypatch: pytest.
     assert simulate_loop(*files, 0.3).summary.sent > 300
 
 
+def test_a_run_closes_and_deletes_what_it_opened(tmp_path: Path) -> None:
+    """Neither a run nor one that cannot be built, here by a formula without an inverse, leaves an open file."""
+    files = write(tmp_path)
+    simulate_loop(*files, 0.1, out=tmp_path / "a", record=tmp_path / "a.csv")
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    for _ in range(2):
+        simulate_loop(*files, 0.1, out=tmp_path / "b", record=tmp_path / "b.csv")
+    with (tmp_path / "actuator.toml").open("a") as model:
+        model.write('[effects.custom]\nexpression = "2*tau"\n')
+    for out in (tmp_path / "c", tmp_path / "c.csv" / "impossible"):
+        with pytest.raises(UsageError):
+            simulate_loop(*files, 0.1, out=out, record=tmp_path / "c.csv")
+        assert list(tmp_path.glob("**/.*.part")) == []
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
 def test_the_log_file_holds_what_is_returned(tmp_path: Path) -> None:
     result = simulate_loop(*write(tmp_path), 0.5, out=tmp_path / "out")
     table = read_table(tmp_path / "out" / "tsa.mcap").columns

@@ -59,11 +59,7 @@ class Records:
 
     def __init__(self, axes: int, folder: Path | None, header: LogHeader) -> None:
         """Create the ring and, in `folder`, the log file; None: no file. Raises UsageError if it cannot be written."""
-        self.ring = RingWriter(axes)
         self.path: Path | None = None
-        self._reader = RingReader(self.ring.fd)
-        self._blocks: list[list[NDArray[np.float64]]] = [[] for _ in range(axes)]
-        self._writer: LogWriter | None = None
         if folder is not None:
             self.path, self._beside = folder / FILE, folder / f".{FILE}.part"
             try:
@@ -73,8 +69,13 @@ class Records:
                 self._beside.unlink()
             except OSError as error:
                 raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+        self.ring = RingWriter(axes)
+        self._reader, self._file_reader = RingReader(self.ring.fd), RingReader(self.ring.fd)
+        self._blocks: list[list[NDArray[np.float64]]] = [[] for _ in range(axes)]
+        self._writer: LogWriter | None = None
+        if folder is not None:
             # The header has no date, so that the same run produces the same bytes.
-            self._writer = LogWriter(RingReader(self.ring.fd), self._beside, replace(header, started=0.0))
+            self._writer = LogWriter(self._file_reader, self._beside, replace(header, started=0.0))
 
     def drain(self, now: float) -> None:
         """Read the records that the loop has written until the simulated time `now`, s."""
@@ -112,8 +113,8 @@ class Records:
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self._beside.unlink(missing_ok=True)
-        self._reader.close()
-        self.ring.close()
+        for ring in (self._reader, self._file_reader, self.ring):
+            ring.close()
 
 
 NAMES = tuple(name for name, _ in COLUMNS)
@@ -331,32 +332,37 @@ class Run:
         first, *others = [wire.plant for wire in theirs]
         self.machine = Machine(plant, first, self._wire.plant.clock, self._wire.switch, others)
         self._wire.attach(self.machine)
-        self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
-        self.machine.recorder = self._truth
-        header = log_header(configuration)
-        header.files.update(files or {})
-        self._records = Records(len(file.axes), None if out is None else Path(out), header)
-        host = joined([wire.host for wire in wires], file.buses, file.axes)
-        self.rig = Rig(host, file.slowest_bus, file.axes, configuration.profiles)
-        self.axes = control_axes(configuration, self.rig)
-        self._tuners = tuners_of(self.axes, configuration.period)
-        self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))
-        events = Events()
-        telemetry = Telemetry(self.rig, self.axes, self._tuners, self._mailbox, self._records.ring, None, events)
-        self.loop = Loop(
-            self.rig,
-            self.axes,
-            self._tuners,
-            self._mailbox,
-            telemetry,
-            events,
-            file.controller,
-            file.bus.supervision,
-            self._nanoseconds,
-        )
-        if configuration.monitored:
-            watched = watched_of(configuration)
-            self.loop.attach(SecondChannel(lambda: VirtualMonitor(self._wire, watched)))
+        with contextlib.ExitStack() as opened:  # closes what is open if the rest of the run cannot be built
+            self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
+            opened.callback(self._truth.close)
+            self.machine.recorder = self._truth
+            header = log_header(configuration)
+            header.files.update(files or {})
+            self._records = Records(len(file.axes), None if out is None else Path(out), header)
+            opened.callback(self._records.close)
+            host = joined([wire.host for wire in wires], file.buses, file.axes)
+            self.rig = Rig(host, file.slowest_bus, file.axes, configuration.profiles)
+            self.axes = control_axes(configuration, self.rig)
+            self._tuners = tuners_of(self.axes, configuration.period)
+            self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))
+            opened.callback(self._mailbox.close)
+            events = Events()
+            telemetry = Telemetry(self.rig, self.axes, self._tuners, self._mailbox, self._records.ring, None, events)
+            self.loop = Loop(
+                self.rig,
+                self.axes,
+                self._tuners,
+                self._mailbox,
+                telemetry,
+                events,
+                file.controller,
+                file.bus.supervision,
+                self._nanoseconds,
+            )
+            if configuration.monitored:
+                watched = watched_of(configuration)
+                self.loop.attach(SecondChannel(lambda: VirtualMonitor(self._wire, watched)))
+            self._opened = opened.pop_all()
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults, self._wire)
@@ -379,9 +385,7 @@ class Run:
         return Simulation(self._seconds, self._results(), summary, self._record, self._notes())
 
     def close(self) -> None:
-        self._truth.close()
-        self._records.close()
-        self._mailbox.close()
+        self._opened.close()
 
     def _nanoseconds(self) -> int:
         """Return the loop's time, ns, after the simulated computing time of the cycle."""
