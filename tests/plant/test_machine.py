@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.plant.bench import Bench
+from tests.bus.fake import FakeBus, FakeClock
+from tests.plant.bench import Bench, plant_file
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.settings import load_plant
 
 
 def test_the_loop_answers_and_lets_time_pass(tmp_path: Path) -> None:
@@ -33,3 +36,18 @@ def test_standing_still_for_long_is_not_made_up_for(tmp_path: Path) -> None:
     bench.machine.tick(bench.clock.now)
     assert bench.machine.counts.skipped > 4.0
     assert bench.unit.axis.time < 0.5
+
+
+def test_a_sync_on_the_first_bus_alone_does_not_stop_the_timers_of_the_second(tmp_path: Path) -> None:
+    buses = "".join(f"[[bus]]\nname = '{name}'\nchannel = '{name}'\n" for name in "ab")
+    axes = "".join(f"[[axis]]\nname = '{name}'\nbus = '{name}'\nmotion.kind = 'still'\n" for name in "ab")
+    clock = FakeClock()
+    first, second = FakeBus(clock), FakeBus(clock)
+    machine = Machine(load_plant(plant_file(tmp_path, buses + axes)), first, clock, others=[second])
+    machine.start()
+    machine.handle(0x602, bytes.fromhex("2b1710000a000000"), clock.now, 1)  # a heartbeat every 10 ms
+    before = len(second.sent)
+    for _ in range(200):
+        clock.now += 5e-4
+        machine.step((0x080, b""), clock.now, 0)
+    assert [can_id for can_id, _ in second.sent[before:]].count(0x702) in (9, 10, 11)

@@ -367,9 +367,8 @@ class Machine:
             self.advance(now)
         for node in self._routes[place].get(can_id, ()):
             node.receive(can_id, data, now)
-        if can_id == SYNC:
-            if place == len(self.buses) - 1:  # the nodes of every bus have answered
-                self.tick(now)
+        if can_id == SYNC and place == len(self.buses) - 1:  # the nodes of every bus have answered
+            self.tick(now)
             self._next_tick = now + _AFTER_SYNC
 
     def tick(self, now: float) -> None:
