@@ -115,6 +115,16 @@ def test_sensor_faults(bench: Bench) -> None:
     assert len({dict(bench.sync())[0x1C0] for _ in range(10)}) == 1
 
 
+def test_the_noise_of_an_encoder_follows_from_the_plants_seed(tmp_path: Path) -> None:
+    def positions(seed: int) -> list[bytes]:
+        bench = Bench(tmp_path, f"[physics]\nseed = {seed}\n{STILL}")
+        bench.set_up()
+        begin(bench, "encoder_noise")
+        return [dict(bench.sync())[0x1A0] for _ in range(5)]
+
+    assert positions(1) == positions(1) != positions(2)
+
+
 def test_reversed_sign_is_not_seen_by_the_drive(bench: Bench) -> None:
     begin(bench, "reversed_sign")
     bench.sync(20, bench.command(0x0F, 300))

@@ -224,8 +224,8 @@ def build_axes(
 ) -> list[AxisNodes]:
     """Return the axes with their nodes before boot.
 
-    Each has its own noise. The seed is the plant's for drives and torque sensors, and the node id for encoders. `sends`
-    has one function per bus. Raises UsageError, with a text that begins with `where`, for an impossible drive.
+    The noise of each follows from the plant's seed. `sends` has one function per bus. Raises UsageError, with a text
+    that begins with `where`, for an impossible drive.
     """
     units: list[AxisNodes] = []
     devices: dict[int | None, list[AxisNodes]] = {}
@@ -261,7 +261,7 @@ def _build_axis(
     encoder = sensor = None
     nodes: dict[str, Node] = {}
     if settings.encoder.present:
-        nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, transmit["encoder"])
+        nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, noise(2), transmit["encoder"])
     if settings.torque_sensor.present:
         sensor = TorqueSensor(settings.torque_sensor, axis.readings, noise(1), transmit["torque_sensor"])
         nodes["torque_sensor"] = sensor

@@ -63,11 +63,11 @@ class EncoderFaults:
 class Encoder(Node):
     """Simulate an encoder: 0x6004 position (u32, wraps), 0x6030:1 speed in counts/s / 256 (i16)."""
 
-    def __init__(self, settings: EncoderSettings, readings: Readings, send: Send) -> None:
+    def __init__(self, settings: EncoderSettings, readings: Readings, noise: random.Random, send: Send) -> None:
         self.settings = settings
         self.readings = readings
         self.faults = EncoderFaults()
-        self._noise = random.Random(settings.node_id)
+        self._noise = noise
         assert settings.node_id is not None
         node = settings.node_id
         ro = Access.RO
