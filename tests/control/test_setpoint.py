@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tsa_ctrl.control.setpoint import SetPoint, Source, read_file, waveform
+from tsa_ctrl.control.setpoint import SetPoint, Source, largest, read_file, waveform
 from tsa_ctrl.control.settings import Component, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
@@ -40,6 +40,29 @@ def test_chirp_ends_at_its_end_frequency() -> None:
     chirp = waveform(SetPointSettings(kind="chirp", amplitude=1.0, frequency=1.0, end_frequency=5.0, duration=10.0))
     crossings = sum(chirp(0.001 * n) < 0.0 <= chirp(0.001 * (n + 1)) for n in range(9999))
     assert crossings == pytest.approx(30, abs=1)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.4])
+@pytest.mark.parametrize(
+    "frequencies",
+    [
+        (0.5, 0.51, 200.0),  # in phase only after 50 s, with 20 000 samples of the fastest sine in 2.5 s
+        (0.3, 0.7, 1.1),
+        (0.1234567, 0.7654321),  # a common period of 116 days
+        (1.0,),
+    ],
+)
+def test_the_largest_value_is_never_below_the_peak(offset: float, frequencies: tuple[float, ...]) -> None:
+    """The sines begin opposite to each other. The bound is at most 1.2 % above the peak, or all amplitudes."""
+    phases = [math.pi / 2.0 * (-1) ** n for n in range(len(frequencies))]
+    parts = tuple(Component(amplitude=0.5, frequency=f, phase=p) for f, p in zip(frequencies, phases, strict=True))
+    settings = SetPointSettings(kind="multi_sine", offset=offset, components=parts)
+    source, fastest = waveform(settings), max(frequencies)
+    times = [k / (37.0 * fastest) for k in range(round(37.0 * fastest * 60.0))]
+    peak = max(abs(source(t)) for t in times)
+    found = largest(settings)
+    assert peak <= found
+    assert found <= 1.012 * peak or found == offset + 0.5 * len(parts)
 
 
 def test_starts_at_zero_and_keeps_to_its_rate() -> None:
