@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from tests.plant.bench import plant_file
 from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.plant.process import refuse_doubles
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.plant.process import ControlSocket, check, nodes_by_bus, refuse_doubles
 
 
 @pytest.fixture
@@ -45,3 +48,35 @@ def test_a_node_id_that_answers_already_is_refused(
     finally:
         done.set()
         thread.join()
+
+
+def test_each_bus_is_checked_for_its_own_node_ids(tmp_path: Path) -> None:
+    """A node of the same id on another bus is not in conflict."""
+    text = "".join(f"[[bus]]\nname = '{name}'\n" for name in "ab")
+    text += "".join(f"[[axis]]\nname = '{name}'\nbus = '{name}'\n" for name in "ba")
+    assert nodes_by_bus(check(plant_file(tmp_path, text))) == [{2, 33, 65}, {1, 32, 64}]
+
+
+def test_a_second_plant_does_not_take_the_socket_of_the_first(tmp_path: Path) -> None:
+    path = tmp_path / "plant.sock"
+    first = ControlSocket(path)
+    with pytest.raises(UsageError, match=r"plant.sock: no socket can be made here .*; stop the plant that uses it"):
+        ControlSocket(path)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
+        client.sendto(b"state", str(path))
+    received: list[str] = []
+    first.poll(lambda line: received.append(line) or "")
+    assert received == ["state"]
+    first.close()
+
+
+def test_the_socket_of_a_killed_plant_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "plant.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as killed:
+        killed.bind(str(path))
+    assert path.is_socket()
+    ControlSocket(path).close()
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(UsageError, match="no socket can be made here"):
+        ControlSocket(tmp_path / "file")
+    assert (tmp_path / "file").read_text() == "kept"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import gc
 import json
 import os
@@ -38,15 +39,17 @@ class ControlSocket:
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        with contextlib.suppress(FileNotFoundError):
-            if self._path.is_socket():
-                self._path.unlink()
         before = os.umask(0o177)
         try:
+            if self._path.is_socket() and _is_left_over(path):
+                self._path.unlink()
             self._socket.bind(str(path))
         except OSError as error:
             self._socket.close()
-            raise UsageError(f"{path}: no socket can be made here ({error.strerror}); choose another place") from None
+            raise UsageError(
+                f"{path}: no socket can be made here ({error.strerror}); stop the plant that uses it, or choose "
+                "another place"
+            ) from None
         finally:
             os.umask(before)
 
@@ -65,6 +68,12 @@ class ControlSocket:
     def close(self) -> None:
         self._socket.close()
         self._path.unlink(missing_ok=True)
+
+
+def _is_left_over(path: str | Path) -> bool:
+    """Return True if no process has the socket open any more, because its plant was killed."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
+        return probe.connect_ex(str(path)) == errno.ECONNREFUSED
 
 
 def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
@@ -165,6 +174,14 @@ def nodes_of(plant: PlantSettings) -> list[Node]:
     return list({id(node): node for unit in _units(plant) for node in unit.nodes}.values())
 
 
+def nodes_by_bus(plant: PlantSettings) -> list[set[int]]:
+    """Return the node ids on each bus, in the order of the buses."""
+    ids: list[set[int]] = [set() for _ in plant.buses]
+    for unit in _units(plant):
+        ids[plant.bus_number(unit.axis.settings)] |= {node.node_id for node in unit.nodes}
+    return ids
+
+
 def _units(plant: PlantSettings, where: str = "plant") -> list[AxisNodes]:
     """Return the axes with their nodes, without a bus; `where` begins the text of an error."""
     return build_axes(plant, [lambda can_id, data: True] * len(plant.buses), lambda: 0.0, where)
@@ -213,10 +230,10 @@ def run(path: str | Path, record: str | None = None, control: str | None = None)
     plant = check(path)
     with contextlib.ExitStack() as stack:
         buses = []
-        for settings in plant.buses:
+        for settings, nodes in zip(plant.buses, nodes_by_bus(plant), strict=True):
             buses.append(open_bus(settings))
             stack.callback(buses[-1].close)
-            refuse_doubles(buses[-1], [node.node_id for node in nodes_of(plant)])
+            refuse_doubles(buses[-1], nodes)
         machine = Machine(plant, buses[0], others=buses[1:])
         if record is not None:
             machine.recorder = Recorder(record, plant.physics.record_period)
