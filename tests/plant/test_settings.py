@@ -31,6 +31,7 @@ def test_the_example_is_valid() -> None:
         ("[[axis]]\nname='a'\nspeed=1\n", "unknown key 'speed'"),
         ("[[axis]]\nname='a'\n[axis.motion]\nkind='jump'\n", "kind"),
         ("[[axis]]\nname='a'\n[axis.motion]\nkind='file'\n", "without file"),
+        ("[[axis]]\nname='a'\njoint.load='spring'\n[axis.motion]\nkind='file'\n", "axis 'a': .* without file; give"),
         ("[[axis]]\nname='a'\n[axis.motion]\nkind='file'\nfile='none.csv'\n", "no such file"),
         ("[[axis]]\nname='a'\n[[axis]]\nname='a'\n", "two axes"),
         ("[[axis]]\nname='a'\n[axis.encoder]\nnode_id=1\n", "already"),

@@ -278,7 +278,7 @@ def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
 
 def _completed(axis: AxisSettings, place: int, path: Path, on_limb: bool) -> AxisSettings:
     where = f"{path}: axis '{axis.name}'"
-    if axis.motion.kind == "file" and axis.motion.file is None and axis.joint.load == "imposed":
+    if axis.motion.kind == "file" and axis.motion.file is None and axis.joint.load != "held":
         raise UsageError(f'{where}: [axis.motion] kind = "file" without file; give a CSV with columns t, q_j')
     _check_tables(axis, where, on_limb)
     return msgspec.structs.replace(
