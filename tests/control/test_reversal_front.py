@@ -33,16 +33,6 @@ def test_named_shapes() -> None:
     assert (uniform.centre, joint.centre, motor.centre) == pytest.approx((0.5, 1.0, 0.0))
     assert sum(uniform.lengths(16)) == pytest.approx(1.0)
     assert (joint.lengths(16)[0], motor.lengths(16)[-1]) == pytest.approx((1.0, 1.0))
-    assert uniform.depth(0.5 * 0.5 * 0.5) == pytest.approx(0.5, abs=1e-3)
-    assert joint.depth(0.25) == pytest.approx(0.25)
-    assert motor.depth(0.0) == 1.0
-
-
-@pytest.mark.parametrize("p", [0.05, 0.3, 0.9])
-def test_depth_undoes_the_table(p: float) -> None:
-    front = Front(S_BENT, before=0.3)
-    stretch = float(np.interp(p, np.linspace(0.0, 1.0, len(front.table)), front.table))
-    assert front.depth(stretch) == pytest.approx(p, abs=1e-9)
 
 
 @pytest.mark.parametrize("at_joint", [False, True])

@@ -37,7 +37,7 @@ def test_the_example_is_valid() -> None:
         ("[[axis]]\nname='a'\n[axis.encoder]\nnode_id=1\n", "already"),
         ("[[axis]]\nname='a'\nactuator='gone.toml'\n", "no such file"),
         ("[[axis]]\nname='a'\n[axis.effects.stribek_friction]\n", "did you mean 'stribeck_friction'"),
-        ("[[axis]]\nname='a'\n[axis.tendon]\ncurvature=[[0.0,0.0],[0.5,0.2]]\n", "give points"),
+        ("[[axis]]\nname='a'\n[axis.tendon]\ncurvature=[[0.0,0.0],[0.5,0.2]]\n", "that never fall"),
         ("[[axis]]\nname='a'\n[[axis.fault]]\nname='torn'\n", "unknown fault"),
         (
             "[[axis]]\nname='a'\ndrive.absent=[0x6040]\n",

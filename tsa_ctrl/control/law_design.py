@@ -197,11 +197,6 @@ class Plan:
     give: float  # m of tendon per N*m of desired torque, at a moving joint; 0 with all bends at the joint
     notes: tuple[str, ...] = ()
 
-    @property
-    def horizon(self) -> float:
-        """Return the time by which a set-point must be known in advance, s."""
-        return max(self.turn + self.delay, self.lead)
-
 
 def plan_of(
     model: TendonSheath,

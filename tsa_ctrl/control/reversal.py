@@ -47,7 +47,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from operator import mul
 
 from tsa_ctrl.model.curvature import Points
@@ -80,16 +80,6 @@ class Front:
         each = _STEPS // contacts
         before = [contacts * (self.table[each * (i + 1)] - self.table[each * i]) for i in range(contacts)]
         return tuple(after - now for now, after in itertools.pairwise([0.0, *before, 1.0]))
-
-    def depth(self, stretch: float) -> float:
-        """Return p in [0, 1] for S(p) = `stretch`."""
-        table = self.table
-        if stretch >= table[-1]:
-            return 1.0
-        if stretch <= 0.0:
-            return 0.0
-        i = bisect_right(table, stretch) - 1
-        return (i + (stretch - table[i]) / (table[i + 1] - table[i])) / _STEPS
 
 
 def front_of(model: TendonSheath) -> Front:

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.plant.compiled import compiled
+from tsa_ctrl.plant.effects import tension_factor
 
 # This part builds the chain of a tendon: the meaning of its rows, and the contacts and springs of the sheath's bends.
 
@@ -125,7 +126,6 @@ def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> floa
 _ITERATIONS = 10  # plus one for every second contact: a slip front passes at least one contact per iteration
 _FINER, _MOST_PIECES = 8, 512  # refinement factor and most pieces of a movement whose modes were not found at once
 _TOLERANCE = 1e-6  # N, between a trial force and its bound; larger than the rounding error of RIGID times a place
-_MIN_TENSION = 0.05  # of the reference tension: lower bound in tension_dependent_friction
 
 
 Pair = tuple[float, float]  # values of tendon a (T1, T2) and of tendon b (T3, T4)
@@ -170,8 +170,7 @@ def prepare_chains(p: Any, pretensions: Pair, thetas: Pair, x: Pair, chains: Any
             chain[_PRELOAD, i] = rest * chain[_LENGTH_SHARE, i] + bend * chain[_BEND_SHARE, i]
         if p.tension_exponent != 0.0:
             for i in range(n):
-                ratio = 0.5 * (chain[_TENSION, i] + chain[_TENSION, i + 1]) / p.reference_tension
-                local = max(ratio, _MIN_TENSION) ** (-p.tension_exponent)
+                local = tension_factor(p, 0.5 * (chain[_TENSION, i] + chain[_TENSION, i + 1]))
                 chain[_GRIP, i] = math.tanh(0.5 * angle * local * chain[_BEND, i])
         elif angle != chain[_GRIP, n]:
             chain[_GRIP, n] = angle

@@ -10,20 +10,13 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import IntEnum
 
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type, is_restricted
 
 PRODUCES = 0x40000000  # bit 30 of 0x1005
 OWN_PERIOD = 10_000  # us, SYNC period of a node that produces SYNC at power-on
 _LATE = 1.5  # periods without a SYNC after which it is overdue
-
-
-class Heard(Enum):
-    """List the results of the check of a SYNC frame."""
-
-    GOOD = "good"
-    WRONG_LENGTH = "wrong length"
 
 
 def sync_entries(producer: bool) -> list[Entry]:
@@ -54,12 +47,12 @@ class SyncPort:
     def restore(self, now: float) -> None:
         self._last, self._due = None, now
 
-    def hear(self, data: bytes, now: float) -> Heard:
-        """Receive a SYNC, which must have one byte if a counter is configured, and otherwise none."""
+    def hear(self, data: bytes, now: float) -> bool:
+        """Receive a SYNC. Return False for a wrong length: it is 1 with a configured counter, and otherwise 0."""
         if (self._values.get((0x1019, 0), 0) != 0) != (len(data) == 1):
-            return Heard.WRONG_LENGTH
+            return False
         self._last = now
-        return Heard.GOOD
+        return True
 
     def closed(self, now: float) -> bool:
         """Return True if the window for synchronous PDOs after the last SYNC has closed."""

@@ -19,7 +19,6 @@ class AbortCode(IntEnum):
     """SDO abort codes of CiA 301."""
 
     TOGGLE_BIT = 0x05030000
-    TIMED_OUT = 0x05040000
     UNKNOWN_COMMAND = 0x05040001
     OUT_OF_MEMORY = 0x05040005
     WRITE_ONLY = 0x06010001
@@ -275,7 +274,7 @@ def _lines(dictionary: ObjectDictionary, file_name: str) -> Iterator[str]:
     yield from _list_of("OptionalObjects", optional)
     yield from _list_of("ManufacturerObjects", [index for index in entries if 0x2000 <= index < 0x6000])
     for index, members in entries.items():
-        yield from _object(dictionary, index, members)
+        yield from _object(index, members)
 
 
 def _device_info(dictionary: ObjectDictionary, entries: dict[int, list[Entry]]) -> Iterator[str]:
@@ -302,13 +301,13 @@ def _list_of(section: str, indices: list[int]) -> Iterator[str]:
     yield ""
 
 
-def _object(dictionary: ObjectDictionary, index: int, members: list[Entry]) -> Iterator[str]:
+def _object(index: int, members: list[Entry]) -> Iterator[str]:
     name = _name(index)
     yield f"[{index:04X}]"
     yield f"ParameterName={name}"
     if len(members) == 1 and members[0].sub == 0:
         yield f"ObjectType=0x{_VARIABLE:X}"
-        yield from _value(dictionary, members[0])
+        yield from _value(members[0])
         yield ""
         return
     yield f"ObjectType=0x{_ARRAY if index in _ARRAYS else _RECORD:X}"
@@ -318,11 +317,11 @@ def _object(dictionary: ObjectDictionary, index: int, members: list[Entry]) -> I
         yield f"[{index:04X}sub{entry.sub:X}]"
         yield f"ParameterName={'Highest sub-index supported' if entry.sub == 0 else f'{name} {entry.sub}'}"
         yield f"ObjectType=0x{_VARIABLE:X}"
-        yield from _value(dictionary, entry)
+        yield from _value(entry)
         yield ""
 
 
-def _value(dictionary: ObjectDictionary, entry: Entry) -> Iterator[str]:
+def _value(entry: Entry) -> Iterator[str]:
     yield f"DataType=0x{entry.type.number:04X}"
     yield f"AccessType={entry.access.value}"
     yield f"DefaultValue={_default(entry)}"

@@ -198,7 +198,7 @@ def friction_coefficient(s: Any, p: Any) -> float:
 
 @compiled
 def tension_factor(p: Any, tension: float) -> float:
-    """Return the factor on the friction angle at this tension (tension_dependent_friction)."""
+    """Return the factor on the friction angle at this tension in N (tension_dependent_friction)."""
     if p.tension_exponent == 0.0:
         return 1.0
     ratio = max(tension, _MIN_TENSION * p.reference_tension) / p.reference_tension

@@ -97,16 +97,16 @@ class Storage:
         for key, entry in dictionary.entries.items():
             if entry.access is Access.RW and isinstance(entry.default, int) and key not in _PASSING:
                 dictionary.stored[key] = dictionary.values[key]
-        self._forget_command(0x1010)
+        self._forget_commands()
 
     def _load(self, value: int) -> None:
         """Discard the saved parameters, so that the defaults apply from the next reset."""
         if value != LOAD:
             raise SdoAbort(AbortCode.CANNOT_STORE)
         self._dictionary.stored.clear()
-        self._forget_command(0x1011)
+        self._forget_commands()
 
-    def _forget_command(self, index: int) -> None:
+    def _forget_commands(self) -> None:
         for place in (0x1010, 0x1011):
             self._dictionary.stored.pop((place, 1), None)
 

@@ -26,11 +26,10 @@ from tsa_ctrl.plant.settings import PlantSettings
 # simulate the tendons. It is an independent implementation of rigid bodies and contact, so it does not repeat an error
 # of this project's single joint.
 
-# Steps of the axes per step of the limb. Between two limb steps, the tendon elongation changes by an angle that does
+# The limb has the same step h as the axes. Between two limb steps, the tendon elongation changes by an angle that does
 # not act on the limb yet. This damps or drives the joint by at most K h, with K = 62 N*m/rad at the joint of the demo
-# actuator. One step adds 6 mN*m*s/rad, as much as the implicit integration of a single joint. Five steps would add
-# 31 mN*m*s/rad, a third of the damping of a limb. A MuJoCo step of a leg takes 11 us.
-STEPS = 1
+# actuator. This step adds 6 mN*m*s/rad, as much as the implicit integration of a single joint. A step of five times the
+# length would add 31 mN*m*s/rad, a third of the damping of a limb. A MuJoCo step of a leg takes 11 us.
 
 
 class Limb:
@@ -60,7 +59,7 @@ class Limb:
             for name, i in zip(names, places, strict=True)
             if model.jnt_limited[i]
         }  # rad
-        self._step = STEPS * step
+        self._step = step
         self._count = 0
         model.opt.timestep = self._step
         # An unstable model must not be reset silently, because then its angles would not show the instability.

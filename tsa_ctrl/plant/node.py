@@ -19,7 +19,6 @@ from tsa_ctrl.plant.cia301 import (
     EmcyCode,
     ErrorLog,
     Guarding,
-    Heard,
     NmtCommand,
     NmtState,
     SyncPort,
@@ -292,9 +291,9 @@ class Node:
         self.dictionary.restore(0x2000, 0x9FFF)
         self.errors.clear()
         self.power_on()
-        self.resetcommunication_objects(now)
+        self.reset_communication(now)
 
-    def resetcommunication_objects(self, now: float) -> None:
+    def reset_communication(self, now: float) -> None:
         """Restore the power-on values of the communication objects; the boot-up message follows after its delay."""
         self.now = now
         self.sdo.reset()
@@ -359,7 +358,7 @@ class Node:
             self.boot(now)
         elif command == NmtCommand.RESET_COMMUNICATION:
             self._enter(NmtState.BOOT_UP)
-            self.resetcommunication_objects(now)
+            self.reset_communication(now)
         elif self.state is NmtState.BOOT_UP:
             return
         elif command == NmtCommand.START:
@@ -440,7 +439,7 @@ class Node:
     def _sync(self, data: bytes, now: float) -> None:
         if self.state not in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
             return
-        if self._sync_port.hear(data, now) is Heard.WRONG_LENGTH:
+        if not self._sync_port.hear(data, now):
             self.communication_error(EmcyCode.SYNC_LENGTH)
         elif self.state is NmtState.OPERATIONAL:
             self._synchronise(now)

@@ -11,7 +11,7 @@ from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.catalogue import check_effects
+from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.plant.identity import Quirks
 
 NodeId = Annotated[int, Meta(ge=1, le=127)]
@@ -310,17 +310,10 @@ def _check_tables(axis: AxisSettings, where: str, on_limb: bool) -> None:
             "choose a load that moves: free, spring, weight, limb, wearer"
         )
     if not isinstance(axis.tendon.curvature, str):
-        check_curvature(axis.tendon.curvature, f"{where}: [axis.tendon] curvature")
-
-
-def check_curvature(points: list[tuple[float, float]], where: str) -> None:
-    """Check a profile [fraction of length, fraction of bending] from [0, .] to [1, 1]; raises UsageError."""
-    rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))
-    if len(points) < 2 or not rising or points[0][0] != 0.0 or points[0][1] < 0.0 or points[-1] != (1.0, 1.0):
-        raise UsageError(
-            f"{where} = {[list(point) for point in points]}; give points [fraction of length, fraction of bending] "
-            "that never fall, from [0.0, ...] to [1.0, 1.0]"
-        )
+        points = [list(point) for point in axis.tendon.curvature]
+        profile = CATALOGUE["elongation_coupling"].parameter("curvature_profile")
+        if not profile.accepts(points):
+            raise UsageError(f'{where}: [axis.tendon] curvature = {points}; give "s_bent" or {profile.describe()}')
 
 
 def _check_unique(axes: list[AxisSettings], path: Path) -> None:
