@@ -27,38 +27,38 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     """
 
     # object dictionary
-    objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
-    absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
-    read_only: list[ObjectName] = []  # objects that cannot be written, "0x6007"
-    fixed_mapping: bool = False  # the PDO mapping cannot be written; it is the one that this controller requires
-    heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # entries of 0x1016
+    objects: dict[str, int] = {}  # other values at power-on, for example "0x6072:0" = 500
+    absent: list[int | ObjectName] = []  # objects that this drive lacks, for example 0x60A9 or "0x1400:5"
+    read_only: list[ObjectName] = []  # objects that cannot be written, for example "0x6007"
+    fixed_mapping: bool = False  # true: the PDO mapping is the one that this controller requires, and is read-only
+    heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # number of entries of 0x1016
     modes: tuple[ModeName, ...] = ("cst",)  # modes that 0x6502 reports and 0x6060 accepts
 
     # startup
-    boot_time: NonNegative = 0.0  # s from reset or power-on to the boot-up message
-    starts_itself: bool = False  # operational at once after the boot-up
-    emcy_at_boot: Code = 0  # error code of an EMCY right after the boot-up; 0: none
-    answer_time: NonNegative = 0.0  # s until a request by SDO is answered
-    node_id_unset: bool = False  # it has no node id until LSS gives it one
-    sync_producer: bool = False  # 0x1005 has bit 30 at power-on: it sends SYNC itself, every 10 ms
+    boot_time: NonNegative = 0.0  # time from reset or power-on to the boot-up message, s
+    starts_itself: bool = False  # true: the drive enters the state operational after the boot-up without a command
+    emcy_at_boot: Code = 0  # error code of an EMCY that follows the boot-up message; 0: no EMCY
+    answer_time: NonNegative = 0.0  # time from an SDO request to its response, s
+    node_id_unset: bool = False  # true: the drive has no node id until LSS assigns one
+    sync_producer: bool = False  # true: bit 30 of 0x1005 is set at power-on, and the drive sends a SYNC every 10 ms
 
     # watchdogs
-    watchdogs: bool = True  # false: it takes its time-outs, reports them, and does nothing else
-    watches_always: bool = False  # 0x6007 = 1 taken literally: a lost heartbeat is a fault, enabled or not
-    rpdo_timer_on_sync: bool = False  # the RPDO event timer is looked at only when a SYNC comes
-    node_guarding: bool = False  # no heartbeat, made or heard: 0x100C, 0x100D and remote frames instead
-    guarding_toggles: bool = True  # false: all answers to node guarding have one toggle bit
+    watchdogs: bool = True  # false: the drive accepts time-outs and reports when one expires, but keeps its torque
+    watches_always: bool = False  # true: with 0x6007 = 1, a lost heartbeat is a fault even if the drive is disabled
+    rpdo_timer_on_sync: bool = False  # true: the drive checks the RPDO event timer only at a SYNC
+    node_guarding: bool = False  # true: node guarding (0x100C, 0x100D, remote frames) replaces the heartbeat
+    guarding_toggles: bool = True  # false: the toggle bit of node guarding is constant
 
     # commands
-    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs of delay beyond the RPDO's transmission type
+    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # delay of a command in addition to the standard's, SYNCs
 
     # state machine
-    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 has the value of 0x6060; else 0
-    step_time: NonNegative = 0.0  # s, of each step on the way to operation enabled
-    statusword_bits: Code = 0  # of the maker's, always set: bits 8, 14, 15
-    reports_following: bool = True  # false: bit 12 is always low
-    safe_torque_off: bool = False  # the drive stays in switch on disabled and reports it by bit 4
-    warns_when_enabled: Code = 0  # error code of an EMCY at every enable, without a fault; 0: none
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 reports the mode, otherwise 0
+    step_time: NonNegative = 0.0  # least time between two transitions towards operation enabled, s
+    statusword_bits: Code = 0  # bits of the statusword that are always set, for example the maker's bits 8, 14 and 15
+    reports_following: bool = True  # false: bit 12 of the statusword is always 0
+    safe_torque_off: bool = False  # true: safe torque off is active; the drive stays in switch on disabled, bit 4 is 0
+    warns_when_enabled: Code = 0  # error code of an EMCY without a fault at every enable; 0: no EMCY
 
 
 SAVE = 0x65766173  # "save", least significant byte first
