@@ -188,12 +188,13 @@ def _peak(offset: float, components: Sequence[Component]) -> float:
     from its peak than M cos(w t).
     """
     most = abs(offset) + math.fsum(abs(c.amplitude) for c in components)
-    exact = [Fraction(repr(c.frequency)) for c in components]
-    periods = max(exact) * math.lcm(*(f.denominator for f in exact)) / math.gcd(*(f.numerator for f in exact))
-    per_period = int(min(_ENOUGH, _MOST_SAMPLES / periods))
+    fastest, exact = max(c.frequency for c in components), [Fraction(repr(c.frequency)) for c in components]
+    common = Fraction(math.lcm(*(f.denominator for f in exact)), math.gcd(*(f.numerator for f in exact)))  # s
+    periods = Fraction(repr(fastest)) * common
+    per_period = min(_ENOUGH, math.floor(_MOST_SAMPLES / periods))
     if per_period < _FEWEST:
         return most
-    t = np.arange(math.ceil(periods * per_period)) / (float(max(exact)) * per_period)
+    t = np.arange(math.ceil(periods * per_period)) / (fastest * per_period)
     values = offset + sum(c.amplitude * np.sin(2.0 * math.pi * c.frequency * t + c.phase) for c in components)
     return min(most, float(np.abs(values).max()) / math.cos(math.pi / per_period))
 

@@ -10,7 +10,7 @@ import heapq
 import itertools
 import random
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -106,9 +106,9 @@ class Changes:
     """Apply the changes of each value in the order of their start. The end of one leaves the others in force."""
 
     def __init__(self) -> None:
-        self._active: dict[tuple[int, Hashable], tuple[Any, list[Callable[[Any], Any]]]] = {}
+        self._active: dict[tuple[int, Any], tuple[Any, list[Callable[[Any], Any]]]] = {}
 
-    def begin(self, owner: Any, name: Hashable, change: Callable[[Any], Any]) -> Undo:
+    def begin(self, owner: Any, name: Any, change: Callable[[Any], Any]) -> Undo:
         """Change an attribute or an item of `owner` by the function `change`, and return the function that ends it."""
         place = id(owner), name
         before, changes = self._active.setdefault(place, (_value_of(owner, name), []))
@@ -133,9 +133,9 @@ class Changes:
         return end
 
 
-def _value_of(owner: Any, name: Hashable) -> Any:
+def _value_of(owner: Any, name: Any) -> Any:
     if isinstance(owner, np.ndarray):
-        return owner[name].item()  # type: ignore[call-overload]
+        return owner[name].item()
     return owner[name] if isinstance(owner, MutableMapping) else getattr(owner, str(name))
 
 
@@ -196,7 +196,7 @@ def nothing(now: float) -> None:
     """Do nothing, as the undo function of a fault that is a single event."""
 
 
-def swap(target: Target, owner: object, name: Hashable, value: Any) -> Undo:
+def swap(target: Target, owner: object, name: Any, value: Any) -> Undo:
     """Set an attribute or an item of `owner` and return the function that ends this change."""
     return target.rig.changes.begin(owner, name, lambda before: value)
 
