@@ -48,7 +48,7 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
     return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), target)
 
 
-def _datasets(logs: Logs) -> list[Dataset]:
+def _datasets(logs: Logs | Dataset) -> list[Dataset]:
     if isinstance(logs, Dataset):
         raise UsageError(f"diagnose: {logs.name} is a single Dataset; give a list of logs")
     if isinstance(logs, Mapping):
