@@ -7,6 +7,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
@@ -206,3 +207,27 @@ def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
         return half.high - half.low
 
     assert width(0.2 * float(np.std(first["tau_j"]))) == pytest.approx(width(0.0), rel=0.05)
+
+
+def drifting(seed: int, rate: float, phase: float, model: TendonSheath) -> Dataset:
+    """Return a log by (3.55) whose motor torque has noise with a correlation time of 0.06 s."""
+    rng, w = np.random.default_rng(seed), 2.0 * np.pi
+    t = np.arange(0.0, 40.0, 1.0 / rate)
+    omega, tau_m = 0.75 * np.cos(w * 0.2 * t + phase), 0.3 * np.sin(w * 0.07 * t + phase)
+    loop = 2.0 * model.pretension * np.sinh(model.friction_angle) * np.sign(omega)
+    tau_j = model.joint_pulley_radius * (tau_m / model.motor_pulley_radius * np.cosh(model.friction_angle) - loop)
+    kept = np.exp(-1.0 / (0.06 * rate))
+    noise = 0.06 * lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=t.size))
+    tau_j += 4e-3 * rng.normal(size=t.size)
+    return Dataset.from_arrays({"t": t, "tau_m": tau_m + noise, "omega_j": omega, "tau_j": tau_j}, f"{rate} Hz")
+
+
+def test_coloured_noise_biases_no_slope_of_logs_with_different_rates() -> None:
+    """The noise of the motor torque is correlated over a time, not over a number of samples."""
+    _, _, model = rig_and_model(1)
+    true = model.joint_pulley_radius / model.motor_pulley_radius * np.cosh(model.friction_angle)
+    slopes = [
+        calibrate([drifting(seed, 100.0, 0.0, model), drifting(seed + 6, 1000.0, 1.0, model)], model).slope
+        for seed in range(6)
+    ]
+    assert sum(slope.low < true < slope.high for slope in slopes) >= 5

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import fnmatch
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -208,6 +209,17 @@ class Dataset(Displayed):
         if not routing.alike:
             bent["theta_difference"] = 0.5 * (a - b)
         return dataclasses.replace(self, columns={**self.columns, **bent}, derived=self.derived | set(bent))
+
+    def resampled(self, rate: float) -> Dataset:
+        """Return this log at `rate` (Hz), interpolated linearly; a note states this, and columns are derived again."""
+        t = self.columns["t"]
+        times = t[0] + np.arange(math.floor(self.seconds * rate + UNIFORM) + 1) / rate
+        recorded = [name for name in self.columns if name not in self.derived]
+        columns = {name: np.interp(times, t, self.columns[name]) for name in recorded} | {"t": times}
+        made = Dataset.from_arrays(columns, self.name, cutoff=self.motion.cutoff)
+        note = f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz to suit the other logs"
+        same = {name: getattr(self, name) for name in ("sha256", "left_out", "jitter", "label")}
+        return dataclasses.replace(made, read=(*self.read, note), **same)
 
     @cached_property
     def _signals(self) -> Signals:

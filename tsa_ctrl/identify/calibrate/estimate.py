@@ -25,7 +25,7 @@ from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split, least_error, narrower
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, offsets, prepare, stack, varied
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
-from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
+from tsa_ctrl.identify.calibrate.regression import Estimate, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.calibrate.routing import bent_by, fit_routing
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
@@ -58,14 +58,14 @@ class JointFit:
 
 
 def joint_fit(
-    logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool, gain: float = 1.0
+    logs: list[PreparedLog], model: TendonSheath, lag: float, certified_gain: bool, gain: float = 1.0
 ) -> JointFit | None:
     """Return the joint fit by the Gauss-Newton method on the instrumented normal equations.
 
     The result is None if the data do not determine the parameters.
 
     Args:
-        lag: delay of the instrumental variables in samples.
+        lag: delay of the instrumental variables in s.
         certified_gain: True to keep the gain at its start value.
         gain: start value of the ratio of the true to the measured motor torque.
     """
@@ -78,7 +78,7 @@ def joint_fit(
     for _ in range(ITERATIONS):
         x = [_jacobian(log, model, p, log.signals.tau_m, own)[:, free] for log, own in zip(logs, zero, strict=True)]
         z = [
-            _jacobian(log, model, p, lagged(log.signals.tau_m, lag), own)[:, free]
+            _jacobian(log, model, p, log.instrument(lag), own)[:, free]
             for log, own in zip(logs, zero, strict=True)
         ]
         y = [
@@ -134,7 +134,7 @@ def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
 
 
 def by_slope(
-    logs: list[PreparedLog], model: TendonSheath, lag: int
+    logs: list[PreparedLog], model: TendonSheath, lag: float
 ) -> tuple[tuple[Quantity, Quantity], JointFit] | None:
     """Return x (1) and T_p (N) of one configuration from slope and friction torque, and their fit.
 
@@ -158,7 +158,7 @@ def by_slope(
 
 
 def _with_stiffness(
-    found: tuple[Quantity, Quantity], logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool
+    found: tuple[Quantity, Quantity], logs: list[PreparedLog], model: TendonSheath, lag: float, certified_gain: bool
 ) -> tuple[Quantity, Quantity]:
     """Return x and T_p with intervals that contain the uncertainty of the file's axial stiffness.
 
@@ -219,13 +219,13 @@ def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
     return log.tau_j - predict(model, log.signals) + predict(bare, log.signals)
 
 
-def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list[FloatArray]) -> Estimate:
+def _linear(logs: list[PreparedLog], model: TendonSheath, lag: float, weight: list[FloatArray]) -> Estimate:
     """Return the estimate of a, b and one c for each log in tau_J = a tau_M - b weight sigma + c."""
     x, z, y = [], [], []
     for log, w, offset in zip(logs, weight, offsets(logs), strict=True):
         rest = (-w * log.admission.direction, offset)
         x.append(np.column_stack([log.signals.tau_m, *rest]))
-        z.append(np.column_stack([lagged(log.signals.tau_m, lag), *rest]))
+        z.append(np.column_stack([log.instrument(lag), *rest]))
         y.append(_base_target(log, model))
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     if np.unique(labels).size < MIN_BLOCKS:
@@ -238,10 +238,10 @@ def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list
         ) from None
 
 
-def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
+def combinations(logs: list[PreparedLog], model: TendonSheath, lag: float) -> tuple[Quantity, Quantity]:
     """Return slope (1) and friction torque (N*m), which one configuration identifies.
 
-    `lag`: delay of the instrumental variables in samples.
+    `lag`: delay of the instrumental variables in s.
     """
     estimate = _linear(logs, model, lag, [np.ones(log.tau_j.size) for log in logs])
     slope = Quantity(float(estimate.value[0]), *estimate.interval(0), "1")
@@ -249,7 +249,7 @@ def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tupl
 
 
 def from_tensions(
-    logs: list[PreparedLog], model: TendonSheath, lag: int
+    logs: list[PreparedLog], model: TendonSheath, lag: float
 ) -> tuple[tuple[Quantity, Quantity], float] | None:
     """Return friction angle (1) and pretension (N) from the motor-side tensions T1 and T3, and the condition number.
 
@@ -429,7 +429,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     )
 
 
-def _combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
+def _combinations(logs: list[PreparedLog], model: TendonSheath, lag: float) -> tuple[Quantity, Quantity]:
     """Return `combinations` with the model's effects subtracted at the x and T_p that follow from the result.
 
     Effects may depend on x and T_p, so the result is found by iteration.

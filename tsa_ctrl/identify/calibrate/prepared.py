@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify import admit as admissible
-from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag
+from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag, lagged
 from tsa_ctrl.identify.dataset import Dataset, check_distinct, matches
 from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
@@ -158,6 +158,10 @@ class PreparedLog:
         """Return the mask (n,) of the admitted samples in the present set."""
         return self.admission.mask & self.chosen
 
+    def instrument(self, lag: float) -> FloatArray:
+        """Return the instrument (n) of the motor torque, N*m: its mean `lag` s earlier and later."""
+        return lagged(self.signals.tau_m, round(lag / self.signals.period))
+
     def restricted(self, chosen: NDArray[np.bool_]) -> PreparedLog:
         """Return the log with only the `chosen` samples in its set; effects with memory still use the whole motion."""
         return dataclasses.replace(self, chosen=self.chosen & chosen)
@@ -216,17 +220,18 @@ def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
     return theta.size > 0 and float(np.ptp(theta)) > VARIED_FRACTION * model.bending_angle
 
 
-def instrument_lag(logs: list[PreparedLog]) -> int:
-    """Return the lag in samples beyond which the noise of the motor torque is uncorrelated."""
-    residuals = []
+def instrument_lag(logs: list[PreparedLog]) -> float:
+    """Return the lag in s beyond which the noise of the motor torque is uncorrelated in every log."""
+    lags = []
     for log in logs:
         x = np.column_stack([log.signals.tau_m, log.admission.direction, np.ones(log.tau_j.size)])
         if log.signals.theta is not None:
             x = np.column_stack([x, x * (log.signals.theta - log.signals.theta.mean())[:, None]])
         b = np.linalg.lstsq(x[log.mask], log.tau_j[log.mask], rcond=None)[0]
-        residuals.append(np.where(log.mask, log.tau_j - x @ b, 0.0))
-    period = float(logs[0].signals.t[1] - logs[0].signals.t[0])
-    return choose_lag([log.signals.tau_m for log in logs], residuals, max(2, round(LAG_LIMIT / period)))
+        residual = np.where(log.mask, log.tau_j - x @ b, 0.0)
+        period = log.signals.period
+        lags.append(period * choose_lag(log.signals.tau_m, residual, max(2, round(LAG_LIMIT / period))))
+    return max(lags)
 
 
 def offsets(logs: list[PreparedLog]) -> list[FloatArray]:

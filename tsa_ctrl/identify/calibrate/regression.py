@@ -104,18 +104,15 @@ def lagged(signal: FloatArray, lag: int) -> FloatArray:
     return 0.5 * (before + after)
 
 
-def choose_lag(signals: list[FloatArray], residuals: list[FloatArray], limit: int) -> int:
-    """Return the shortest lag at which the fast part of all residuals is uncorrelated, in samples, at most `limit`.
+def choose_lag(signal: FloatArray, residual: FloatArray, limit: int) -> int:
+    """Return the shortest lag at which the fast part of the residual is uncorrelated, in samples, at most `limit`.
 
-    The fast part is the residual minus its moving mean over 4 `limit` samples. The lag of a log is shortened if its
-    signal would lose more than `MAX_LAG_LOSS` of its correlation at that lag.
+    The fast part is the residual minus its moving mean over 4 `limit` samples. The lag is shortened if the signal would
+    lose more than `MAX_LAG_LOSS` of its correlation at that lag.
     """
-    lag = 0
-    for signal, residual in zip(signals, residuals, strict=True):
-        own = _correlation_lag(residual, limit)
-        while own > 1 and _loss(signal, own) > MAX_LAG_LOSS:
-            own = own * 3 // 4
-        lag = max(lag, own)
+    lag = _correlation_lag(residual, limit)
+    while lag > 1 and _loss(signal, lag) > MAX_LAG_LOSS:
+        lag = lag * 3 // 4
     return lag
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, admit, instrument_lag, offsets, stack
-from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, block_labels, lagged, solve
+from tsa_ctrl.identify.calibrate.regression import Estimate, Prior, block_labels, solve
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
@@ -212,7 +212,7 @@ class _Problem:
                 x.append(np.column_stack([rows, own])[log.mask][:, free])
                 y.append((log.tau_j - level - own @ p[self.size :])[log.mask])
             if size > SETTLED:
-                lag = [self.derivatives(log, p, lagged(log.signals.tau_m, self.lag))[1] for log in logs]
+                lag = [self.derivatives(log, p, log.instrument(self.lag))[1] for log in logs]
                 pairs = zip(logs, lag, self.zero, strict=True)
                 instruments = np.concatenate([np.column_stack([z, own])[log.mask][:, free] for log, z, own in pairs])
             prior = Prior((self.start - p)[free], self.precision[free])

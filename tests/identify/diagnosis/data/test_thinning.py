@@ -97,3 +97,20 @@ def test_a_pattern_that_matches_no_log_is_told_as_before() -> None:
     logs = [log(f"a{number:02d}", 1.0) for number in range(40)]
     with pytest.raises(UsageError, match="'b\\*' matches no log"):
         diagnose(logs, RigidDrive(coulomb_friction=0.3), hold_out="b*")
+
+
+@pytest.mark.parametrize(("rates", "resampled"), [((1000, 1400), False), ((3000, 1000), False), ((100, 140), True)])
+def test_logs_of_two_loggers_are_averaged_over_equal_times(rates: tuple[int, int], resampled: bool) -> None:
+    """All logs share one noise model, in samples of the averages."""
+    logs = []
+    for rate in rates:
+        t = np.arange(10 * rate) / rate
+        columns = {"t": t, "tau_m": np.sin(2.0 * t), "q_m": np.sin(3.0 * t), "omega_m": 3.0 * np.cos(3.0 * t)}
+        logs.append(Dataset.from_arrays(columns, f"at {rate} Hz"))
+    runs = prepare.prepare(logs, RigidDrive(inertia=0.1))
+    assert runs[0].period == pytest.approx(runs[1].period, rel=0.05)
+    for run in runs:
+        times = run.average(run.signals.t)
+        np.testing.assert_allclose(run.average(run.target), np.sin(2.0 * times), atol=2e-3)
+    notes = " ".join(note for run in runs for note in run.raw.notes)
+    assert ("at 140 Hz: resampled by straight lines from 140 Hz to 100 Hz" in notes) is resampled

@@ -7,6 +7,7 @@ loses resolution: a pulse shorter than one average keeps its area.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -27,6 +28,7 @@ Logs = Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]
 COMPUTE_RATE = 500.0  # Hz, highest compute rate: it resolves the time of a reversal to 2 ms
 COMPUTE_SAMPLES = 90_000  # most compute samples of all logs together: three minutes at COMPUTE_RATE
 SCORE_RATE = 125.0  # Hz, approximate rate at which torques are compared
+SAME_RATE = 0.05  # largest relative difference of the score rates of two logs: it changes the noise model by as much
 SCORE_SAMPLES = 12_000  # most score samples of all logs: whitened columns of a thousand responses then fit into 100 MB
 
 
@@ -45,7 +47,7 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
     datasets = _datasets(logs)
     for log in datasets:
         _admit(log, model, target)
-    return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), target)
+    return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), model)
 
 
 def _datasets(logs: Logs | Dataset) -> list[Dataset]:
@@ -71,13 +73,38 @@ def _admit(log: Dataset, model: Model, target: str) -> None:
     admit(log, model, target)
 
 
-def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
+def _reduced(logs: Sequence[Dataset], model: Model) -> list[Run]:
+    """Return the runs of the logs, with score samples of one rate, because all logs share one noise model.
+
+    A log is resampled to a multiple of the lowest rate if no whole number of its samples has the duration of a score
+    sample within SAME_RATE.
+    """
     slowest = min(log.rate for log in logs)
     total = sum(log.seconds for log in logs)
     rate = min(slowest, COMPUTE_RATE, COMPUTE_SAMPLES / total)
     factor = max(1, round(slowest / rate)) if slowest / rate > 1.3 else 1
     bin_ = max(1, round(slowest / factor / min(SCORE_RATE, SCORE_SAMPLES / total)))
-    return [_run_of(log, log[target], factor * max(1, round(log.rate / slowest)), bin_) for log in logs]
+    runs = []
+    for log in logs:
+        samples = log.rate / slowest * factor * bin_  # of this log in a score sample
+        bins = _bins(samples, max(1, round(log.rate / slowest * factor)))
+        if bins is None:
+            multiple = math.floor(log.rate / slowest)
+            log, bins = log.resampled(multiple * slowest).completed_for(model), (multiple * factor, bin_)
+        runs.append(_run_of(log, log[model.target], *bins))
+    return runs
+
+
+def _bins(samples: float, most: int) -> tuple[int, int] | None:
+    """Return the numbers of samples per compute sample, at most `most`, and of compute samples per score sample.
+
+    Their product is `samples` within SAME_RATE; None if no such numbers exist.
+    """
+    for factor in range(most, 0, -1):
+        bin_ = max(1, round(samples / factor))
+        if abs(factor * bin_ / samples - 1.0) <= SAME_RATE:
+            return factor, bin_
+    return None
 
 
 def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
