@@ -217,7 +217,9 @@ class Dataset(Displayed):
         recorded = [name for name in self.columns if name not in self.derived]
         columns = {name: np.interp(times, t, self.columns[name]) for name in recorded} | {"t": times}
         made = Dataset.from_arrays(columns, self.name, cutoff=self.motion.cutoff)
-        note = f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz to suit the other logs"
+        note = (
+            f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz for the other logs"
+        )
         same = {name: getattr(self, name) for name in ("sha256", "left_out", "jitter", "label")}
         return dataclasses.replace(made, read=(*self.read, note), **same)
 

@@ -77,10 +77,7 @@ def joint_fit(
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     for _ in range(ITERATIONS):
         x = [_jacobian(log, model, p, log.signals.tau_m, own)[:, free] for log, own in zip(logs, zero, strict=True)]
-        z = [
-            _jacobian(log, model, p, log.instrument(lag), own)[:, free]
-            for log, own in zip(logs, zero, strict=True)
-        ]
+        z = [_jacobian(log, model, p, log.instrument(lag), own)[:, free] for log, own in zip(logs, zero, strict=True)]
         y = [
             log.tau_j - _response(log, model, p, log.signals.tau_m) - offset
             for log, offset in zip(logs, p[3:], strict=True)
