@@ -73,8 +73,8 @@ def test_the_columns_of_one_log_are_no_list_of_logs() -> None:
     for logs in (COLUMNS, ["x.csv"]):
         with pytest.raises(UsageError, match="not the columns of a log; give a mapping from column to array, several"):
             diagnose(logs, model)  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="is a single Dataset; give a list of logs"):
-        diagnose(tsa_ctrl.Dataset.from_arrays(COLUMNS), model)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="column tau_j is missing"):
+        diagnose(tsa_ctrl.Dataset.from_arrays(COLUMNS), model)
 
 
 def shown(result: Displayed) -> str:

@@ -99,8 +99,8 @@ class Dataset(Displayed):
         """
         if not hasattr(columns, "items"):
             raise UsageError(
-                f"{name}: is a {type(columns).__name__}, not columns of a log; give a mapping of columns to arrays, "
-                "several logs as a list or as a mapping from name to columns, and read a file with load_log"
+                f"{name}: is a {type(columns).__name__}, not the columns of a log; give a mapping from column to "
+                "array, several logs as a list or as a mapping from name to columns, and read a file with load_log"
             )
         arrays = {}
         for key, value in columns.items():
@@ -217,9 +217,7 @@ class Dataset(Displayed):
         recorded = [name for name in self.columns if name not in self.derived]
         columns = {name: np.interp(times, t, self.columns[name]) for name in recorded} | {"t": times}
         made = Dataset.from_arrays(columns, self.name, cutoff=self.motion.cutoff)
-        note = (
-            f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz for the other logs"
-        )
+        note = f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz for the other logs"
         same = {name: getattr(self, name) for name in ("sha256", "left_out", "jitter", "label")}
         return dataclasses.replace(made, read=(*self.read, note), **same)
 

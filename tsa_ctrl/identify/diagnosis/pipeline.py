@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.audit import audit
 from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
 from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
@@ -42,15 +43,15 @@ Progress = Callable[[str], None]
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # Values that are not finite are dropped or rejected.
 def diagnose(
-    logs: Logs, model: Model, *, hold_out: str | None = None, seed: int = 0, progress: Progress | None = None
+    logs: Logs | Dataset, model: Model, *, hold_out: str | None = None, seed: int = 0, progress: Progress | None = None
 ) -> Diagnosis:
     """Find and explain the errors of the simulation with `model` on these logs, and quantify the improvement.
 
     Logs without enough information lead to the verdict `insufficient`, not to an error.
 
     Args:
-        logs: datasets, or mappings from column name to an array of shape (n,), SI units. Several logs are a list, or a
-            mapping from name to columns.
+        logs: a list of datasets, or of mappings from column name to an array of shape (n,), SI units. A single dataset
+            and a mapping from name to columns are also accepted.
         model: the nominal model.
         hold_out: pattern of the names of the held-out logs, which are not used to find or fit causes. By default every
             third log by name is held out. With one or two logs, parts of each log are held out instead. Causes are then
@@ -66,7 +67,9 @@ def diagnose(
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # Libraries warn about values that are not finite.
-        return _diagnose(logs, model, hold_out, seed, progress or (lambda _: None))
+        return _diagnose(
+            [logs] if isinstance(logs, Dataset) else logs, model, hold_out, seed, progress or (lambda _: None)
+        )
 
 
 def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Progress) -> Diagnosis:

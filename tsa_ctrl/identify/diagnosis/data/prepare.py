@@ -50,9 +50,7 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
     return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), model)
 
 
-def _datasets(logs: Logs | Dataset) -> list[Dataset]:
-    if isinstance(logs, Dataset):
-        raise UsageError(f"diagnose: {logs.name} is a single Dataset; give a list of logs")
+def _datasets(logs: Logs) -> list[Dataset]:
     if isinstance(logs, Mapping):
         return [Dataset.from_arrays(columns, name) for name, columns in logs.items()]
     out = []
