@@ -86,7 +86,11 @@ class Serving:
     @property
     def worker(self) -> int:
         """Return the id of the process that answers requests. `process` is its supervisor."""
-        (child,) = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text("ascii").split()
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        end = time.monotonic() + PATIENCE
+        while not (listed := children.read_text("ascii").split()) and time.monotonic() < end:
+            time.sleep(0.01)  # a client can connect before this process exists
+        (child,) = listed
         return int(child)
 
     def end(self) -> str:

@@ -145,7 +145,7 @@ def test_an_error_keeps_the_result_so_far(tmp_path: Path, capsys: pytest.Capture
         main(["investigate", *given, "--speed", "0.001", "--seconds", "8", "--json"])
     told = capsys.readouterr()
     assert (ended.value.code, told.out) == (2, "")
-    assert "no set-point keeps the joint within its speed" in told.err
+    assert "no set-point keeps the joint within its limits of speed and travel" in told.err
     found = json.loads((tmp_path / "out/investigation.json").read_text(encoding="utf-8"))
     assert found["answer"] == "stopped"
     assert found["statement"] == f"stopped by an error: {told.err.strip().removeprefix('tsa: ')}"

@@ -177,7 +177,7 @@ def _on_a_spring(seed: int) -> dict[str, Array]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("measured", ["omega_j", "q_j"])
+@pytest.mark.parametrize("measured", ["omega_j", pytest.param("q_j", marks=pytest.mark.soak)])
 def test_a_lag_is_found_on_a_joint_that_sticks_most_of_the_time(measured: str) -> None:
     logs = {f"log {seed}": _on_a_spring(seed) for seed in (1, 2)}
     for columns in logs.values():
