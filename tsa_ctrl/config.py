@@ -425,7 +425,7 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     names = {other.name for other in file.axes}
     for name in bending.gains:
         if name not in names:
-            raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")
+            raise UsageError(f"{where}: bending.gains names axis '{name}'; available: {', '.join(sorted(names))}")
 
 
 def joint_ranges(axes: Iterable[AxisSettings]) -> dict[str, tuple[float, float]]:

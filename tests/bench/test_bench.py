@@ -198,7 +198,7 @@ def test_a_drive_that_is_not_the_configured_one_is_only_read(tmp_path: Path) -> 
         can.Notifier(other, [heard.append]),
     ):
         run = bench(tmp_path, *edits, ('"vcan0"', f'"{channel}"'))
-    assert "serial number is 0x00000005, required is 0x00000006" in str(run.exception)
+    assert "serial number is 0x00000005 but must be 0x00000006" in str(run.exception)
     sent = [message for message in heard if message.arbitration_id in (0x000, 0x080, 0x201, 0x601, 0x77F)]
     assert {message.arbitration_id for message in sent} == {0x601}
     assert {message.data[0] >> 5 for message in sent} <= {2, 3}  # SDO uploads

@@ -93,7 +93,7 @@ def test_a_sheath_that_is_straighter_has_less_of_both(slack: Run) -> None:
 @pytest.mark.parametrize(
     ("read", "words"),
     [
-        (lambda t, t1, t3: (math.nan, t3), "no value of t1; look at the load cell's line"),
+        (lambda t, t1, t3: (math.nan, t3), "no value of t1; check the load cell's serial connection"),
         (lambda t, t1, t3: (t1, math.nan if t > 3.0 else t3), "no value of t3"),
         (lambda t, t1, t3: (0.75 * TENSION if t > 2.0 else t1, t3), "T3 - T1 differs from the motor's torque"),
         (lambda t, t1, t3: (t1 + 2.0 * max(0.0, t - 1.0), t3), "T3 - T1 differs from the motor's torque"),

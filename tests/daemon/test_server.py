@@ -110,8 +110,8 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
     ("request_", "words"),
     [
         (Set("compensation", 0.5), "give the axis: knee.compensation, hip.compensation"),
-        (Set("toe.compensation", 0.5), "no axis 'toe'; known are knee, hip"),
-        (Set("knee.gain", 0.5), "no parameter 'gain'; known are compensation, pretension"),
+        (Set("toe.compensation", 0.5), "no axis 'toe'; available: knee, hip"),
+        (Set("knee.gain", 0.5), "no parameter 'gain'; available: compensation, pretension"),
         (Set("knee.compensatoin", 0.5), "did you mean 'compensation'"),
         (Set("knee.compensation", 1.3), "compensation 1.3 is out of bounds; allowed is 0 to 1.2$"),
         (Set("knee.compensation", -0.1), "out of bounds"),

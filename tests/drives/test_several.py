@@ -102,7 +102,7 @@ def test_exchanged_equal_drives_are_found(tmp_path: Path) -> None:
     right = [({"serial_number": 41}, {"serial_number": 41}), ({"serial_number": 42}, {"serial_number": 42})]
     assert not simulate_loop(*files(tmp_path, *right), 0.3).summary.failed
     wrong = [({"serial_number": 41}, {"serial_number": 42}), ({"serial_number": 42}, {"serial_number": 41})]
-    with refused("serial number is 0x0000002A, required is 0x00000029"):
+    with refused("serial number is 0x0000002A but must be 0x00000029"):
         simulate_loop(*files(tmp_path, *wrong), 0.3)
 
 

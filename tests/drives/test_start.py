@@ -79,7 +79,7 @@ def test_torque_stays_zero_until_the_mode_shows(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "mode_shows = 'enabled'")
     foreign.start(DriveProfile(mode_shows="enabled"))
     foreign.drive.faults.wrong_mode = 0
-    with pytest.raises(AssertionError, match="operation_enabled after 2 s, in mode 0, required is 10"):
+    with pytest.raises(AssertionError, match="operation_enabled after 2 s, in mode 0 instead of 10"):
         foreign.enable(0.3)
     assert {data[2:] for _, data in foreign.sent(RPDO)} == {bytes(2)}
 

@@ -19,7 +19,7 @@ AT_ONCE = 0.1  # s of bus time
 def stopped_at(foreign: Foreign, when: Callable[[str], bool], **drive: object) -> float:
     """Request a stop during bring-up, 20 ms after the stage that `when` selects.
 
-    Return the time (s) that bring-up needed to end.
+    Return the time (s) from the request until bring-up has ended.
     """
     asked = [float("inf")]
 

@@ -101,7 +101,7 @@ def test_hysteresis_is_dahls_loop() -> None:
 
 @pytest.mark.parametrize("memory", EVERY, ids=IDS)
 def test_cycle_by_cycle_it_is_the_same_as_over_the_log(memory: Memory) -> None:
-    """Other calls have no influence, and a cycle that accepts nothing lengthens the next step."""
+    """Other calls have no influence. A cycle that accepts no value adds its time to the next step."""
     t, x = course()
     rng = np.random.default_rng(2)
     kept = np.sort(rng.choice(len(t), 300, replace=False))

@@ -1,4 +1,4 @@
-"""A timer that runs while a condition holds, and runs back at a quarter of the speed while it does not."""
+"""Test the timer that counts up while a condition holds, and down at a quarter of the speed while it does not."""
 
 from __future__ import annotations
 

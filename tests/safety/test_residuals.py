@@ -187,7 +187,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found_as_its_torque_begins() -> Non
 
 
 def test_beyond_the_domain_one_tendon_gives_twice_as_much() -> None:
-    """The pretension is half of the file's. The part of the torque beyond it acts on half the stiffness."""
+    """The pretension is half of the file's value. The part of the torque beyond it acts on half the stiffness."""
     low = Give(stiffness=STIFFNESS, wound=0.0, domain=0.5, play=0.0)
     for domain, most in ((0.5, None), (5.0, 1.0)):
         check = Elongation(Give(low.stiffness, low.wound, domain, low.play), PERIOD)

@@ -36,7 +36,7 @@ CROSSED = {"knee": "hip", "ankle": "knee"}
 
 
 def files(folder: Path, rate: float, compensation: float = 1.0) -> tuple[Path, Path]:
-    """Write controller and plant. The controller's models have the gains."""
+    """Write the controller and plant files. The controller's models contain the routing gains."""
     paths = joints.files(folder, "imposed", {"kind": "constant"}, compensation=compensation)
     controller, plant = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in paths)
     (axis,), (machine,) = controller["axis"], plant["axis"]

@@ -1,6 +1,6 @@
 """Run the same files as processes on a vcan in real time, and in virtual time with the same wake-up times.
 
-Noise of torque and sensor is off, so that the runs differ in timing only. On a shared machine the loop wakes late,
+Torque noise and sensor noise are off, so that the runs differ in timing only. On a shared machine the loop wakes late,
 skips cycles and loses answers, and the daemon's log records this. The lockstep run wakes at the same times, and loses
 the answers of the same cycles.
 """

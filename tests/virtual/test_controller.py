@@ -128,7 +128,7 @@ def test_a_live_parameter_keeps_its_bounds(desk: Path) -> None:
     controller.set("compensation", 0.5)
     for name, value, words in (
         ("compensation", 9.0, "0 to 1.2"),
-        ("nonsense", 1.0, "known are"),
+        ("nonsense", 1.0, "available: "),
         ("pretension", 40.0, "kind = .fixed."),
     ):
         with pytest.raises(UsageError, match=words):

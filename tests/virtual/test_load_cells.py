@@ -138,7 +138,7 @@ def test_the_loop_follows_the_tensioner(tmp_path: Path, without: float) -> None:
 @pytest.mark.parametrize(
     ("cell", "words"),
     [
-        (silent, "no value of t3; look at the load cell's line"),
+        (silent, "no value of t3; check the load cell's serial connection"),
         (drifting, "check zero and gain of both load cells"),
     ],
 )

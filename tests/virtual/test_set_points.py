@@ -83,7 +83,7 @@ def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) 
 
 
 def test_a_value_is_in_the_command_of_the_next_cycle_at_the_latest(tmp_path: Path) -> None:
-    """The value comes at 20 moments of a period. Between SYNC and command it is in that command."""
+    """The value arrives at 20 moments of a period. A value between SYNC and command is in that command."""
     period, moments = 1e-3, [0.3 + n * (0.01 + 0.05e-3) for n in range(20)]
     files = write(
         tmp_path,

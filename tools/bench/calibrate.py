@@ -71,11 +71,11 @@ def report(everything: list[Row], seed: int) -> Iterator[Table | str]:
     for profile, kind in dict.fromkeys((row["profile"], row["kind"]) for row in rows):
         part = [row for row in rows if (row["profile"], row["kind"]) == (profile, kind)]
         known = QUANTITIES if kind in VARIED else QUANTITIES[:2]
-        cells = [covered(part, name) if name in known else "(not parted)" for name in QUANTITIES]
+        cells = [covered(part, name) if name in known else "(not separable)" for name in QUANTITIES]
         lines.append((profile, kind, len(part), *cells, f"{sum(row['split'] for row in part)}/{len(part)}"))
-    heads = ("curvature", "what varies", "n", "slope", "half loop torque", "friction angle", "pretension", "parted")
+    heads = ("curvature", "what varies", "n", "slope", "friction torque", "friction angle", "pretension", "separated")
     yield command.table(heads, lines)
-    yield f"{len(everything) - len(rows)} logs were refused" + "".join(f": {text}" for text in refused[:1])
+    yield f"{len(everything) - len(rows)} logs were rejected" + "".join(f": {text}" for text in refused[:1])
     yield f"slowest calibration: {max(row['seconds'] for row in rows):.2f} s"
 
 

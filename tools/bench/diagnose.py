@@ -203,7 +203,7 @@ def main() -> int:
         asked = [entry.partition(":") for entry in arguments.families]
         unknown = [family for family, _, _ in asked if family not in FULL]
         if unknown:
-            parser.error(f"unknown family {unknown[0]}; known are {', '.join(FULL)}")
+            parser.error(f"unknown family {unknown[0]}; available: {', '.join(FULL)}")
         counts = {family: int(count or counts.get(family, FULL[family])) for family, _, count in asked}
     name = "bench_diagnose_quick.jsonl" if arguments.quick else "bench_diagnose.jsonl"
     out = arguments.rows or command.ROOT / "out" / name

@@ -4,9 +4,9 @@ Usage: tools/run bench/leg [--only PART ...] [--json]
 
 The hip bends the knee's sheath (0.8 rad/rad, hip +-0.5 rad), with the demo's actuator at 500 Hz. The numbers are RMS
 errors of the knee's joint torque after 2 s, in mN*m unless the row has another unit. The goal of the first rows is 1.3
-times the error with a resting hip, or 6 mN*m more if this is larger. A runaway is measured by the highest speed of a
-free knee in the last second at set-point 0. The knee is pushed four seconds before the end, while the hip swings at
-1 Hz and the file has twice the true gain. --only selects parts.
+times the error with a resting hip, or that error plus 6 mN*m, whichever is larger. A runaway is measured by the highest
+speed of a free knee in the last second at set-point 0. The knee is pushed four seconds before the end, while the hip
+swings at 1 Hz and the file has twice the true gain. --only selects parts.
 """
 
 from __future__ import annotations

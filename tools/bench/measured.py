@@ -37,7 +37,7 @@ SETS = {  # davinci: only the trials at one frequency, because a diagnosis of al
     "davinci": ("*_0.3Hz.csv.gz", "actuator.toml"),
 }
 HALVES = "half against half"
-AND_ANOTHER = ", and another name"
+AND_ANOTHER = ", and another cause"
 FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
 

@@ -127,7 +127,7 @@ def main() -> int:
         command.print_table(("figure or table", "command"), [*rows, *tables.items()])
         return 0
     if unknown := [name for name in arguments.names if name not in figures and name not in tables]:
-        raise UsageError(f"no figure or table '{unknown[0]}'; known are {', '.join([*figures, *tables])}")
+        raise UsageError(f"no figure or table '{unknown[0]}'; available: {', '.join([*figures, *tables])}")
     quick = [name for name in figures if not figures[name]["run"].get("long")]
     names = arguments.names or ([*figures, *tables] if arguments.long else quick)
     failed = 0

@@ -46,7 +46,7 @@ def rewritten(text: str, sources: Mapping[str, Callable[[], str]], where: str) -
     def fill(found: re.Match[str]) -> str:
         name = found["name"]
         if name not in sources:
-            raise KeyError(f"{where}: no source for the part '{name}'; known are {', '.join(sources)}")
+            raise KeyError(f"{where}: no source for the part '{name}'; available: {', '.join(sources)}")
         return f"{found['begin']}{sources[name]().strip()}\n{found['end']}"
 
     return _PART.sub(fill, text)

@@ -54,7 +54,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """One CAN bus."""
 
     name: str = ""  # of one of several buses; an axis refers to it
-    interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or "datagram", or any interface of python-can
+    interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or "datagram", or any python-can interface
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s
     options: dict[str, str | int | float | bool] = {}  # further arguments of the python-can interface

@@ -64,7 +64,7 @@ def command(ctx: click.Context, topic: str | None) -> None:
     if verb is None:
         known = [*TOPICS, "faults", *causes, *group.list_commands(root)]
         near = difflib.get_close_matches(topic, known, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, faults, and every command"
+        advice = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(TOPICS)}, faults, and every command"
         raise UsageError(f"help: no page '{topic}'; {advice}")
     with click.Context(verb, info_name=topic, parent=root) as inner:
         click.echo(verb.get_help(inner))

@@ -99,7 +99,7 @@ def leg() -> tuple[dict[Path, str], dict[Path, str]]:
                         "pdo": '"lean"',
                     },
                     "axis.encoder": {"node_id": str(32 + place)},
-                    "axis.law": {"motor_inertia": "1e-4"},  # the plant's value, as in the data sheet of a motor
+                    "axis.law": {"motor_inertia": "1e-4"},  # equals the simulated motor's value
                     "axis.torque_sensor": {"node_id": str(64 + place)},
                     "axis.setpoint": {
                         "kind": '"file"',

@@ -120,7 +120,7 @@ def command(
         shutil.copyfile(own / MODEL, folder / MODEL)  # the last motion replaces it
 
     with interrupted_once(), shown(session.axis.name, session.socket) as (say, _):
-        # The angle of any other joint may bend the sheath.
+        # Motion of any other joint may bend the sheath.
         play = on_the_rig(partial(session.runner, all_axes=True), folder, session.path)
         try:
             found = investigate(play, session.model, bounds, most, seed, given, say, keep, seconds)

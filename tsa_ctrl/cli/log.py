@@ -84,10 +84,11 @@ def convert(log: str, out: Path) -> None:
 @click.option("--picture", type=click.Path(path_type=Path), help="PNG file for a picture of the trend.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> None:
-    """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are reported.
+    """Show friction torque, stiffness and zero of every log in FOLDER over time, and report changes.
 
-    The logs are of one axis. Half loop by the joint torque sensor or by the tendons' stretch; stiffness and zero by the
-    stretch, for which q_m and q_j are needed. A change is reported from six runs on.
+    Each log is one run. All logs must be of one axis. The friction torque is derived from the joint torque sensor or
+    from the tendon elongation. Stiffness and zero are derived from the elongation, which requires q_m and q_j. Changes
+    are reported if there are at least six runs.
     """
     from tsa_ctrl.identify.trend import ALARM
     from tsa_ctrl.identify.trend import trend as trend_of

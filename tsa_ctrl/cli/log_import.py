@@ -25,7 +25,7 @@ class Understood:
     table: ForeignTable
     mapped: list[Mapped]
     columns: dict[str, NDArray[np.float64]]
-    dropped: int  # omitted rows with a NaN, which leave holes in the log
+    dropped: int  # omitted rows with a NaN, which leave gaps in the log
 
     @property
     def left(self) -> list[str]:
@@ -134,7 +134,7 @@ def show(done: Understood) -> None:
         text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
     console.print(text, markup=False, highlight=False)
     if done.dropped:
-        console.print(f"note: {done.dropped} rows with a missing number are left out and become holes", markup=False)
+        console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps", markup=False)
     if done.table.ignored:
         console.print(f"note: {done.table.ignored} lines that are not table rows are ignored", markup=False)
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")

@@ -47,7 +47,7 @@ def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float]
 
 
 class Live:
-    """Torque and angle of one axis, from the daemon that currently answers at a socket."""
+    """Torque and angle of one axis, read from the daemon that currently answers on a socket."""
 
     def __init__(self, axis: str, path: str) -> None:
         self._axis = axis

@@ -93,7 +93,7 @@ class TensionEstimator:
             self._gap += self._period
             if self._gap > ABSENT:
                 missing = [name for name in ("t1", "t3") if not math.isfinite(getattr(seen, name))]
-                self._refuse(f"no value of {' and '.join(missing)}; look at the load cell's line")
+                self._refuse(f"no value of {' and '.join(missing)}; check the load cell's serial connection")
         angle, tension = self._target
         for_angle, for_tension = self._steps
         self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)

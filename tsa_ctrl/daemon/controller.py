@@ -148,7 +148,7 @@ class Controller:
         """
         names = [parameter.name for parameter in self._tuner.parameters]
         if name not in names:
-            raise UsageError(f"no parameter '{name}'; known are {', '.join(names)}")
+            raise UsageError(f"no parameter '{name}'; available: {', '.join(names)}")
         parameter = self._tuner.parameters[names.index(name)]
         if parameter.low is None or parameter.high is None:
             raise UsageError(f"'{name}' cannot be set on this axis: {parameter.doc}")

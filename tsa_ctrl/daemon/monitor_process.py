@@ -109,7 +109,7 @@ class RawCan:
 
 
 class LibraryCan:
-    """Any interface of python-can that has a descriptor. Raises OSError or can.CanError."""
+    """Any python-can interface that has a descriptor. Raises OSError or can.CanError."""
 
     def __init__(self, given: Given) -> None:
         import can  # slow to import

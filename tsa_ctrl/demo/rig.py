@@ -104,7 +104,7 @@ def from_file(path: Path, most_torque: float) -> Play:
 
 @dataclass(frozen=True)
 class BusChoice:
-    """An interface and channel of python-can, or virtual time; `name` is the text shown to the user."""
+    """A python-can interface and channel, or virtual time; `name` is the text shown to the user."""
 
     interface: str
     channel: str
@@ -171,7 +171,7 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the model's domain at the pretension below
 FADE_IN = 1.0  # s
-MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value; the data sheet of a real motor has its own
+MOTOR_INERTIA = 1e-4  # kg*m^2, the simulated motor's value; for a real motor, see its data sheet
 
 NOMINAL = TendonSheath(
     motor_pulley_radius=0.020,

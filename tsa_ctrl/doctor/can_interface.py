@@ -139,7 +139,7 @@ def judged(bus: Bus, seen: Mapping[int, int], settings: BusSettings, axes: Seque
     """Return the check of the frames that `listen` counted; it fails for a failed bus or another master."""
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
-        return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "repair wiring and power of the bus")
+        return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "repair the bus wiring or power supply")
     known = master_frames(settings.host_node_id) | {layout_of(axis.drive).rpdo_id for axis in axes}
     masters = [f"0x{can_id:03X}" for can_id in seen if can_id in known or 0x200 <= can_id < 0x280]
     if masters:

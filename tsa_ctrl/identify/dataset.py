@@ -268,7 +268,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
     The log needs t, tau_m and one velocity or angle; `Dataset.require` checks the other columns of a model. Late rows,
-    lost samples, duplicate times and holes are repaired and listed in `notes`. Only the longest piece between holes is
+    lost samples, duplicate times and gaps are repaired and listed in `notes`. Only the longest piece between gaps is
     returned.
 
     Args:
@@ -284,7 +284,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
 
 
 def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
-    """Read logs like `load_log`, but return every piece between holes; run.csv becomes run.csv#1, run.csv#2.
+    """Read logs like `load_log`, but return every piece between gaps; run.csv becomes run.csv#1, run.csv#2.
 
     Files of one name in different folders are named by their paths.
     """
@@ -306,7 +306,7 @@ def check_distinct(command: str, logs: Sequence[Dataset]) -> None:
     """
     seen: dict[tuple[str, float], str] = {}
     for log in logs:
-        piece = log.sha256, float(log.columns["t"][0])  # of one file, between its holes
+        piece = log.sha256, float(log.columns["t"][0])  # a piece of one file between two gaps
         if log.sha256 and piece in seen:
             raise UsageError(f"{command}: {seen[piece]} and {log.name} hold the same data; give each log once")
         seen[piece] = log.name
@@ -416,7 +416,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
 
 
 def _without_bursts(table: Table) -> Table:
-    """Return the table without bursts of rows that lack a number; the gaps then count as holes."""
+    """Return the table without bursts of rows that lack a number, so that each burst becomes a gap."""
     inputs = [values for name, values in table.columns.items() if is_input(name) and np.isfinite(values).any()]
     bad = ~np.logical_and.reduce([np.isfinite(values) for values in inputs]) if inputs else np.zeros(0, dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], bad, [0]])))

@@ -1,7 +1,7 @@
 """Detect a channel with a reversed sign, which makes the transmission of a log appear to create energy.
 
-While the tendons slide, the motor torque is the sum of the joint torque, stored and accelerating torques, and the
-friction, which always opposes the motion:
+While the tendons slide, the motor torque balances the joint torque, the friction, and the torques of springs, weight
+and inertia. Friction always opposes the motion:
 
     R tau_M = a tau_J + F sigma + k q + J domega/dt + c,    R = r_J / r_M,    a > 0,    F > 0
 

@@ -52,7 +52,7 @@ def change(
             return Command(index, RELEASE if release else number, value), {**answer, "before": before, "value": value}
     names = [known.name for known in ranges]
     near = difflib.get_close_matches(parameter, names, n=1)
-    advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
+    advice = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(names)}"
     raise UsageError(f"no parameter '{parameter}'; {advice}")
 
 
@@ -90,7 +90,7 @@ def axis_index(description: Description, name: str) -> int:
     try:
         return description.axes.index(name)
     except ValueError:
-        raise UsageError(f"no axis '{name}'; known are {', '.join(description.axes)}") from None
+        raise UsageError(f"no axis '{name}'; available: {', '.join(description.axes)}") from None
 
 
 def check_bounds(name: str, value: float, low: float, high: float, unit: str) -> None:

@@ -182,7 +182,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
             case ast.Name(id=name):
                 known = [*names, *constants, *FUNCTIONS, *REMEMBERING, INSIDE]
                 near = difflib.get_close_matches(name, known, n=1)
-                advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+                advice = f"did you mean '{near[0]}'?" if near else f"available: {', '.join(known)}"
                 raise UsageError(f"{where}: '{name}' is neither a signal nor a parameter; {advice}")
             case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _BINARY:
                 read(left, depth + 1, within)

@@ -285,7 +285,7 @@ class Machine:
             plant: settings of the machine.
             bus: the first bus.
             clock: returns the time, s.
-            switch: takes the interface with this name up (True) or down; raises OSError if that is not permitted.
+            switch: brings the interface with this name up (True) or down; raises OSError if that is not permitted.
             others: the other buses, if the plant has several.
         """
         self._switch = switch

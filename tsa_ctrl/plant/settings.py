@@ -29,10 +29,10 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """Define the bus of the nodes."""
 
     name: str = ""  # required with several buses; each axis refers to its bus by name
-    interface: str = "socketcan"  # or "datagram", or any interface of python-can
+    interface: str = "socketcan"  # or "datagram", or any python-can interface
     channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that need it
-    options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
+    options: dict[str, str | int | float | bool] = {}  # further arguments for the python-can interface
 
 
 class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

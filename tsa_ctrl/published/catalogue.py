@@ -101,7 +101,7 @@ def find(name: str) -> Published:
     if name not in SETS:
         near = difflib.get_close_matches(name, SETS, n=1)
         raise UsageError(
-            f"data: no set '{name}'; " + (f"did you mean '{near[0]}'?" if near else f"known are {', '.join(SETS)}")
+            f"data: no set '{name}'; " + (f"did you mean '{near[0]}'?" if near else f"available: {', '.join(SETS)}")
         )
     return SETS[name]
 

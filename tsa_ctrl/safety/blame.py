@@ -51,7 +51,7 @@ def not_enabled(image: Image, waited: float, in_mode: bool, following: bool, sho
     found = f"drive is in {state.value} after {waited:g} s"
     if not in_mode and (state is PowerState.OPERATION_ENABLED or not shows_late):
         late = "" if shows_late else f"; {_LATE}"
-        return f"{found}, in mode {image.mode}, required is 10 (cyclic torque){late}"
+        return f"{found}, in mode {image.mode} instead of 10 (cyclic torque){late}"
     if state is PowerState.OPERATION_ENABLED and not following:
         return (
             f"{found}, and bit 12 of statusword 0x{image.statusword:04X} is low: it says that it does not follow "

@@ -30,7 +30,7 @@ class Cause(Enum):
     )
     SECOND_MASTER = (
         "second master",
-        f"end the other program that commands this bus; the message has its identifier; {_BRING_UP}",
+        f"end the other program that commands this bus (the message contains its identifier); {_BRING_UP}",
         True,
     )
     ALTERED = (

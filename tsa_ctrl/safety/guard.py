@@ -33,7 +33,7 @@ class Buzz:
     """Detect a sustained oscillation of the motor on its tendons.
 
     The oscillation hardly moves the joint, so `passivity` does not detect it. The torque that the law adds to the
-    set-point's part must exceed the level in `BLOCKS` consecutive blocks. No single friction reversal lasts that long.
+    set-point must exceed the level in `BLOCKS` consecutive blocks. No single friction reversal lasts that long.
     Set-points in the same band are excluded, and so are reversals that follow the joint, for example a hand tremor.
 
     Attributes:

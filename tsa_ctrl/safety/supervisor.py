@@ -226,7 +226,7 @@ class Supervisor:
                 now,
             )
         elif image.mode != Mode.CYCLIC_SYNC_TORQUE:
-            self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode}, required is 10 (cyclic torque)", now)
+            self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode} instead of 10 (cyclic torque)", now)
         elif image.statusword & self._following_mask != self._following_mask:
             self._latch(Cause.COMMAND_IGNORED, f"bit 12 of statusword 0x{image.statusword:04X} is low", now)
 

@@ -57,7 +57,7 @@ class Bends:
     """The bends of a sheath.
 
     Attributes:
-        centre: centre s_c of the bending, 0 at the motor and 1 at the joint.
+        centre: position s_c of the centre of the bends, 0 at the motor and 1 at the joint.
         profile: curvature profile as in a model file.
     """
 

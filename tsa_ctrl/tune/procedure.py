@@ -58,7 +58,7 @@ FloatArray = NDArray[np.float64]
 
 NEEDED = frozenset({"q_m", "q_j", "omega_j", "tau_m"})
 LEAST_ROWS = 200  # least number of sliding samples, so that the interval is meaningful
-UNWOUND = 2.0  # times the joint travel that the file's friction takes up in a reversal; then the tendons surely slide
+UNWOUND = 2.0  # times the joint travel that the file's friction takes up in a reversal; then the tendons must slide
 NOISE_MEDIAN = 1.652  # 1, median magnitude of a second difference of noise over its standard deviation
 OWN = 5.0  # times its noise, least independent variation of the torque: noise then reduces the slope by 4 %
 WANTED = 0.002  # 1, largest half width of the interval over the ratio for which the ratio is corrected

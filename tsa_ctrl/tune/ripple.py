@@ -2,7 +2,7 @@
 
     tau_J - predicted = a A sin(N q_M + phi) + offset of the direction        a: slope of the model, by direction
 
-Every integer N of a range is fitted by least squares to the samples that surely slide. The best N is accepted if the
+Every integer N of a range is fitted by least squares to the samples with certain sliding. The best N is accepted if the
 wave that each half of the time blocks selects reduces the error of the other half. A run on the rig decides whether the
 wave is used. Source: `torque_ripple` in the catalogue.
 """
@@ -71,7 +71,7 @@ def with_torque_ripple(found: Estimate, logs: Sequence[Dataset]) -> Estimate | N
 
 @dataclasses.dataclass(frozen=True)
 class _Samples:
-    """The samples that surely slide, (n,) each.
+    """The samples during which the tendons certainly slide, (n,) each.
 
     Attributes:
         error: prediction error, N*m at the motor.

@@ -130,12 +130,12 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
         if not dot and len(axes) > 1:
             raise UsageError(f"'{name}': name the axis: {', '.join(f'{axis}.{name}' for axis in axes)}")
         if dot and axis not in axes:
-            raise UsageError(f"no axis '{axis}'; known are {', '.join(axes)}")
+            raise UsageError(f"no axis '{axis}'; available: {', '.join(axes)}")
         place = axes.index(axis) if dot else 0
         parameters = tuners[place].parameters
         number = next((n for n, parameter in enumerate(parameters) if parameter.name == name), None)
         if number is None:
-            raise UsageError(f"no parameter '{name}'; known are {', '.join(p.name for p in parameters)}")
+            raise UsageError(f"no parameter '{name}'; available: {', '.join(p.name for p in parameters)}")
         known = parameters[number]
         if known.low is None or known.high is None:
             raise UsageError(f"'{name}' cannot be set on this axis: {known.doc}")

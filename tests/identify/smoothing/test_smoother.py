@@ -74,7 +74,7 @@ def test_a_noisy_velocity_is_smoothed() -> None:
 
 
 def test_an_exact_velocity_stays_as_it_is() -> None:
-    """A trapezoid has corners up to half the sampling rate. Smoothing them gains nothing."""
+    """The corners of a trapezoid contain frequencies up to half the sampling rate. Smoothing them gains nothing."""
     t = np.arange(8000) / RATE
     velocity = np.clip(3.0 * np.sin(2.0 * t), -1.0, 1.0)
     found = smoothed(velocity, 1.0 / RATE, "velocity")

@@ -56,25 +56,26 @@ _UNSEEN = "an error that no measurement shows is bounded by the limits alone; ad
 # trials, the joints and the excess.
 _LATE = (
     "the motor torque exceeds the limit from the first period on, and only the drive's current limit bounds it; the "
-    "tendon elongation shows it once the torque changes by a thirtieth of its limit, at a constant torque only a joint "
-    "torque sensor shows it; until then a weight or a free joint accelerates; set the current limit and over_speed, "
-    "add an end stop"
+    "tendon elongation reveals it once the torque changes by a thirtieth of its limit; at a constant torque only a "
+    "joint torque sensor reveals it; until then a weight or a free joint accelerates; set the current limit and "
+    "over_speed, and add an end stop"
 )
 _SLACK = (
     "a slack tendon transmits no torque until it is wound up, and on a moving joint the elongation of a healthy tendon "
     "may be equally small, so it is not evaluated; add a spring or a switch at the tensioner, which detects it at once"
 )
 _BLIND = (
-    "the friction compensation is too large within the uncertainty of the elongation, during the observed half second; "
-    "mostly without a joint torque sensor, with which the guard reduces it; add a sensor or a counterweight"
+    "during the observed half second, the friction compensation may be too large by the uncertainty of the elongation; "
+    "most of these joints have no joint torque sensor, which would let the guard reduce it; add a sensor or a "
+    "counterweight"
 )
 _MORE = (
-    "without a joint torque sensor, a motor with 40 % more torque cannot be distinguished from another torque "
-    "constant; add a sensor, or test with a weight on the joint during commissioning"
+    "without a joint torque sensor, a motor with 40 % more torque cannot be distinguished from one with a "
+    "different torque constant; add a sensor, or test with a weight on the joint during commissioning"
 )
 _FALLS = (
     "if the tendon tears while the torque reverses, a weight falls and the other tendon pulls in the same direction "
-    "until over-speed ends the torque; add an end stop or a counterweight, reduce [axis.limits] joint_speed"
+    "until over-speed ends the torque; add an end stop or a counterweight, and reduce [axis.limits] joint_speed"
 )
 _PULLED = (
     "the remaining tendon pulls a joint without a torque sensor by its pretension, slower than over-speed, and motor "
@@ -82,11 +83,11 @@ _PULLED = (
 )
 _DRIFT = (
     "a free joint that receives only a part of a sine's torque drifts, slower than over-speed; set [axis.limits] "
-    "travel, add an end stop"
+    "travel and add an end stop"
 )
 _LOOSE = (
     "a joint that friction held below its desired torque starts to move, because the friction term changes sign with "
-    "the noise; check the encoder with tsa doctor, set [axis.limits] travel"
+    "the noise; check the encoder with tsa doctor and set [axis.limits] travel"
 )
 
 HAZARDS: tuple[Hazard, ...] = (

@@ -296,7 +296,7 @@ def _check_device_type(session: Session, node: Node, found: int) -> None:
             return
         found = ours
     raise BusError(
-        f"{node.name}: device type is 0x{found:08X}, required is CiA {expected.value} "
+        f"{node.name}: device type is 0x{found:08X} but must be CiA {expected.value} "
         f"(low word 0x{expected.value:04X}); this node id belongs to another device: correct node_id"
     )
 
@@ -310,7 +310,7 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
             entry.name, "serial_number"
         )
         raise BusError(
-            f"{node.name}: {entry.name} is {shown}, required is {wanted}; "
+            f"{node.name}: {entry.name} is {shown} but must be {wanted}; "
             f"this is not the configured device: correct node_id, {key} or profile"
         )
 
@@ -467,7 +467,7 @@ def confirm_mode(session: Session, node: Node, now: str) -> None:
         found = node.read(session, objects.MODE_DISPLAY)
         later = '"enabled"' if when == "operational" else '"operational" or "enabled"'
         raise BusError(
-            f"{node.name}: mode of operation display (0x6061) is {found}, required is 10 (cyclic synchronous torque) "
+            f"{node.name}: mode of operation display (0x6061) is {found} but must be 10 (cyclic synchronous torque) "
             f"within {_MODE_TIMEOUT:g} s of being {now}; if this drive shows its mode later, write mode_shows = "
             f"{later} in {node.profile_file}; otherwise set up its motor and sensors for torque with the maker's tool"
         )

@@ -40,7 +40,7 @@ _ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which has 
 def drive_plan(
     nodes: AxisNodes, profile: DriveProfile, scale: DriveScale, settings: BusSettings, period: float
 ) -> list[Write]:
-    """Return the writes of a drive at a SYNC period in s; raise UsageError if the settings contradict each other."""
+    """Return the SDO writes that configure a drive for a SYNC period, s; reject contradictory settings."""
     drive = nodes.drive
     where = f"axis '{nodes.name}'"
     _check_timeouts(drive, settings, period, where)
@@ -160,12 +160,12 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
 
 
 def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:
-    """Return the writes of a joint encoder at a SYNC period in s."""
+    """Return the SDO writes that configure a joint encoder for a SYNC period, s."""
     return _sensor_plan(encoder, pdo.ENCODER, period)
 
 
 def torque_sensor_plan(sensor: TorqueSensorSettings, period: float) -> list[Write]:
-    """Return the writes of a torque sensor at a SYNC period in s."""
+    """Return the SDO writes that configure a torque sensor for a SYNC period, s."""
     return _sensor_plan(sensor, torque_sensor_pdo(sensor), period)
 
 

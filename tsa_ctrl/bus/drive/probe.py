@@ -397,7 +397,7 @@ def _for_the_controller(found: Probe) -> Iterator[str]:
         unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
         yield f"#   rated_torque = {rated * unit:g}  # N*m, if the unit above is right"
     elif current is not None:
-        yield f"#   rated_torque = ...  # N*m: torque constant times the rated current, {current * 1e-3:g} A by 0x6075"
+        yield f"#   rated_torque = ...  # N*m: torque constant times rated current, {current * 1e-3:g} A from 0x6075"
     increments, turns = found.get(objects.ENCODER_INCREMENTS), found.get(objects.ENCODER_REVOLUTIONS)
     if increments and turns:
         yield f"#   counts_per_revolution = {increments // turns}  # 0x608F"

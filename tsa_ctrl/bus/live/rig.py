@@ -24,7 +24,7 @@ from tsa_ctrl.bus.wire.bus import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorC
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Lead
 
-_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood that mixes old and new answers
+_MAX_WAITING = 512  # most frames read before a SYNC; in a larger flood, old and new answers cannot be distinguished
 _OTHERS = 16  # emergencies and heartbeats that may arrive between the answers
 _MISJUDGED = 8  # consecutive cycles in which another answer than expected was the last
 _ABANDONED = 10  # consecutive misses after which a cycle no longer waits for a node

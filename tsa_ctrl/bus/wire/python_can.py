@@ -1,4 +1,4 @@
-"""Any bus of python-can (virtual, udp_multicast, slcan, ...) as a `Bus`, for adapters without SocketCAN support."""
+"""Use any python-can bus (virtual, udp_multicast, slcan, ...) as a `Bus`, for adapters without SocketCAN support."""
 
 from __future__ import annotations
 

@@ -425,7 +425,7 @@ const source = new EventSource(`events?token=${encodeURIComponent(token)}`);
 source.onmessage = (event) => { incoming.push({ status: JSON.parse(event.data) }); };
 source.addEventListener("sample", (event) => { incoming.push({ sample: JSON.parse(event.data) }); });
 source.onerror = () => { incoming.push({ status: { error: "the server of this page does not answer; start `tsa dashboard` again. To stop: emergency stop, or tsa stop" } }); };
-setInterval(() => { // what came since the last drawing
+setInterval(() => { // draws the messages received since the last call
   let news = null;
   let measured = false;
   for (const { status, sample } of incoming.splice(0)) {

@@ -130,7 +130,7 @@ def _correlation_lag(residual: FloatArray, limit: int) -> int:
 
 
 def _loss(signal: FloatArray, lag: int) -> float:
-    """Return the share of its autocorrelation that a signal loses at a lag, after its noise is averaged."""
+    """Return 1 minus the autocorrelation of a signal at a lag, after a moving average has reduced its noise."""
     if 4 * lag >= signal.size:
         return 1.0
     from scipy.ndimage import uniform_filter1d  # slow to import

@@ -58,7 +58,7 @@ def test_a_recalibration_that_is_better_is_shipped() -> None:
 
 
 def test_a_mean_that_is_right_by_chance_is_no_baseline() -> None:
-    """The mean of four loads equals the fifth load. With the roles exchanged, the error is the spread of the loads."""
+    """The mean of four loads equals the fifth load. If the four are held out, the error is the spread of the loads."""
     rng = np.random.default_rng(1)
     loads = np.repeat([-2.0, -1.0, 1.0, 2.0, 0.0], 200)
     target = loads + 0.1 * rng.standard_normal(len(loads))

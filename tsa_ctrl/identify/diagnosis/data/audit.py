@@ -1,4 +1,4 @@
-"""Audit the logs before anything is fitted: suspicions, occupancy, and whether they excite the drive sufficiently."""
+"""Audit the logs before any fit: suspicious signals, covered speeds and torques, and excitation of the drive."""
 
 from __future__ import annotations
 

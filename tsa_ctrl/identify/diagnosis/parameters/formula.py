@@ -61,7 +61,8 @@ FINE = 1.06  # ratio of two frequencies: within half of it, oscillations with a 
 # Damping ratios: steel on a soft mount up to hardly any overshoot; values in between are found by refinement
 DAMPINGS = (0.03, 0.1, 0.3)
 FEWEST = 4.0  # score samples in a period of an oscillation
-# Shares of the RMS torque for a hysteresis: a wider one is a straight line, a narrower one a dead zone
+# Least and greatest hysteresis, as shares of the RMS torque, and their number. A wider hysteresis is indistinguishable
+# from a straight line, and a narrower one from a dead zone
 WIDTHS = (0.05, 1.6, 6)
 # Least share of a column's square that remains after projection on the others: with less, the column duplicates them
 TWINS = 1e-6

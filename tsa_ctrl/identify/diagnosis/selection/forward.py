@@ -223,7 +223,7 @@ def _under_new_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tup
     backlash closes, so the fitted backlash may be off by some samples. A moment that follows this backlash then no
     longer covers the reversal.
     """
-    for _ in range(2):  # A delay moves the moments of unknown direction, which bias the delay.
+    for _ in range(2):  # A delay shifts the moments of unknown direction, and these moments bias the delay.
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
         moved = dataclasses.replace(problem, nuisance=columns)
         refitted = fit(moved, fitted.hypothesis, fitted.point)

@@ -23,7 +23,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 # eight ninths of its square. Its parameter would then depend on the difference of two uncertain values.
 MOST_PART = 3.0
 FAR = 10.0  # distance to the rest angle in half ranges of the motion: at this distance a spring's torque varies by 10 %
-# Share of the range between two bounds: a coordinate that a bound holds lies on it, except for rounding
+# Distance to a bound, as a share of the range, below which the bound is active; rounding causes smaller distances
 AT_BOUND = 1e-6
 # Decrease of the sum of squares (white units) that noise alone can cause: 3.7 standard deviations, exceeded in one test
 # of 5,000
