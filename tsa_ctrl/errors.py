@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class TsaError(Exception):
     """The base of all errors that are reported to the user. `exit_code` is the exit code of the command line."""
@@ -31,3 +33,11 @@ class BusError(TsaError):
 
 class LeaseLostError(BusError):
     """This client no longer controls the set-point. The message has the reason."""
+
+
+def rounded_down(value: float, digits: int) -> str:
+    """Return an upper limit from 0 on with `digits` significant digits, rounded down so that the text is permitted."""
+    if value <= 0.0:
+        return "0"
+    unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    return f"{math.floor(value / unit + 1e-9) * unit:.{digits}g}"

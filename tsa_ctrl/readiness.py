@@ -20,7 +20,7 @@ from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.config import MARGIN, AxisSettings, Configuration
 from tsa_ctrl.control.law_design import reversal_speed
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import UsageError, rounded_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import NODES, NodeIdentity
 from tsa_ctrl.safety.bounds import WORN_FACTOR, Loose, Shipped, loose_bounds
@@ -144,8 +144,8 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
         for key, most in derived.items():
             if getattr(limits, key) > most * (1.0 + 1e-9):
                 yield (
-                    f"limits.{key} {getattr(limits, key):g} rad/s is above {most:.4g} rad/s, which follows from "
-                    "wearer_speed (leave it out, or lower it)"
+                    f"limits.{key} {getattr(limits, key):g} rad/s is above {rounded_down(most, 4)} rad/s, which follows "
+                    "from wearer_speed (leave it out, or lower it)"
                 )
     if axis.drive.pdo == "lean":
         yield 'the comparison of 0x606C with 0x6064 (remove pdo = "lean"; lower the rate if the bit rate then needs it)'

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.control.damping import FORGET
 from tsa_ctrl.control.reversal import Front, Turn, front_of
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import UsageError, rounded_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.safety.limiter import LimiterSettings
@@ -357,6 +357,6 @@ def _damping(
         raise UsageError(
             f"{where}: law.damping {wanted:g} N*m*s/rad has a gain margin of {margin:.2g} at a delay of "
             f"{1e3 * delay:.1f} ms and a ringing of {ringing / (2.0 * math.pi):.0f} Hz; allowed is {LEAST:g}: give at "
-            f"most {gain:.2g}, or leave it out"
+            f"most {rounded_down(gain, 2)}, or leave it out"
         )
     return wanted, margin

@@ -129,6 +129,7 @@ def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> 
         ("DataType=0x0006", "DataType=0x0007", r"section \[6072\]: DataType is 0x0007, .* has 0x0006 \(u16\)"),
         ("AccessType=rw", "AccessType=const\nDefaultValue=500", r"\[6072\]: .* is 'const' with 500, but must be 1000"),
         ("HighLimit=3000", "HighLimit=500", r"section \[6072\]: .* must be 1000, but the EDS allows 0 to 500"),
+        ("LowLimit=0\nHighLimit=3000", "HighLimit=500", r"must be 1000, but the EDS allows at most 500"),
     ],
 )
 def test_plan_that_contradicts_the_eds_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

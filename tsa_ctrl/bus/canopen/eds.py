@@ -232,8 +232,11 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
         if low is not None and high is not None and low > high:
             continue  # an empty range is not a limit
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):
+            allowed = (
+                f"{low} to {high}" if None not in (low, high) else f"at most {high}" if low is None else f"from {low}"
+            )
             raise UsageError(
-                f"{path}: section {section}: {entry} must be {write.value}, but the EDS allows {low} to {high}; "
+                f"{path}: section {section}: {entry} must be {write.value}, but the EDS allows {allowed}; "
                 "correct the setting that determines it"
             )
     return list(notes)
