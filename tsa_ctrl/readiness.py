@@ -144,8 +144,8 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
         for key, most in derived.items():
             if getattr(limits, key) > most * (1.0 + 1e-9):
                 yield (
-                    f"limits.{key} {getattr(limits, key):g} rad/s is above {rounded_down(most, 4)} rad/s, which follows "
-                    "from wearer_speed (leave it out, or lower it)"
+                    f"limits.{key} {getattr(limits, key):g} rad/s is above {rounded_down(most, 4)} rad/s, which "
+                    "follows from wearer_speed (leave it out, or lower it)"
                 )
     if axis.drive.pdo == "lean":
         yield 'the comparison of 0x606C with 0x6064 (remove pdo = "lean"; lower the rate if the bit rate then needs it)'
