@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -10,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from tests.virtual.files import controller, plant, write
+from tsa_ctrl.cli import main
 
 HEAVY = {"matplotlib", "duckdb", "jinja2", "scipy.linalg", "scipy.optimize", "scipy.signal", "pandas", "polars"}
+CONFIG = Path(__file__).resolve().parents[2] / "config"
 TSA = [sys.executable, "-X", "importtime", "-m", "tsa_ctrl"]
 
 
@@ -49,3 +52,10 @@ def test_a_daemon_that_plays_a_file_loads_none_of_them(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
     assert "tsa_ctrl.daemon.loop" in imported(done.stderr)
     assert not imported(done.stderr) & HEAVY
+
+
+def test_a_check_from_python_leaves_the_diagnosis_usable() -> None:
+    with pytest.raises(SystemExit) as done:
+        main(["run", str(CONFIG / "controller.toml"), "--check"])
+    assert done.value.code == 0
+    assert importlib.import_module("scipy.linalg").expm is not None

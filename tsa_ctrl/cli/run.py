@@ -132,10 +132,12 @@ def _checked(configuration: Configuration) -> str:
 
 
 def leave_out() -> None:
-    """Exclude scipy.linalg and the threads of OpenBLAS from this process; call this before numpy is imported.
+    """Exclude scipy.linalg and the threads of OpenBLAS from this process, unless it already uses numpy.
 
     numba imports scipy.linalg for matrix products in compiled functions, but the daemon's functions have none. The
     largest matrix of the daemon has a dozen rows, for which a single thread is sufficient.
     """
+    if "numpy" in sys.modules:  # called from Python, where a later diagnosis needs scipy.linalg
+        return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # makes an import of this module fail
