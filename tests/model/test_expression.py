@@ -59,6 +59,7 @@ def test_a_formula_has_its_value(text: str, value: float) -> None:
         ("dahl(tau, 0)", "w = 0; allowed"),
         ("lag(tau, omega_j)", "T is not a constant"),
         ("inside(q_j, 1, 0)", "two constants, low < high"),
+        ("inside(q_j, 0, 1e999)", "two constants, low < high"),
         ("inside(q_j, tau, 2)", "two constants"),
         ("inside(q_j, 1)", "two constants"),
         ("lag(tau, True)", "T is not a constant"),

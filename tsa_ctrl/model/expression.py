@@ -235,7 +235,7 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
 def _range(given: Sequence[ast.expr], constants: Mapping[str, float], where: str) -> tuple[float, float]:
     """Return the two ends of inside(x, low, high); raises UsageError."""
     ends = [_constant(node, constants) for node in given]
-    if len(ends) != 2 or ends[0] is None or ends[1] is None or not ends[0] < ends[1]:
+    if len(ends) != 2 or ends[0] is None or ends[1] is None or not -math.inf < ends[0] < ends[1] < math.inf:
         raise UsageError(f"{where}: write {INSIDE}(x, low, high) with two constants, low < high")
     return ends[0], ends[1]
 
