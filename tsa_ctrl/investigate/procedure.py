@@ -192,12 +192,14 @@ class _Investigator:
             if self._motions >= self._most:
                 more = f"not separated in {self._most} motions; allow more with --most"
                 return self._ended(Answer.STOPPED, f"{_group(predictable)}: {more}")
-            found = self._separating(predictable)
+            found = self._separating_motion(predictable)
             if isinstance(found, Experiment):
                 return found
             why = f"no motion on this rig separates them; {found}"
         left = unexplained_while_sliding(result)
-        needed = OUTSIDE if left or result.verdict is Verdict.INSUFFICIENT else 0 if predictable else LEAST_MOTIONS
+        needed = 0 if predictable else LEAST_MOTIONS
+        if left or result.verdict is Verdict.INSUFFICIENT:
+            needed = OUTSIDE
         if self._motions < min(needed, self._most):
             return self._designer(result).best([])
         named = " and ".join(" or ".join((cause.effect, *cause.alternatives)) for cause in result.causes)
@@ -205,8 +207,7 @@ class _Investigator:
             return self._ended(Answer.INSUFFICIENT, result.sentence.rstrip("."))
         if left:
             beside = f"in addition to {named}, " if named else ""
-            text = f"{beside}an effect outside the catalogue acts: {result.unexplained}"
-            return self._ended(Answer.OUTSIDE, text)
+            return self._ended(Answer.OUTSIDE, f"{beside}an effect outside the catalogue acts: {result.unexplained}")
         if pairs:
             return self._ended(Answer.GROUP, f"{_group(predictable or pairs)}: {why}")
         if named:
@@ -214,7 +215,7 @@ class _Investigator:
         beside = "; the remaining error lies in reversals" if result.verdict is Verdict.UNEXPLAINED else ""
         return self._ended(Answer.NONE, f"the recalibrated model leaves only noise while the joint slides{beside}")
 
-    def _separating(self, pairs: Sequence[Pair]) -> Experiment | str:
+    def _separating_motion(self, pairs: Sequence[Pair]) -> Experiment | str:
         """Return the motion that separates the hypotheses, or the reason why no motion does."""
         untried = [pair for pair in pairs if self._attempts.get(frozenset(pair.names), 0) < ATTEMPTS]
         if not untried:

@@ -177,7 +177,7 @@ class RigRunner:
             raise TrippedError(name, str(summary["cause"]))
         nodes = nodes_from(summary["joints"].get(self._axis.name, {}))
         self.origin = Origin("simulated" if summary["simulated"] else "measured", nodes)
-        log = _named(self._folder / str(summary["log"]), self._folder / f"{name}.mcap")
+        log = _renamed(self._folder / str(summary["log"]), self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
 
     def motion_of(self, name: str, axis: str) -> Dataset:
@@ -261,7 +261,7 @@ class RigRunner:
             limits["travel"] = list(self._bounds.travel)
 
 
-def _named(written: Path, log: Path) -> Path:
+def _renamed(written: Path, log: Path) -> Path:
     """Rename a log and its summary, and return the log; the summary names the log without its folder."""
     written.rename(log)
     summary = written.with_suffix(".json")

@@ -332,7 +332,7 @@ class Run:
         first, *others = [wire.plant for wire in theirs]
         self.machine = Machine(plant, first, self._wire.plant.clock, self._wire.switch, others)
         self._wire.attach(self.machine)
-        with contextlib.ExitStack() as opened:  # closes what is open if the rest of the run cannot be built
+        with contextlib.ExitStack() as opened:  # closes truth, records and mailbox if the constructor fails
             self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
             opened.callback(self._truth.close)
             self.machine.recorder = self._truth

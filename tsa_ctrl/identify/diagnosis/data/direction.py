@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +29,19 @@ from tsa_ctrl.model.signals import hold_direction
 Mask = NDArray[np.bool_]
 
 
+def intervals(mask: Mask) -> Iterator[tuple[int, int]]:
+    """Yield the first index and the end of each run of True in `mask`, (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+
+
 def long(mask: Mask, least: int) -> Mask:
     """Return `mask` (n,) without runs of True that have fewer than `least` samples.
 
     scipy.ndimage has opening and closing operations for this, but its import takes longer than reading a log.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
     out = np.zeros(len(mask), dtype=np.bool_)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in intervals(mask):
         out[start:stop] = stop - start >= least
     return out
 
@@ -61,7 +66,7 @@ SURE = 50.0  # log odds of a direction that the velocity shows
 BAND = 40.0  # Hz, bandwidth of a recorded velocity after its low-pass: its noise is independent after half a period
 CREEPING = 4.0  # standard errors by which the median of a slow motion must differ from 0
 KNOWN = math.log(1000.0)  # log odds above which a direction is known: a sample in a thousand may be wrong
-FITS = 2.0  # standard deviations, RMS over LONG, by which the torque of a known direction may be off
+FITS = 2.0  # standard deviations, RMS over LONG or over a rest, by which the torque of a direction may be off
 FEWEST = 60  # fewest score samples that must remain for the fit
 
 
@@ -111,9 +116,8 @@ def _sticks(slow: NDArray[np.bool_], off: Array) -> NDArray[np.bool_]:
 
     off: deviation of the torque from that of the likelier direction, (n,), in standard deviations.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8)))
     out = np.zeros(len(slow), dtype=np.bool_)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in intervals(slow):
         out[start:stop] = float(np.mean(np.square(off[start:stop]))) > FITS**2
     return out
 
@@ -139,9 +143,8 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
 def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask (n,) of hidden intervals with visible slow motion: the median speed exceeds that of noise."""
     omega, error = run.signals.omega_j, max(run.velocity_noise, np.finfo(np.float64).tiny)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
     out = np.zeros(len(hidden), dtype=np.bool_)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in intervals(hidden):
         count = (stop - start) * min(1.0, 2.0 * BAND * run.signals.period)
         out[start:stop] = abs(float(np.median(omega[start:stop]))) > CREEPING * error * math.sqrt(0.5 * math.pi / count)
     return out

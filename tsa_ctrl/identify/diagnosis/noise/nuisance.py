@@ -25,7 +25,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import erf
 
-from tsa_ctrl.identify.diagnosis.data.direction import LONG
+from tsa_ctrl.identify.diagnosis.data.direction import LONG, intervals
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
@@ -247,9 +247,8 @@ def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: floa
 
     The interruption is too short for a motion between two reversals, and none of its samples has a certain direction.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], unknown, [True]]).astype(np.int8)))
     out = np.zeros(len(unknown), dtype=np.bool_)
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in intervals(~unknown):
         out[start:stop] = (stop - start) * period < LONG and not sure[start:stop].any()
     return out
 

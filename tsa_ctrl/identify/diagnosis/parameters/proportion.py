@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.identify.calibrate.keep_split import keep_split
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
@@ -41,7 +42,8 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
 
     - The model is not a tendon-sheath drive with both parameters free.
     - The logs identify one of the parameters separately (`parted`).
-    - The move increases the RMS error by more than MOST_COST.
+    - The move increases the RMS error while sliding by more than MOST_COST. Errors near reversals are large in every
+      model without presliding, and would hide an error everywhere else. If the joint never slides, all samples count.
     """
     fitted, base = reported.fitted, reported.fitted.hypothesis.base
     model = base.given
@@ -51,12 +53,13 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
     x, tension = keep_split(model, Quantity(loop, loop, loop, "N*m"), [])
     point = fitted.point.copy()
     point[: len(SPLIT)] = math.log(x.value / model.friction_angle), math.log(tension.value / model.pretension)
-    if _error(frame, reported.fitted, point) > (1.0 + MOST_COST) * _error(
-        frame, reported.fitted, reported.fitted.point
-    ):
+    slides = [known_direction(run.raw) for run in frame.runs]
+    if not any(mask.any() for mask in slides):
+        slides = [np.ones_like(mask) for mask in slides]
+    moved, learned = (_error(frame, fitted, each, slides) for each in (point, fitted.point))
+    if moved > (1.0 + MOST_COST) * learned:
         return reported
-    kept = dataclasses.replace(reported.fitted, point=point)
-    return dataclasses.replace(reported, fitted=kept, learned=reported.fitted.point)
+    return dataclasses.replace(reported, fitted=dataclasses.replace(fitted, point=point), learned=fitted.point)
 
 
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:
@@ -101,14 +104,8 @@ def _half_width(quantity: Quantity) -> float:
     return 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
 
 
-def _error(frame: Frame, fitted: Fit, point: np.ndarray) -> float:
-    """Return the RMS simulation error while the joint slides, N*m; over all samples if it never slides.
-
-    Errors near reversals are large in every model without presliding, and would hide an error everywhere else.
-    """
+def _error(frame: Frame, fitted: Fit, point: np.ndarray, used: Sequence[NDArray[np.bool_]]) -> float:
+    """Return the RMS simulation error over the `used` samples of each run, (n,) at the log's own rate, N*m."""
     residuals = full_residuals(frame, fitted.hypothesis.model(point))
-    slides = [known_direction(run.raw) for run in frame.runs]
-    if not any(mask.any() for mask in slides):
-        slides = [np.ones_like(mask) for mask in slides]
-    total = sum(float(np.sum(np.square(residual[mask]))) for residual, mask in zip(residuals, slides, strict=True))
-    return float(np.sqrt(total / sum(int(mask.sum()) for mask in slides)))
+    total = sum(float(np.sum(np.square(residual[mask]))) for residual, mask in zip(residuals, used, strict=True))
+    return float(np.sqrt(total / sum(int(mask.sum()) for mask in used)))
