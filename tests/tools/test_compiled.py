@@ -37,7 +37,7 @@ def defaults(arguments: ast.arguments) -> list[ast.expr]:
 
 
 def forbidden(tree: ast.Module) -> set[str]:
-    """Return constructs that mypyc compiles incorrectly: settings, ctypes structures, some TypeVars and Protocols."""
+    """Return constructs that mypyc compiles incorrectly or not at all, for example settings and ctypes structures."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef):
@@ -58,6 +58,8 @@ def forbidden(tree: ast.Module) -> set[str]:
             found |= {name for name in ("ctypes", "numba", "plant.compiled") if name in ast.unparse(node)}
         elif isinstance(node, ast.FunctionDef) and "..." in map(ast.unparse, defaults(node.args)):
             found.add(f"{node.name}: the default is evaluated, and an ellipsis is no value of its type")
+        elif isinstance(node, ast.Lambda) and any(isinstance(each, ast.Lambda) for each in ast.walk(node.body)):
+            found.add(f"line {node.lineno}: a lambda in a lambda ends mypyc with an internal error")
     return found
 
 

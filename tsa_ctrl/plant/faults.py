@@ -327,6 +327,11 @@ def _stuck(target: Target, index: int) -> Undo:
     return _object(target, lambda _: held, index)
 
 
+def _digital_input(target: Target) -> Undo:
+    """Set a bit of 0x60FD, and keep the others."""
+    return target.rig.changes.begin(target.drive.faults, "inputs", lambda before: before | 1 << int(target.value))
+
+
 def _reported_offset(target: Target) -> Undo:
     settings = target.drive.settings
     rated = settings.rated_torque * settings.gear_ratio * settings.torque_sign
@@ -494,11 +499,7 @@ FAULTS: Mapping[str, FaultKind] = {
         "the drive's clock runs too fast or too slow", lambda t: swap(t, t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
-    "digital_input": FaultKind(
-        "an input of the drive is active (0x60FD)",
-        lambda t: t.rig.changes.begin(t.drive.faults, "inputs", lambda before: before | 1 << int(t.value)),
-        3, "bit", 0, 31,
-    ),
+    "digital_input": FaultKind("an input of the drive is active (0x60FD)", _digital_input, 3, "bit", 0, 31),
     "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
     "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
     "position_gain": FaultKind(
