@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.blind import tendon_logs
+from tests.blind import geared, tendon_logs
+from tests.blind.cases import Case
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import energy
 from tsa_ctrl.identify.admit import admit
@@ -191,3 +192,15 @@ def test_a_reversed_channel_of_the_measured_cable_drive_is_refused(data_dir: Pat
     measured = {key: values for key, values in log.columns.items() if key not in log.derived}
     with pytest.raises(UsageError, match=f"{name}.* is reversed"):
         check_energy(turned(measured, name), load_model(folder / "actuator.toml"))
+
+
+@pytest.mark.parametrize("column", ["tau_m", "tau_j"])
+@pytest.mark.parametrize(
+    "case", [geared.geared_case("gravity_load", 0, short=True), geared.held_case("torque_offset", 0)]
+)
+def test_a_gear_does_not_reverse_the_torque(case: Case, column: str) -> None:
+    """The joint moves against a weight, or is locked."""
+    model, table = model_from(tomllib.loads(case.model), "nominal"), case.logs[0].columns
+    check_energy(turned(table), model)
+    with pytest.raises(UsageError, match="column tau_m or tau_j is reversed"):
+        check_energy(turned(table, column), model)

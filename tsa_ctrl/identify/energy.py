@@ -251,12 +251,17 @@ def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> 
 
 
 def _check_drive(dataset: Dataset, geared: bool) -> None:
-    """Raise UsageError if the friction of a drive creates energy.
+    """Raise UsageError if the friction of a drive creates energy, or if a gear reverses the torque.
 
     A load may drive the motor through a gear, so only the measured joint torque then determines the sign of the
     friction.
     """
     _check_kinematics(dataset)
+    if geared and "tau_j" in dataset and _gear_reverses(dataset):
+        raise UsageError(
+            f"{dataset.label}: column tau_m or tau_j is reversed: as recorded the joint torque falls when the motor "
+            "torque rises; turn the sign of one, unless two columns are swapped"
+        )
     if "omega_m" not in dataset or (geared and "tau_j" not in dataset):
         return
     omega = dataset["omega_m"]
@@ -267,6 +272,21 @@ def _check_drive(dataset: Dataset, geared: bool) -> None:
             f"{dataset.label}: column tau_m or {velocity} is reversed: as recorded the drive's friction creates energy "
             "(allowed: tau_m omega_m > 0 is work put in); turn its sign"
         )
+
+
+def _gear_reverses(dataset: Dataset) -> bool:
+    """Return True if the joint torque of a gear surely falls with the motor torque, apart from motion.
+
+    Friction and inertia of motor and gear act between both torques, springs and weights of the joint do not. A locked
+    joint is therefore sufficient.
+    """
+    velocity = next((name for name in ("omega_j", "omega_m") if name in dataset), None)
+    omega = np.zeros(len(dataset["tau_m"])) if velocity is None else dataset[velocity]
+    acceleration = np.gradient(omega, dataset.period)
+    thin = max(1, len(omega) // MOST)
+    columns = [column[::thin] for column in (dataset["tau_j"], np.sign(omega), omega, acceleration)]
+    _, _, sign = _terms(columns, dataset["tau_m"][::thin], np.ones(len(columns[0]), dtype=np.bool_))
+    return bool(sign[0] < 0.0)
 
 
 def _sliding(omega: Array) -> NDArray[np.bool_]:
@@ -304,25 +324,35 @@ def _signs(
     stored = [angle, np.sin(angle), np.cos(angle), acceleration]
     changing = [dataset[name][::thin] for name in ("theta", "temperature") if name in dataset]
     varying = [sigma * (values - np.mean(values[sliding])) for values in changing]
-    columns = np.column_stack([sigma, *torque, *stored, *varying])[sliding]
-    columns = columns - columns.mean(axis=0)  # the constant
-    scale = columns.std(axis=0)
-    useful = scale > 0.0
-    columns = columns[:, useful] / scale[useful]
-    y = tau_m[sliding] - float(np.mean(tau_m[sliding]))
-    coefficients, *_ = np.linalg.lstsq(columns, y, rcond=1e-9)
-    residual = y - columns @ coefficients
-    rms = float(np.sqrt(np.mean(residual**2)))
-    error = _clustered_error(columns, residual, np.flatnonzero(sliding) * BLOCKS // len(sliding))
-    clear = (np.abs(coefficients) > CERTAIN * error) & (np.abs(coefficients) > CLEAR * rms)
-    sign = np.where(clear, np.sign(coefficients), 0.0)
-    gain = 0
-    if tau_j is not None and useful[1] and abs(coefficients[1]) > CARRIES * float(np.std(y)):
-        gain = int(sign[1])
-    carried = float(coefficients[1] / scale[1]) if gain else 0.0
-    if not useful[0]:
+    value, error, sign = _terms([sigma, *torque, *stored, *varying], tau_m, sliding)
+    if not math.isfinite(error[0]):
         return None
-    return _Signs(gain, int(sign[0]), carried, float(coefficients[0] / scale[0]), float(error[0] / scale[0]))
+    gain = 0
+    if torque and abs(value[1]) * float(np.std(torque[0][sliding])) > CARRIES * float(np.std(tau_m[sliding])):
+        gain = int(sign[1])
+    return _Signs(gain, int(sign[0]), float(value[1]) if gain else 0.0, float(value[0]), float(error[0]))
+
+
+def _terms(columns: list[Array], y: Array, where: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Fit `columns` and a constant to `y`, and return values, standard errors and signs of the columns.
+
+    A sign is 0 unless it is certain. The standard error of a constant column is infinite.
+    """
+    table = np.column_stack(columns)[where]
+    table = table - table.mean(axis=0)
+    scale = table.std(axis=0)
+    useful = scale > 0.0
+    table = table[:, useful] / scale[useful]
+    y = y[where] - float(np.mean(y[where]))
+    coefficients, *_ = np.linalg.lstsq(table, y, rcond=1e-9)
+    residual = y - table @ coefficients
+    rms = float(np.sqrt(np.mean(residual**2)))
+    errors = _clustered_error(table, residual, np.flatnonzero(where) * BLOCKS // len(where))
+    clear = (np.abs(coefficients) > CERTAIN * errors) & (np.abs(coefficients) > CLEAR * rms)
+    value, error, sign = np.zeros(len(columns)), np.full(len(columns), math.inf), np.zeros(len(columns))
+    value[useful], error[useful] = coefficients / scale[useful], errors / scale[useful]
+    sign[useful] = np.where(clear, np.sign(coefficients), 0.0)
+    return value, error, sign
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:
