@@ -29,6 +29,17 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
             assert bare.joint(left) == pytest.approx(brought, abs=1e-9)
 
 
+def test_the_memory_of_a_formula_counts_skipped_cycles() -> None:
+    """A late loop calls the estimator in two of three periods only."""
+    t = PERIOD * np.arange(3000)
+    tendons = 0.6 * np.sin(2.0 * t) + 0.1
+    taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2))
+    bare = Bare(ACTUATOR.with_effects({"custom": {"expression": "0.4*(tau - lag(tau, 0.2))"}}), PERIOD)
+    for n in np.flatnonzero(np.arange(len(t)) % 3 < 2).tolist():
+        bare.measure(Sample(1.0, 0.5, 0.0, 0.0, 0.0, True, 0.1, 0.1, t=float(t[n])))
+        assert bare.joint(float(tendons[n] - taken[n])) == pytest.approx(tendons[n], abs=1e-6)
+
+
 def sliding() -> tuple[np.ndarray, ...]:
     """Return t, omega, sigma, tau_m and the torque of the nominal tendons for 12 s of motion in both directions."""
     t = PERIOD * np.arange(12000)

@@ -46,7 +46,6 @@ class Bare:
     def __init__(self, model: TendonSheath, period: float) -> None:
         """Prepare the effects; `period` in s."""
         self._stack = Stack.of(model.effects, model.source)
-        self._gain = period / (ACCELERATION_TIME + period)
         self._period = period
         self._theta = model.bending_angle
         custom = self._stack.custom_at("joint")
@@ -62,14 +61,19 @@ class Bare:
         """Reset the last velocity and the memory of a formula."""
         self._memories.reset()
         self._state = unmoved(self._theta)
-        self._last = math.nan
+        self._last = self._time = math.nan
 
     def measure(self, seen: Sample) -> None:
-        """Store the measurements of one cycle."""
+        """Store the measurements of one cycle; a late loop may have skipped cycles since the last one."""
         state, omega_j = self._state, seen.omega_j
-        self._memories.begin(self._period)
+        elapsed = seen.t - self._time
+        if not elapsed > 0.0:
+            elapsed = self._period
+        self._time = seen.t
+        self._memories.begin(elapsed)
         if math.isfinite(omega_j - self._last):
-            state.acceleration += self._gain * ((omega_j - self._last) / self._period - state.acceleration)
+            gain = elapsed / (ACCELERATION_TIME + elapsed)
+            state.acceleration += gain * ((omega_j - self._last) / elapsed - state.acceleration)
         self._last = omega_j
         state.sigma, state.q_j, state.q_m = seen.sigma, seen.q_j, seen.q_m
         state.temperature, state.t = seen.temperature, seen.t
