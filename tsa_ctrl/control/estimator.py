@@ -8,7 +8,9 @@ There are six kinds of estimator:
 * "stretch": from two encoders, see `stretch_estimator`.
 * "tension": from two load cells, see `tension_estimator`.
 
-All kinds have the same three outputs. Every disable resets them. No parameter changes faster than its rate.
+All kinds have the same three outputs. Every disable resets them. No parameter changes faster than its rate. The kinds
+that use measurements of the torque share their outputs, bounds on the rate, and reaction to contradictory data
+(`GatedEstimator`).
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from typing import Protocol
 
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding, sliding_by
 
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 POINTS = 256  # of the table that inverts the friction torque to 1e-5 of it, without an iteration in the loop
@@ -211,6 +213,46 @@ class ConfigurationMap:
     def parameters(self, theta: float) -> tuple[float, float]:
         """Return friction angle (1) and pretension (N) at the wrap angle `theta` (rad), by (3.52) and (3.56)."""
         return self._mu * theta, max(0.0, self._pretension + self._slope * (theta - self._theta))
+
+
+class GatedEstimator:
+    """Hold the outputs of an estimator that uses measurements; they approach a target at the rate of the settings.
+
+    Contradictory data never raise the friction torque, because it is unknown which signal is wrong.
+    """
+
+    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
+        """Prepare the outputs; `period` in s."""
+        self.use = bool(settings.use)
+        self._sliding = sliding_by(model)
+        self._nominal = (model.friction_angle, model.pretension)
+        self._half_loop = self._sliding(1.0, *self._nominal).half_loop
+        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
+
+    def reset(self) -> None:
+        """Return to the model file's values without an estimate."""
+        self.friction_angle, self.pretension = self._target = self._nominal
+        self.state = EstimateState.UNESTIMATED
+        self.why = ""
+
+    def _approach(self) -> None:
+        """Move the outputs towards the target by one cycle."""
+        (angle, pretension), (for_angle, for_pretension) = self._target, self._steps
+        if self.friction_angle != angle:
+            self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
+        if self.pretension != pretension:
+            self.pretension = sooner_down(self.pretension, pretension, for_pretension)
+
+    def _accept(self, angle: float, pretension: float) -> None:
+        """Use an estimate of friction angle (1) and pretension (N)."""
+        self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, pretension)
+
+    def _refuse(self, why: str = "") -> None:
+        """Use the model file's values, or the present ones if they have less friction: either may be wrong."""
+        if self.state is not EstimateState.INVALID:
+            self.state, self.why = EstimateState.INVALID, why
+            used = self._sliding(1.0, self.friction_angle, self.pretension).half_loop
+            self._target = self._nominal if used > self._half_loop else (self.friction_angle, self.pretension)
 
 
 def toward(value: float, target: float, step: float) -> float:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 
-from tsa_ctrl.control.estimator import EstimateState, Sample, Split, toward
+from tsa_ctrl.control.estimator import EstimateState, GatedEstimator, Sample, Split
 from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack
@@ -131,13 +131,11 @@ PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up 
 FOLLOWS = 0.9  # of the slope s, which is known within a tenth; less shows that a part of the sheath still sticks
 
 
-class KalmanEstimator:
-    """Implement the estimator kinds "sensor" and "motor"; while invalid, the outputs return to the file's values."""
-
-    why = ""
+class KalmanEstimator(GatedEstimator):
+    """Implement the estimator kinds "sensor" and "motor"."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        self.use = bool(settings.use)
+        super().__init__(model, settings, period)
         self._motor = settings.kind == "motor"
         self._bare = Bare(model, period) if model.effects else None
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)
@@ -147,8 +145,6 @@ class KalmanEstimator:
         self._variance = ((settings.bounds * half) ** 2, (0.1 * slope) ** 2, (0.1 * half) ** 2)
         self._noise = (NOISE * half) ** 2
         self._walk = BLOCK / settings.memory
-        self._nominal = (model.friction_angle, model.pretension)
-        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
         self._period = period
         self._block = max(1, round(BLOCK / period))
         self._settle = settings.settle
@@ -165,10 +161,9 @@ class KalmanEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Return to the model file's values without an estimate."""
-        self.friction_angle, self.pretension = self._target = self._nominal
+        """Return to the model file's values without an estimate, and discard all data."""
+        super().reset()
         self.half_loop, self.slope, self.offset = self._prior
-        self.state = EstimateState.UNESTIMATED
         self.residual = 0.0
         self._seen = [0.0, 0.0]
         self._p = [self._variance[0], 0.0, 0.0, self._variance[1], 0.0, self._variance[2]]  # upper triangle
@@ -207,9 +202,7 @@ class KalmanEstimator:
                 if bare is not None:
                     tau_m, known = bare.motor(tau_m), bare.joint(known)
                 self._admit(direction, omega_j, moves, tau_m, known)
-        steps, target = self._steps, self._target
-        self.friction_angle = toward(self.friction_angle, target[0], steps[0])
-        self.pretension = toward(self.pretension, target[1], steps[1])
+        self._approach()
 
     def _begin_stroke(self) -> None:
         self._since, self._count = 0.0, 0
@@ -291,8 +284,6 @@ class KalmanEstimator:
         certain = self._p[0] < (CERTAIN * self._split.nominal) ** 2 and min(self._seen) > BOTH_WAYS
         angle, pretension, inside = self._split.solve(self.half_loop)
         if self.residual > self._worst or (certain and not inside):
-            self.state = EstimateState.INVALID
-            self._target = self._nominal
+            self._refuse()
         elif certain:
-            self.state = EstimateState.ESTIMATED
-            self._target = angle, pretension
+            self._accept(angle, pretension)

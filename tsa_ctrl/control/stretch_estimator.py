@@ -17,10 +17,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from tsa_ctrl.control.estimator import EstimateState, Sample, Split, sooner_down
+from tsa_ctrl.control.estimator import EstimateState, GatedEstimator, Sample, Split
 from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding_by
 from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
@@ -31,10 +30,8 @@ _EVERY = 64  # cycles between two evaluations: parameters change slowly, and the
 _FORGET = 0.5  # s over which the residual is averaged
 
 
-class StretchEstimator:
-    """Hold the outputs while the observer has no estimate; if it is invalid, lower them to the model file's values."""
-
-    why = ""
+class StretchEstimator(GatedEstimator):
+    """Estimate by the observer's elongation; the outputs do not change while the observer has no estimate."""
 
     def __init__(
         self,
@@ -45,13 +42,10 @@ class StretchEstimator:
         contradicted: Callable[[], bool] = lambda: False,
     ) -> None:
         """Prepare the estimator; `period` in s."""
-        self.use = bool(settings.use)
+        super().__init__(model, settings, period)
         self._contradicted = contradicted
-        self._sliding = sliding_by(model)
         self._observer = observer
         self._split = Split(model, settings.attribute, False, settings.bounds)
-        self._nominal = (model.friction_angle, model.pretension)
-        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
         self._least = max(1, round(BOTH_WAYS / period))
         self._per_stretch = stretch_line(model).per_stretch
         self._worst = settings.residual**2
@@ -60,8 +54,7 @@ class StretchEstimator:
 
     def reset(self) -> None:
         """Return to the model file's values; the observer keeps its state."""
-        self.friction_angle, self.pretension = self._target = self._nominal
-        self.state = EstimateState.UNESTIMATED
+        super().reset()
         self.residual = 0.0  # (N*m)^2 at the joint
         self._until = _EVERY
         self._shown = [0.0, 0.0]  # N*m, last friction torque of each direction
@@ -86,18 +79,13 @@ class StretchEstimator:
             if self._until <= 0:
                 self._until = _EVERY
                 self._judge()
-        angle, tension = self._target
-        for_angle, for_tension = self._steps
-        if self.friction_angle != angle:
-            self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
-        if self.pretension != tension:
-            self.pretension = sooner_down(self.pretension, tension, for_tension)
+        self._approach()
 
     def _judge(self) -> None:
         """Update state and target; a state holds until reliable data contradict it."""
         observer = self._observer
         if self.residual > self._worst or observer.at_bound or self._contradicted():
-            self.state, self._target = EstimateState.INVALID, self._fallback()
+            self._refuse()
             self._shown = [0.0, 0.0]
             return
         if not observer.friction_deviation < CERTAIN:
@@ -109,10 +97,7 @@ class StretchEstimator:
         most = max(self._split.nominal, (1.0 + ROOM) * min(self._shown))
         if inside and half_loop > most:
             angle, pretension, _ = self._split.solve(most)
-        self.state = EstimateState.ESTIMATED if inside else EstimateState.INVALID
-        self._target = (angle, pretension) if inside else self._fallback()
-
-    def _fallback(self) -> tuple[float, float]:
-        """Return the model file's values, or the last ones if they have less friction: either may be wrong."""
-        used = self._sliding(1.0, self.friction_angle, self.pretension).half_loop
-        return self._nominal if used > self._split.nominal else (self.friction_angle, self.pretension)
+        if inside:
+            self._accept(angle, pretension)
+        else:
+            self._refuse()

@@ -19,11 +19,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from tsa_ctrl.control.estimator import EstimateState, Sample, sooner_down
+from tsa_ctrl.control.estimator import EstimateState, GatedEstimator, Sample
 from tsa_ctrl.control.kalman import Bare
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.model.stretch import elongations
 
 SLIDING = 0.999  # 1, |sigma| above which the tendons are certain to slide
@@ -36,23 +35,19 @@ AGREES = 0.5  # of that limit, below which contradictory cells are used again
 ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 
 
-class TensionEstimator:
-    """Hold the outputs while no data are admitted; `why` has the reason for an invalid estimate."""
+class TensionEstimator(GatedEstimator):
+    """Estimate by two load cells; the outputs do not change while no data are admitted."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         """Prepare the estimator; `period` in s."""
-        self.use = bool(settings.use)
+        super().__init__(model, settings, period)
         self._model = model
         self._bare = Bare(model, period) if model.effects else None
         self._bends = settings.attribute is Attribution.BENDING
         self._bounds = (1.0 / (1.0 + settings.bounds), 1.0 + settings.bounds)
         self._period = period
         self._settle, self._least_speed = settings.settle, settings.least_speed
-        self._nominal = (model.friction_angle, model.pretension)
-        self._half_loop = sliding(model).half_loop
-        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
-        x = model.friction_angle
-        self._lengths = elongations(model, x)
+        self._lengths = elongations(model, model.friction_angle)
         self._per_radius = 1.0 / model.motor_pulley_radius
         self._mean = period / (MEAN * settings.memory)
         self._forget = period / BALANCED_FOR
@@ -61,9 +56,7 @@ class TensionEstimator:
 
     def reset(self) -> None:
         """Return to the model file's values, and discard all data."""
-        self.friction_angle, self.pretension = self._target = self._nominal
-        self.state = EstimateState.UNESTIMATED
-        self.why = ""
+        super().reset()
         self.residual = 0.0  # N^2, of the balance
         self._shown = [math.nan, math.nan]  # N, mean pretension of each direction
         self._seen = [0.0, 0.0]  # s, admitted motion of each direction
@@ -77,7 +70,7 @@ class TensionEstimator:
         """Return the friction torque over the model file's value, 1; nan while it is not estimated."""
         if self.state is not EstimateState.ESTIMATED:
             return math.nan
-        return sliding(self._model, 1.0, *self._target).half_loop / self._half_loop
+        return self._sliding(1.0, *self._target).half_loop / self._half_loop
 
     def update(self, seen: Sample) -> None:
         """Process the data of one cycle."""
@@ -94,10 +87,7 @@ class TensionEstimator:
             if self._gap > ABSENT:
                 missing = [name for name in ("t1", "t3") if not math.isfinite(getattr(seen, name))]
                 self._refuse(f"no value of {' and '.join(missing)}; check the load cell's serial connection")
-        angle, tension = self._target
-        for_angle, for_tension = self._steps
-        self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
-        self.pretension = sooner_down(self.pretension, tension, for_tension)
+        self._approach()
 
     def _take(self, seen: Sample, tau_m: float) -> None:
         """Process a sample in which both cells and the motor have a value."""
@@ -143,14 +133,11 @@ class TensionEstimator:
                 f"{low:.2f} to {high:.2f} (estimator.bounds); check tensioner and cells, or calibrate again"
             )
             return
-        self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, tension)
+        self._accept(angle, tension)
 
-    def _refuse(self, why: str) -> None:
-        """Stop using the tensions; the friction torque does not rise, because it is unknown which signal is wrong."""
-        if self.state is not EstimateState.INVALID:
-            self.state, self.why = EstimateState.INVALID, why
-            used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop
-            self._target = self._nominal if used > self._half_loop else (self.friction_angle, self.pretension)
+    def _refuse(self, why: str = "") -> None:
+        """Stop using the tensions measured so far."""
+        super()._refuse(why)
         self._shown, self._seen = [math.nan, math.nan], [0.0, 0.0]
 
 
