@@ -22,8 +22,8 @@ from tsa_ctrl.bus.drive.profile import PER_MILLE, DriveProfile, drive_scale, loa
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import routing_of
 from tsa_ctrl.control.estimator_selection import chosen
-from tsa_ctrl.control.kalman import why_not as beside
-from tsa_ctrl.control.law_design import Limits, Plan, plan_of, reversal_speed
+from tsa_ctrl.control.kalman import unsupported_reason as unsupported_by_sensor
+from tsa_ctrl.control.law_design import Limits, Plan, design_law, reversal_speed
 from tsa_ctrl.control.setpoint import SetPoint, largest
 from tsa_ctrl.control.settings import (
     BendingSettings,
@@ -33,7 +33,7 @@ from tsa_ctrl.control.settings import (
     SetPointSettings,
     TemperatureSettings,
 )
-from tsa_ctrl.control.tension_estimator import why_not as no_tension
+from tsa_ctrl.control.tension_estimator import unsupported_reason as unsupported_by_tension
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
@@ -385,13 +385,13 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{where}: law.feedback {axis.law.feedback:g} Hz without [axis.torque_sensor] or a serial sensor of tau_j; "
             "give one, or law.feedback = 0"
         )
-    if estimator.kind == "tension" and (reason := no_tension(estimator.attribute, measured)):
+    if estimator.kind == "tension" and (reason := unsupported_by_tension(estimator.attribute, measured)):
         raise UsageError(f'{where}: estimator.kind "tension" {reason}')
     if estimator.kind == "stretch":
         _check_stretch(where, axis, model)
     if estimator.kind in ("sensor", "motor", "tension") and estimator.use:
         # Kind "tension" uses only the effects at the motor, and none of them depends on the temperature.
-        reason = beside(model, axis.temperature.source != "none" or estimator.kind == "tension")
+        reason = unsupported_by_sensor(model, axis.temperature.source != "none" or estimator.kind == "tension")
         if reason:
             raise UsageError(
                 f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false'
@@ -473,7 +473,7 @@ def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
 def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
     """Return times and gains of an axis' law. Raise UsageError for a damping without gain margin."""
     law, drive, encoder, period = axis.law, axis.drive, axis.encoder, 1.0 / file.controller.rate
-    return plan_of(
+    return design_law(
         model,
         period=period,
         transport=period if file.bus.rpdo == "sync" else file.controller.collect * period,

@@ -7,7 +7,7 @@ from typing import Any
 
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.law import Inverse, Law
-from tsa_ctrl.control.law_design import Limits, Plan, plan_of
+from tsa_ctrl.control.law_design import Limits, Plan, design_law
 from tsa_ctrl.control.motion_filter import Motion
 from tsa_ctrl.control.settings import DirectionSettings, LawSettings
 from tsa_ctrl.model.feedforward import Feedforward
@@ -22,7 +22,7 @@ def plan(model: TendonSheath, **changes: Any) -> Plan:
     limits = Limits(rate=1e4, torque=10.0)
     limits = limits._replace(**{key: changes.pop(key) for key in Limits._fields if key in changes})
     given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "limits": limits}
-    return plan_of(model, **{**given, **changes})
+    return design_law(model, **{**given, **changes})
 
 
 def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) -> Law:

@@ -160,7 +160,7 @@ def test_a_set_point_counts_from_when_its_client_wanted_it(
     axis.connect(iter([(0.2, time), None]).__next__)
     assert axis.since_enable(10.0) == 0.0
     for _ in range(2):
-        axis.listen(12.25, axis.since_enable(12.25))
+        axis.receive_setpoint(12.25, axis.since_enable(12.25))
     assert received == [(0.2, t)]
 
 
@@ -190,7 +190,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0, "temperature": lambda now: 23.0})
     calls = Calls(axis, monkeypatch)
     monkeypatch.setattr(type(axis.direction), "follows", True)
-    axis.follow(2.0)
+    axis.after_command(2.0)
     x, radii = axis.model.friction_angle, (axis.model.motor_pulley_radius, axis.model.joint_pulley_radius)
     at_joint = 2.0 * axis.model.pretension * radii[1] * math.tanh(x)
     bare, friction = 0.31 / radii[0] * math.cosh(x), 2.0 * axis.model.pretension * math.sinh(x)
@@ -227,7 +227,7 @@ def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
 
     axis.estimator.use = True
     monkeypatch.setattr(axis.estimator, "update", learn)
-    axis.follow(2.0)
+    axis.after_command(2.0)
     assert told == [(0.2, 40.0)]
 
 
@@ -235,7 +235,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
     """Stale measurements are not checked for plausibility, and the estimator does not admit them."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.image.fresh = False
-    axis.follow(2.0)
+    axis.after_command(2.0)
     assert [call[0] for call in calls] == ["law", "estimator", "guard"]
     assert calls[1][1].admit is False
     assert axis.supervisor.fault is None
@@ -245,7 +245,7 @@ def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest
     """Without permission for torque, only the wrap angle and the instruments are read. No part is updated."""
     calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.terms.permitted, axis.terms.reason = False, Reason.OVER_SPEED
-    axis.follow(2.0)
+    axis.after_command(2.0)
     assert calls == []
     assert (axis.terms.theta, axis.instruments.tau_j) == (1.5, 0.34)
     assert axis.terms.tau_j_des == 0.0  # released
@@ -256,7 +256,7 @@ def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pyte
     """A finding of the plausibility check becomes a fault with its text and the time of the cycle."""
     finding = Finding(Cause.MOVED_APART, "a tendon is torn")
     Calls(axis, monkeypatch, wrong=finding)
-    axis.follow(2.0)
+    axis.after_command(2.0)
     assert axis.supervisor.fault is not None
     assert axis.supervisor.fault == Fault(*finding, 2.0)
 
@@ -268,7 +268,7 @@ def test_over_speed_and_what_is_not_finite_trip(
     """Only these two limit reasons cause a fault. The others only reduce the torque."""
     Calls(axis, monkeypatch)
     axis.terms.reason = reason
-    axis.follow(2.0)
+    axis.after_command(2.0)
     causes = {Reason.OVER_SPEED: Cause.OVER_SPEED, Reason.NOT_FINITE: Cause.NOT_FINITE}
     assert (axis.supervisor.fault.cause if axis.supervisor.fault else None) == causes.get(reason)
 
@@ -310,10 +310,10 @@ def test_periods_without_a_cycle_count_for_the_guard_from_the_enable_on(
 ) -> None:
     """Only periods that are skipped between enable and release count, because others put no energy into the joint."""
     told: list[int] = []
-    monkeypatch.setattr(axis.guard, "pass_over", told.append)
-    axis.pass_over(7)
+    monkeypatch.setattr(axis.guard, "skip_cycles", told.append)
+    axis.skip_cycles(7)
     axis.since_enable(1.0)
-    axis.pass_over(2)
+    axis.skip_cycles(2)
     axis.release()
-    axis.pass_over(5)
+    axis.skip_cycles(5)
     assert told == [2]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.machine import Machine
-from tsa_ctrl.control.cycle import follow_up, run_cycle
+from tsa_ctrl.control.cycle import after_commands, run_cycle
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def test_nothing_of_the_law_is_asked_without_permission(machine: Machine, monkey
     monkeypatch.setattr(machine.axis.law, "update", asked)
     for _ in range(20):
         run_cycle(machine.rig, machine.axes, machine.bus.clock.now, machine.bus.clock.now + 6e-4)
-        follow_up(machine.rig, machine.axes, machine.bus.clock.now)
+        after_commands(machine.rig, machine.axes, machine.bus.clock.now)
     assert len(machine.drive.commands) == 20
 
 

@@ -12,7 +12,7 @@ from tests.control.sliding import PERIOD, R_J, R_M, Sliding, actuator
 from tests.model.capstan import Pair
 from tests.model.test_curvature import S_BENT
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Fixed, Sample, Split
-from tsa_ctrl.control.kalman import KalmanEstimator, why_not
+from tsa_ctrl.control.kalman import KalmanEstimator, unsupported_reason
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
@@ -342,5 +342,7 @@ def test_effects_that_cannot_be_parted_are_named() -> None:
         "stribeck_friction": {"static_excess": 0.4, "stribeck_velocity": 0.1},
         "viscous_friction": {"coefficient": 0.1},
     }
-    assert "stribeck_friction changes the estimated quantity" in why_not(dataclasses.replace(MODEL, effects=effects))
-    assert why_not(dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": 0.1}})) == ""
+    assert "stribeck_friction changes the estimated quantity" in unsupported_reason(
+        dataclasses.replace(MODEL, effects=effects)
+    )
+    assert unsupported_reason(dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": 0.1}})) == ""

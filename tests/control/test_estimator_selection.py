@@ -8,7 +8,7 @@ import re
 import pytest
 
 from tests.control.sliding import actuator
-from tsa_ctrl.control.estimator_selection import chosen, why_fixed
+from tsa_ctrl.control.estimator_selection import chosen, reason_for_fixed
 from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -61,4 +61,4 @@ def test_what_stands_against_it_is_said_in_one_line(model: TendonSheath, has_enc
 
 def test_what_acts_on_the_joint_alone_does_not_matter() -> None:
     model = KNOWN.with_effects({"gravity_load": {"amplitude": 0.2}})
-    assert why_fixed(model, True) == ""
+    assert reason_for_fixed(model, True) == ""

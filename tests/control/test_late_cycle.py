@@ -15,7 +15,7 @@ STALL = 100  # number of the late cycle
 
 
 def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
-    """Return the smallest `turn.force` around one late cycle of a joint that moves at SPEED.
+    """Return the smallest `reversal.force` around one late cycle of a joint that moves at SPEED.
 
     The law gets the lateness if `told` is set.
     """
@@ -26,9 +26,9 @@ def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
         made.late = late if told else 0.0
         made.observe(round(angle / COUNT) * COUNT, angle, True, 0.3, 0.0)
         if number > STALL // 2:
-            lowest = min(lowest, made.turn.force)
+            lowest = min(lowest, made.reversal.force)
         if number == STALL:
-            made.pass_over(skipped)
+            made.skip_cycles(skipped)
             number += skipped
         number += 1
     return lowest

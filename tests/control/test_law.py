@@ -159,16 +159,16 @@ def test_what_stands_is_settled_and_what_moves_is_not() -> None:
     joint = Joint(law, 1.0)
     for _ in range(3000):
         joint.step(0.3)
-        law.follow(0.0)
+        law.update_backoff(0.0)
     assert law.friction_term == pytest.approx(0.5)
     joint.speed = 0.2
     for _ in range(3000):
         joint.step(0.3)
-        law.follow(0.0)
+        law.update_backoff(0.0)
     assert law.friction_term == pytest.approx(0.45, abs=1e-3)
     for _ in range(1000):
         joint.step(0.3)
-        law.follow(0.1)
+        law.update_backoff(0.1)
     assert law.friction_term == pytest.approx(0.5, abs=1e-3)
 
 
@@ -253,7 +253,7 @@ def test_a_pretension_that_is_nearly_gone_is_told() -> None:
     law.observe(0.0, math.nan, True, 0.0, 0.0)
     for n in range(100):
         law.update(0.0, math.nan, math.nan, n * PERIOD, 1.0)
-        law.follow(0.0)
+        law.update_backoff(0.0)
     assert law.near_slack
     assert law.domain == pytest.approx((-2.0 * 0.2 * 45.0 * 0.020, 2.0 * 0.2 * 45.0 * 0.020))
 
@@ -347,7 +347,7 @@ def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
     sigmas = []
     for n in range(600):
         joint = 0.3 - abs(0.3 - n * PERIOD)
-        angle = joint / RATIO + 0.5 * stretch * law.turn.stretch
+        angle = joint / RATIO + 0.5 * stretch * law.reversal.stretch
         law.observe(math.nan, angle, True, 0.0, 0.0)
         law.update(0.0, angle, math.nan, n * PERIOD, 1.0)
         sigmas.append(law.direction.sigma)
@@ -367,7 +367,7 @@ def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
         q = 0.3 * math.sin(2.0 * math.pi * n * PERIOD)
         for law, told in ((moving, every - 1), (counting, 0)):
             law.observe(q, 1.25 * q, True, math.nan, 0.0)
-            law.pass_over(told)
+            law.skip_cycles(told)
     true = 0.3 * 2.0 * math.pi * math.cos(2.0 * math.pi * 600 * PERIOD)
     assert moving.velocity == pytest.approx(true, rel=0.03)
     assert abs(counting.velocity) > 1.5 * abs(true)

@@ -17,13 +17,13 @@ from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.motion_filter import Motion
-from tsa_ctrl.control.reversal import Front, Slip, Turn
+from tsa_ctrl.control.reversal import FrictionReversal, ReversalFront, ReversalSlip
 from tsa_ctrl.control.settings import DirectionSettings, LawSettings
 
 PERIOD = 1e-3
 RADII = (0.02, 0.025)  # m
 RATIO = 0.8
-FRONT = Front(((0.0, 0.0), (1.0, 1.0)))  # even curvature: s_c 0.5
+FRONT = ReversalFront(((0.0, 0.0), (1.0, 1.0)))  # even curvature: s_c 0.5
 PLAN = replace(plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",))
 
 
@@ -61,7 +61,7 @@ class Way(Direction):
         self.forgot = getattr(self, "forgot", 0) + 1
 
 
-class Turned(Turn):
+class Turned(FrictionReversal):
     """A prescribed reversal that records its inputs."""
 
     def __init__(self) -> None:
@@ -72,7 +72,7 @@ class Turned(Turn):
         self.asked.append((sigma, age))
 
 
-class Fronts(Slip):
+class Fronts(ReversalSlip):
     """Prescribed slip fronts. The elongation equals the one of sliding tendons."""
 
     def __init__(self) -> None:
@@ -92,7 +92,7 @@ class Fronts(Slip):
     def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
         self.asked.append((sigma, tau_m, x, pretension))
 
-    def update(self, tau_j: float, x: float, pretension: float, turn: Turn) -> None:
+    def update(self, tau_j: float, x: float, pretension: float, turn: FrictionReversal) -> None:
         super().update(tau_j, x, pretension, turn)
         self.asked.append((tau_j, x, pretension))
         self.torque += self.said
@@ -115,7 +115,7 @@ class Damper(Damping):
         super().reset()
         self.resets = getattr(self, "resets", 0) + 1
 
-    def pass_over(self) -> None:
+    def skip_cycles(self) -> None:
         self.passed += 1
 
 
@@ -158,7 +158,7 @@ class Parts:
         more = {} if encoder is None else {"has_encoder": encoder}
         planned = replace(PLAN, **{"inertia": 0.0, "damping": 0.0, **own})
         self.law = Law(self.inverse, RADII, chosen, planned, self.motion, self.way, PERIOD, **more)
-        self.law.turn = self.turn = Turned()
+        self.law.reversal = self.turn = Turned()
         self.law.damping = self.damper = Damper()
         self.law._slip = self.fronts = Fronts()
 
@@ -170,7 +170,7 @@ def settled(parts: Parts, cycles: int, rate: float = 0.0, silent: bool = False) 
     """Return the friction term after `cycles` cycles."""
     for _ in range(cycles):
         parts.ask(0.5)
-        parts.law.follow(rate, silent)
+        parts.law.update_backoff(rate, silent)
     parts.ask(0.5)
     return parts.law.friction_term
 
@@ -208,7 +208,7 @@ def test_a_new_law_has_given_nothing() -> None:
     parts.turn.force = -0.25
     assert (law.velocity, law.sigma) == (0.75, -0.25)
     made = Law(parts.inverse, RADII, LawSettings(), PLAN, parts.motion, parts.way, PERIOD)
-    assert (made.turn.duration, made.damping.gain) == (PLAN.turn, PLAN.damping)
+    assert (made.reversal.duration, made.damping.gain) == (PLAN.turn, PLAN.damping)
 
 
 def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,13 +222,13 @@ def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -
 
         return make
 
-    for name, real in (("Turn", Turn), ("Damping", Damping), ("Slip", Slip)):
+    for name, real in (("FrictionReversal", FrictionReversal), ("Damping", Damping), ("ReversalSlip", ReversalSlip)):
         monkeypatch.setattr(module, name, keep(name, real))
     motion = Told()
     Law(Inverse(), RADII, LawSettings(), PLAN, motion, Way(motion), PERIOD)
-    assert seen["Turn"] == (PLAN.front, PLAN.turn, PERIOD)
+    assert seen["FrictionReversal"] == (PLAN.front, PLAN.turn, PERIOD)
     assert seen["Damping"] == (PLAN.damping, PLAN.ringing, PLAN.delay, 1.25, PERIOD)
-    assert seen["Slip"] == (PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
+    assert seen["ReversalSlip"] == (PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
 
 
 def test_the_inverse_is_asked_for_the_joint_when_the_torque_acts() -> None:
@@ -377,9 +377,9 @@ def test_the_half_loop_is_looked_at_every_64_cycles() -> None:
         parts.inverse.size += 0.125
         parts.inverse.pretension *= 0.5
         for _ in range(63):
-            parts.law.follow(0.0)
+            parts.law.update_backoff(0.0)
         assert parts.law.half_loop == parts.inverse.size - 0.125
-        parts.law.follow(0.0)
+        parts.law.update_backoff(0.0)
         assert parts.law.half_loop == parts.inverse.size
     assert parts.law.near_slack  # pretension is a quarter of its initial value
 
@@ -389,7 +389,7 @@ def test_three_tenths_of_the_pretension_are_near_slack(share: float, near: bool)
     parts = Parts()
     parts.inverse.pretension = 45.0 * share if share != 0.3 else 0.3 * 45.0
     for _ in range(64):
-        parts.law.follow(0.0)
+        parts.law.update_backoff(0.0)
     assert parts.law.near_slack is near
 
 
@@ -416,8 +416,8 @@ def test_settling_goes_at_once_where_a_period_is_long() -> None:
     parts = Parts(settle=0.5)
     parts.turn.force = 1.0
     parts.law._period = 0.1
-    parts.law.follow(0.0)
-    parts.law.follow(1.0)
+    parts.law.update_backoff(0.0)
+    parts.law.update_backoff(1.0)
     parts.law._period = PERIOD
     parts.ask()
     assert parts.law.friction_term == 0.5
@@ -572,7 +572,7 @@ def test_periods_without_a_cycle_go_on_as_expected_fifty_at_most() -> None:
     for gone, told in ((3, 3), (50, 50), (51, 50)):
         parts = Parts()
         parts.way.sigma = -1.0
-        parts.law.pass_over(gone)
+        parts.law.skip_cycles(gone)
         assert len(parts.motion.given) == parts.damper.passed == told
         assert all(math.isnan(angle) and not fresh for angle, fresh in parts.motion.given)
         assert parts.turn.asked == [(-1.0, 0.0)] * told

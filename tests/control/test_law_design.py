@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.control.laws import PERIOD, plan
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.control.law_design import BLIND, LAG, LEAST, MOST_LEAD, Limits, gain_margin
-from tsa_ctrl.control.reversal import Turn
+from tsa_ctrl.control.reversal import FrictionReversal
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
@@ -51,7 +51,7 @@ def test_the_limits_of_the_drive_make_it_longer() -> None:
     slow = plan(model, inertia=INERTIA, rate=150.0)
     assert slow.turn > 8e-3
     half_loop = sliding(model).motor_half_loop
-    steps = 2.0 * half_loop * Turn(slow.front, slow.turn, PERIOD).steepest()
+    steps = 2.0 * half_loop * FrictionReversal(slow.front, slow.turn, PERIOD).steepest()
     assert steps <= 150.0 * PERIOD
     heavy = plan(model, inertia=6e-4, torque=0.5)
     moved = half_loop / motor_stiffness(model)
@@ -96,7 +96,7 @@ def test_a_turn_never_needs_more_than_the_motor_speed_that_is_allowed(
     model = dataclasses.replace(model, axial_stiffness=model.axial_stiffness / softness)
     amplitude = sliding(model).motor_half_loop / motor_stiffness(model)  # rad of the motor, all curvature at the joint
     found = plan(model, speed=speed, turn=given_turn, inertia=inertia)
-    turn = Turn(found.front, found.turn, PERIOD)
+    turn = FrictionReversal(found.front, found.turn, PERIOD)
     turn.reset(-1.0)
     ways = []
     for _ in range(math.ceil(found.turn / PERIOD) + 2):
@@ -129,7 +129,7 @@ def test_a_slow_turn_and_a_torque_below_the_friction_are_reported() -> None:
 def test_a_command_never_runs_farther_ahead_of_the_measured_torque_than_allowed() -> None:
     model = bent("uniform")
     close = plan(model, inertia=INERTIA, distance=0.1)
-    steps = 2.0 * sliding(model).motor_half_loop * Turn(close.front, close.turn, PERIOD).steepest()
+    steps = 2.0 * sliding(model).motor_half_loop * FrictionReversal(close.front, close.turn, PERIOD).steepest()
     assert steps / PERIOD * (close.delay + PERIOD) <= 0.1
     assert close.turn > plan(model, inertia=INERTIA).turn
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.control.sliding import actuator
-from tsa_ctrl.control.reversal import Front, front_of
+from tsa_ctrl.control.reversal import ReversalFront, front_of
 from tsa_ctrl.model.curvature import NAMED, Points
 from tsa_ctrl.model.steady_sliding import joint_side_compliance
 
@@ -22,14 +22,14 @@ def test_table_is_the_integral(points: Points, p: float) -> None:
     u = (np.arange(200_000) + 0.5) / 200_000
     places, shares = np.array(points).T
     b = np.interp(u, places + 1e-9 * np.arange(places.size), shares)
-    front = Front(points)
+    front = ReversalFront(points)
     expected = np.mean(np.maximum(0.0, p - b))
     assert np.interp(p, np.linspace(0.0, 1.0, len(front.table)), front.table) == pytest.approx(expected, abs=3e-4)
 
 
 def test_named_shapes() -> None:
     """The centres of curvature of the profiles uniform, joint_end and motor_end are at 0.5, 1 and 0 of the length."""
-    uniform, joint, motor = (Front(NAMED[name]) for name in ("uniform", "joint_end", "motor_end"))
+    uniform, joint, motor = (ReversalFront(NAMED[name]) for name in ("uniform", "joint_end", "motor_end"))
     assert (uniform.centre, joint.centre, motor.centre) == pytest.approx((0.5, 1.0, 0.0))
     assert sum(uniform.lengths(16)) == pytest.approx(1.0)
     assert (joint.lengths(16)[0], motor.lengths(16)[-1]) == pytest.approx((1.0, 1.0))

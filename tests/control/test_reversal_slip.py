@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tsa_ctrl.control.reversal import FADE, Front, Slip, Turn
+from tsa_ctrl.control.reversal import FADE, FrictionReversal, ReversalFront, ReversalSlip
 from tsa_ctrl.model.curvature import NAMED, Points
 
 R_M, R_J, X, T_P = 0.020, 0.025, 0.26, 45.0
@@ -92,8 +92,8 @@ class Reversed:
     """Slip fronts after a stroke to the joint torque `tau_j` and a reversal of the friction term."""
 
     def __init__(self, points: Points, tau_j: float, sign: float = 1.0) -> None:
-        front = Front(points)
-        self.slip, self.turn = Slip(front, R_M, R_J, STIFFNESS, 1e-3), Turn(front, 8e-3, 1e-3)
+        front = ReversalFront(points)
+        self.slip, self.turn = ReversalSlip(front, R_M, R_J, STIFFNESS, 1e-3), FrictionReversal(front, 8e-3, 1e-3)
         self.slip.slide(sign)
         self.turn.reset(-sign)
         self.slip.turn(self.turn)
@@ -160,8 +160,8 @@ def test_a_closed_inner_stroke_leaves_no_trace() -> None:
 @pytest.mark.parametrize(("x", "pretension"), [(0.0, T_P), (X, 5.0)])
 def test_what_has_no_fronts_begins_nothing(x: float, pretension: float) -> None:
     """Without friction or with a slack tendon, the torque of the fronts is 0."""
-    front = Front(SHAPES["uniform"])
-    found, turn = Slip(front, R_M, R_J, STIFFNESS, 1e-3), Turn(front, 8e-3, 1e-3)
+    front = ReversalFront(SHAPES["uniform"])
+    found, turn = ReversalSlip(front, R_M, R_J, STIFFNESS, 1e-3), FrictionReversal(front, 8e-3, 1e-3)
     found.slide(1.0)
     turn.reset(-1.0)
     found.begin(-1.0, 0.4, x, pretension)

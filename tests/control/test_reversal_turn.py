@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.reversal import Front, Turn
+from tsa_ctrl.control.reversal import FrictionReversal, ReversalFront
 from tsa_ctrl.model.curvature import NAMED
 
 PERIOD, DURATION = 1e-4, 8e-3
@@ -13,7 +13,7 @@ PERIOD, DURATION = 1e-4, 8e-3
 
 def turned(name: str = "uniform", age: float = 0.0) -> np.ndarray:
     """Return `force`, `stretch` and `bend` of a reversal from 1 to -1 for 100 periods, (3, 100)."""
-    turn = Turn(Front(NAMED[name]), DURATION, PERIOD)
+    turn = FrictionReversal(ReversalFront(NAMED[name]), DURATION, PERIOD)
     turn.reset(1.0)
     rows = []
     for n in range(100):
@@ -53,7 +53,7 @@ def test_an_older_turn_is_as_far_as_if_it_had_begun_earlier() -> None:
 
 def test_turns_add_up() -> None:
     """A reversal that is cancelled half way ends at its initial value, without a jump or an overshoot."""
-    turn = Turn(Front(NAMED["uniform"]), DURATION, PERIOD)
+    turn = FrictionReversal(ReversalFront(NAMED["uniform"]), DURATION, PERIOD)
     turn.reset(1.0)
     forces = []
     for n in range(200):
@@ -66,6 +66,6 @@ def test_turns_add_up() -> None:
 
 
 def test_steepest_is_the_largest_step_of_a_turn() -> None:
-    turn = Turn(Front(NAMED["uniform"]), DURATION, 1e-3)
+    turn = FrictionReversal(ReversalFront(NAMED["uniform"]), DURATION, 1e-3)
     coarse = turned()[0][::10]
     assert turn.steepest() == pytest.approx(np.abs(np.diff(coarse)).max() / 2.0, abs=0.01)

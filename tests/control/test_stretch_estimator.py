@@ -29,7 +29,7 @@ class Seen:
     friction_deviation: float = 0.02
     innovation: float = 0.0
     at_bound: bool = False
-    state: StretchState = StretchState.TOLD
+    state: StretchState = StretchState.ESTIMATED
 
 
 def estimator(seen: Seen, **settings: Any) -> StretchEstimator:

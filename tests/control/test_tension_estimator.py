@@ -74,7 +74,7 @@ def test_a_tensioner_that_gave_way_is_found_within_2_percent(slack: Run) -> None
     assert chosen.state is EstimateState.ESTIMATED
     assert chosen.pretension == pytest.approx(0.75 * TENSION, rel=0.02)
     assert chosen.friction_angle == X
-    assert chosen.found == pytest.approx(0.75, rel=0.02)
+    assert chosen.half_loop_ratio == pytest.approx(0.75, rel=0.02)
 
 
 @pytest.mark.slow
@@ -105,10 +105,10 @@ def test_a_sheath_that_is_straighter_has_less_of_both(slack: Run) -> None:
 def test_a_cell_that_is_wrong_is_said_in_one_line_and_raises_nothing(slack: Run, read: Cells, words: str) -> None:
     chosen = follow(slack, read, attribute=Attribution.PRETENSION)
     assert chosen.state is EstimateState.INVALID
-    assert re.search(words, chosen.why)
-    assert "\n" not in chosen.why
+    assert re.search(words, chosen.reason)
+    assert "\n" not in chosen.reason
     assert chosen.pretension <= TENSION
-    assert math.isnan(chosen.found)
+    assert math.isnan(chosen.half_loop_ratio)
 
 
 def test_nothing_is_known_of_a_joint_that_rests_and_a_disable_forgets() -> None:
@@ -121,7 +121,7 @@ def test_nothing_is_known_of_a_joint_that_rests_and_a_disable_forgets() -> None:
         chosen.update(Sample(1.0, 0.0, math.nan, 0.0, math.nan, True))
     assert chosen.state is EstimateState.INVALID
     chosen.reset()
-    assert (chosen.state, chosen.why) == (EstimateState.UNESTIMATED, "")
+    assert (chosen.state, chosen.reason) == (EstimateState.UNESTIMATED, "")
 
 
 KIND = ('# kind = "sensor"  ', 'kind = "tension"  ')

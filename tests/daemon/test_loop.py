@@ -360,7 +360,7 @@ def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytes
     """The loop passes the number of skipped periods to the axis. Otherwise velocities would be too high."""
     machine = build(CONSTANT)
     told: list[int] = []
-    monkeypatch.setattr(machine.axis, "pass_over", told.append)
+    monkeypatch.setattr(machine.axis, "skip_cycles", told.append)
     machine.wake_late(300, 3.2e-3)
     machine.run(seconds=1.0)
     assert told == [3]

@@ -180,7 +180,7 @@ def test_periods_without_a_cycle_count_for_what_the_motor_s_inertia_takes(gait: 
         found = []
         for place in range(0, len(rows), every):
             seen.update(*rows[place])
-            seen.pass_over(told)
+            seen.skip_cycles(told)
             if kept[place]:
                 found.append(seen.torque - axis.delivered[place])
         return rms(np.array(found))
@@ -194,9 +194,9 @@ def test_a_long_time_without_a_cycle_is_one_without_measurements() -> None:
     for _ in range(3):
         seen.update(0.1, 0.0, 0.2, 0.1)
     assert math.isfinite(seen.torque)
-    seen.pass_over(round(0.9 * LONGEST_GAP / 1e-3))
+    seen.skip_cycles(round(0.9 * LONGEST_GAP / 1e-3))
     assert math.isfinite(seen.torque)
-    seen.pass_over(round(0.2 * LONGEST_GAP / 1e-3))
+    seen.skip_cycles(round(0.2 * LONGEST_GAP / 1e-3))
     assert math.isnan(seen.torque)
 
 

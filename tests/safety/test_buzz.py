@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tsa_ctrl.safety.guard import Buzz
+from tsa_ctrl.safety.guard import ChatterDetector
 
 PERIOD = 1e-3
 LEVEL = 0.03  # N*m RMS
@@ -16,7 +16,7 @@ LEVEL = 0.03  # N*m RMS
 
 def watch(added: np.ndarray, wanted: np.ndarray | None = None, period: float = PERIOD) -> list[int]:
     """Return the cycles in which chatter is detected."""
-    buzz = Buzz(LEVEL, period)
+    buzz = ChatterDetector(LEVEL, period)
     other = np.zeros_like(added) if wanted is None else wanted
     return [n for n, pair in enumerate(zip(added.tolist(), other.tolist(), strict=True)) if buzz.update(*pair)]
 
@@ -69,7 +69,7 @@ def test_is_told_in_the_cycle_in_which_ten_blocks_have_been_loud(period: float, 
         swing[t > draw.uniform(0.3, 2.0) * t[-1]] = 0.0
         added = 0.2 + swing + draw.normal(0.0, 1e-3, t.size)
         wanted = draw.uniform(0.0, 0.3) * np.roll(swing, 1) - 0.1
-        buzz, found = Buzz(LEVEL, period), []
+        buzz, found = ChatterDetector(LEVEL, period), []
         for n, pair in enumerate(zip(added.tolist(), wanted.tolist(), strict=True)):
             if buzz.update(*pair):
                 found.append((n, buzz.frequency))
@@ -90,7 +90,7 @@ def test_a_swing_up_to_a_third_of_the_rate_is_seen_within_half_a_second(period: 
 
 
 def test_its_frequency_is_told() -> None:
-    buzz = Buzz(LEVEL, PERIOD)
+    buzz = ChatterDetector(LEVEL, PERIOD)
     for value in (0.15 * np.sin(2.0 * math.pi * 41.0 * times(0.5))).tolist():
         buzz.update(value, 0.0)
     assert buzz.frequency == pytest.approx(41.0, abs=2.0)
@@ -125,7 +125,7 @@ def test_a_short_swing_is_left_alone() -> None:
 
 
 def test_what_is_not_finite_does_not_stick_and_reset_forgets() -> None:
-    buzz = Buzz(LEVEL, PERIOD)
+    buzz = ChatterDetector(LEVEL, PERIOD)
     swing = (0.2 * np.sin(2.0 * math.pi * 60.0 * times(0.42))).tolist()
     for value in swing[:380]:
         assert not buzz.update(value, 0.0)
@@ -159,7 +159,7 @@ def test_the_turns_of_a_hand_that_trembles_are_looked_through(period: float) -> 
     term = 0.2 * np.sign(np.sin(2.0 * math.pi * 8.0 * t + 1e-6))
     found = {}
     for name, follows in (("follows", phase < 0.02 * 8.0), ("not", np.zeros(t.size, dtype=bool))):
-        buzz = Buzz(LEVEL, period)
+        buzz = ChatterDetector(LEVEL, period)
         found[name] = [
             buzz.update(*values) for values in zip(term.tolist(), [0.0] * t.size, follows.tolist(), strict=True)
         ]
@@ -171,5 +171,5 @@ def test_a_swing_is_told_between_the_turns_of_a_hand() -> None:
     t = times(3.0)
     follows = (8.0 * t % 0.5) < 0.04 * 8.0
     swing = 2.0 * LEVEL * np.sin(2.0 * math.pi * 70.0 * t)
-    buzz = Buzz(LEVEL, PERIOD)
+    buzz = ChatterDetector(LEVEL, PERIOD)
     assert any(buzz.update(*values) for values in zip(swing.tolist(), [0.0] * t.size, follows.tolist(), strict=True))

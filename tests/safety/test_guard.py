@@ -287,7 +287,7 @@ def test_periods_without_a_cycle_count_for_the_energy() -> None:
     """If every second period has no cycle, about half as many cycles are needed, except for the predicted energy."""
     always, half = Rig(), Rig()
     while not half.guard.count:
-        half.guard.pass_over(1)
+        half.guard.skip_cycles(1)
         half.run(PERIOD)
     while not always.guard.count:
         always.run(PERIOD)

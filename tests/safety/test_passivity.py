@@ -339,14 +339,14 @@ def test_energy_of_periods_without_a_cycle_counts() -> None:
     for n in range(100):
         whole.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
         if n % 2:
-            halved.pass_over(1)
+            halved.skip_cycles(1)
             halved.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
     assert halved.energy == pytest.approx(whole.energy, rel=0.03)
 
 
 def test_a_cycle_of_which_nothing_is_known_takes_its_periods_with_it() -> None:
     whole, holed = Passivity(1.0, (0.0, 0.0, 0.0), 1e-3), Passivity(1.0, (0.0, 0.0, 0.0), 1e-3)
-    holed.pass_over(1000)
+    holed.skip_cycles(1000)
     holed.update(math.nan, 0.0, 0.0, 1.0, 0.3, 0.4)
     for each in (whole, holed):
         each.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)

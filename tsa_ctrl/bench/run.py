@@ -23,7 +23,7 @@ from tsa_ctrl.bus.wire.bus import Bus
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.cycle import follow_up, run_cycle
+from tsa_ctrl.control.cycle import after_commands, run_cycle
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
@@ -134,7 +134,7 @@ def _run(
         now = woke * 1e-9
         run_cycle(rig, axes, now, now + collect)
         done = clock()
-        follow_up(rig, axes, now)
+        after_commands(rig, axes, now)
         telemetry.record(number / rate, number, (woke - deadline) * 1e-9, (done - woke) * 1e-9)
         end = clock()
         if number >= first:

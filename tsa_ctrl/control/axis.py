@@ -173,7 +173,7 @@ class ControlAxis:
         self.compensation_limit = safeguards.compensation_limit
         self.plausibility = safeguards.plausibility
         self.joint_torque = safeguards.joint_torque
-        self._lost_commands = LostCommands(io.hearing, str(io.image.nodes[0]))
+        self._lost_commands = LostCommands(io.readback, str(io.image.nodes[0]))
         self.most_age = timing.most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
@@ -187,7 +187,9 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
-        self._path_arm = model.lever / model.motor_pulley_radius  # rad of the motor per rad of `Bending.apart`
+        self._path_arm = (
+            model.lever / model.motor_pulley_radius
+        )  # rad of the motor per rad of `Bending.path_difference`
         self.limiter.ceiling = self.polarity_check.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._imbalance = 0.0  # 1, of the two tendons' friction angles
@@ -260,7 +262,7 @@ class ControlAxis:
         """Store this cycle's motion of motor and joint in `terms`."""
         image, terms = self.image, self.terms
         terms.q_j, terms.omega_j = self.joint()
-        apart, rate = self.bending.apart()
+        apart, rate = self.bending.path_difference()
         terms.routed = self._path_arm * apart
         terms.q_m, terms.omega_m = image.q_m - terms.routed, image.omega_m - self._path_arm * rate
 
@@ -277,7 +279,7 @@ class ControlAxis:
                 self.request = Request.DISABLE
         return now - self._enabled_at
 
-    def listen(self, now: float, t: float) -> None:
+    def receive_setpoint(self, now: float, t: float) -> None:
         """Accept the set-point that has arrived since the last cycle; `t`: s since the enable.
 
         Its age follows from the client's time stamp, which is limited to `now`.
@@ -287,7 +289,7 @@ class ControlAxis:
             value, time = found
             self.set_point.receive(value, t - max(now - time, 0.0))
 
-    def follow(self, now: float) -> None:
+    def after_command(self, now: float) -> None:
         """Complete a cycle after its command: inform the law, latch the limiter's findings, use the measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
@@ -309,7 +311,7 @@ class ControlAxis:
                 terms.q_j,
                 instruments.tau_j,
                 law.velocity,
-                law.turn.turning,
+                law.reversal.turning,
                 law.half_loop if self._measures_wrap_angle else self._nominal_half_loop,
             )
         if not terms.permitted:
@@ -321,11 +323,11 @@ class ControlAxis:
             # A stop only reduces torque, whatever the tendons still hold. Without compensation, no term reverses.
             counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
             excess = instruments.tau_j - terms.tau_j_des if counts else math.nan
-            self.direction.measure(excess, law.turn.turning)
+            self.direction.measure(excess, law.reversal.turning)
             law.learn(excess)
-        unheard = self._lost_commands.update(now)
-        if unheard is not None:
-            self.supervisor.trip(unheard, now)
+        outdated = self._lost_commands.update(now)
+        if outdated is not None:
+            self.supervisor.trip(outdated, now)
         if terms.reason in _TRIPPING:
             detail = f"joint {terms.omega_j:.1f} rad/s, motor {image.omega_m:.1f} rad/s, at the limiter"
             self.supervisor.trip(Finding(_TRIPPING[terms.reason], detail), now)
@@ -345,7 +347,7 @@ class ControlAxis:
                 self.joint_torque.distrust()
                 self.supervisor.trip(wrong, now)
         else:
-            self.plausibility.pass_over()
+            self.plausibility.skip_cycles()
         sample = self._sample
         sample.sigma, sample.omega_j, sample.theta = terms.sigma, terms.omega_j, theta
         sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
@@ -356,7 +358,7 @@ class ControlAxis:
         self.estimator.update(sample)
         self.adapt()
         self._watch()
-        self.law.follow(self.set_point.rate, self.set_point.silent)
+        self.law.update_backoff(self.set_point.rate, self.set_point.silent)
 
     def _expected(self) -> tuple[float, float]:
         """Return the joint torque (N*m) of the model for the motor torque, with friction in either direction.
@@ -376,15 +378,15 @@ class ControlAxis:
         """Return the angle between motor and joint, rad at the motor; nan without an encoder."""
         return self.terms.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Account for periods without a cycle, because the loop was late, in all parts that count cycles."""
         self.image.skipped += periods
-        self.law.pass_over(periods)
-        self.joint_torque.pass_over(periods)
-        self.plausibility.pass_over()
+        self.law.skip_cycles(periods)
+        self.joint_torque.skip_cycles(periods)
+        self.plausibility.skip_cycles()
         self.compensation_limit.proven.miss(periods * self._period)
         if self._enabled_at is not None:  # the guard runs only with torque
-            self.guard.pass_over(periods)
+            self.guard.skip_cycles(periods)
 
     def release(self) -> None:
         """Reset all states of the axis once, when torque is no longer permitted."""
@@ -414,13 +416,13 @@ class ControlAxis:
         if self._has_torque_sensor:
             return self.instruments.tau_j
         stretch = self.joint_torque.stretch
-        return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.TOLD else math.nan
+        return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.ESTIMATED else math.nan
 
     def _watch(self) -> None:
         """Pass the effect of the compensation to the guard, and apply its request."""
         law, terms, guard, gearing = self.law, self.terms, self.guard, self._gearing
         velocity = law.velocity
-        swing = law.swing(terms.omega_m) if law.turn.turning else 0.0
+        swing = law.swing(terms.omega_m) if law.reversal.turning else 0.0
         seen = self._observed
         seen.tau_j, seen.omega_j = self._delivered(), velocity
         seen.wanted, seen.rate = self.ramp * terms.tau_j_des, self.set_point.rate

@@ -70,7 +70,7 @@ class _Joint:
         a, b = (route.extremes_by(self.name, span) for route in self._routes)
         return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
 
-    def apart(self) -> tuple[float, float]:
+    def path_difference(self) -> tuple[float, float]:
         """Return half of Theta_a - Theta_b by this joint at the measurement, and its rate, rad and rad/s.
 
         Without a measurement, the last angle is returned with the rate 0.
@@ -149,12 +149,12 @@ class Bending:
         """Return half of Theta_a - Theta_b at the last update, rad; 0 for tendons with the same routing."""
         return sum([joint.difference for joint in self._joints]) if self._apart else 0.0
 
-    def apart(self) -> tuple[float, float]:
+    def path_difference(self) -> tuple[float, float]:
         """Return half of Theta_a - Theta_b (rad) and its rate (rad/s) at the time of the present measurements."""
         angle = rate = 0.0
         if self._apart:
             for joint in self._joints:
-                by_joint, by_speed = joint.apart()
+                by_joint, by_speed = joint.path_difference()
                 angle, rate = angle + by_joint, rate + by_speed
         return angle, rate
 

@@ -35,7 +35,7 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
     if permitted:
         t = axis.since_enable(now)
         if set_point.is_received:
-            axis.listen(now, t)
+            axis.receive_setpoint(now, t)
         terms.tau_j_des = set_point.update(t)
         law.observe(q_j, terms.q_m, image.fresh, set_point.ahead, set_point.rate)
         wanted = axis.ramp * law.update(set_point.acting, terms.q_m, terms.omega_m, t, axis.guard.share)
@@ -50,10 +50,10 @@ def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
     return controlword, torque
 
 
-def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
+def after_commands(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
     """Complete a cycle after its commands, so that they are not delayed; the results act in the next cycle."""
     for axis in axes:
-        axis.follow(now)
+        axis.after_command(now)
         if axis.supervisor.cut_off:  # commands do not reach the drive or have no effect: 0x6007 remains
             rig.nmt(NmtCommand.STOP, axis.io.nodes.drive.node_id)
     rig.heartbeat(now)

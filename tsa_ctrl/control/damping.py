@@ -53,7 +53,7 @@ class Damping:
         if self._planned:
             self._planned[-1] = planned
 
-    def pass_over(self) -> None:
+    def skip_cycles(self) -> None:
         """Repeat the last planned value for a period without a cycle."""
         if self._planned:
             self._planned.append(self._planned[-1])

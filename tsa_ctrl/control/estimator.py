@@ -132,10 +132,10 @@ class Estimator(Protocol):
     pretension: float  # N
     state: EstimateState
     use: bool  # True if the law may use both values
-    why: str  # explanation of the state INVALID; empty if the state is sufficient
+    reason: str  # explanation of the state INVALID; empty if the state is sufficient
 
     @property
-    def found(self) -> float:
+    def half_loop_ratio(self) -> float:
         """Return the friction torque estimated in both directions over the file's value, 1; nan without an estimate."""
 
     def update(self, seen: Sample) -> None: ...
@@ -148,8 +148,8 @@ class Fixed:
 
     state = EstimateState.FIXED
     use = True
-    why = ""
-    found = math.nan
+    reason = ""
+    half_loop_ratio = math.nan
 
     def __init__(self, model: TendonSheath) -> None:
         self.friction_angle = model.friction_angle
@@ -172,8 +172,8 @@ class ConfigurationMap:
     """
 
     use = True
-    why = ""
-    found = math.nan
+    reason = ""
+    half_loop_ratio = math.nan
 
     def __init__(
         self, model: TendonSheath, settings: EstimatorSettings, period: float, most_theta: float | None = None
@@ -207,7 +207,7 @@ class ConfigurationMap:
         if abs(theta - last) > JUMP and not seen.fading:
             self._gap += last - theta
         self._last = theta
-        self._gap = toward(self._gap, 0.0, self._step)
+        self._gap = rate_limit(self._gap, 0.0, self._step)
         self.friction_angle, self.pretension = self.parameters(theta + self._gap)
 
     def parameters(self, theta: float) -> tuple[float, float]:
@@ -233,29 +233,29 @@ class GatedEstimator:
         """Return to the model file's values without an estimate."""
         self.friction_angle, self.pretension = self._target = self._nominal
         self.state = EstimateState.UNESTIMATED
-        self.why = ""
+        self.reason = ""
 
     def _approach(self) -> None:
         """Move the outputs towards the target by one cycle."""
         (angle, pretension), (for_angle, for_pretension) = self._target, self._steps
         if self.friction_angle != angle:
-            self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
+            self.friction_angle = rate_limit_fast_down(self.friction_angle, angle, for_angle)
         if self.pretension != pretension:
-            self.pretension = sooner_down(self.pretension, pretension, for_pretension)
+            self.pretension = rate_limit_fast_down(self.pretension, pretension, for_pretension)
 
     def _accept(self, angle: float, pretension: float) -> None:
         """Use an estimate of friction angle (1) and pretension (N)."""
-        self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, pretension)
+        self.state, self.reason, self._target = EstimateState.ESTIMATED, "", (angle, pretension)
 
-    def _refuse(self, why: str = "") -> None:
+    def _refuse(self, reason: str = "") -> None:
         """Use the model file's values, or the present ones if they have less friction: either may be wrong."""
         if self.state is not EstimateState.INVALID:
-            self.state, self.why = EstimateState.INVALID, why
+            self.state, self.reason = EstimateState.INVALID, reason
             used = self._sliding(1.0, self.friction_angle, self.pretension).half_loop
             self._target = self._nominal if used > self._half_loop else (self.friction_angle, self.pretension)
 
 
-def toward(value: float, target: float, step: float) -> float:
+def rate_limit(value: float, target: float, step: float) -> float:
     """Return `value` moved towards `target` by at most `step`."""
     change = target - value
     if change > step:
@@ -263,6 +263,6 @@ def toward(value: float, target: float, step: float) -> float:
     return value - step if change < -step else target
 
 
-def sooner_down(value: float, target: float, step: float) -> float:
+def rate_limit_fast_down(value: float, target: float, step: float) -> float:
     """Return `value` moved towards `target` by at most `step`, or by `DOWN` steps if it falls."""
-    return toward(value, target, DOWN * step if target < value else step)
+    return rate_limit(value, target, DOWN * step if target < value else step)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import msgspec
 
-from tsa_ctrl.control.kalman import why_not as beside
+from tsa_ctrl.control.kalman import unsupported_reason as unsupported_by_sensor
 from tsa_ctrl.control.settings import EstimatorSettings
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.specification import Stage
@@ -45,16 +45,21 @@ def chosen(
     """
     if settings.kind is not None:
         return (settings if settings.use is not None else msgspec.structs.replace(settings, use=False)), ""
-    if has_torque_sensor and not follows_bending and _has_friction(model) and not beside(model, has_temperature):
+    if (
+        has_torque_sensor
+        and not follows_bending
+        and _has_friction(model)
+        and not unsupported_by_sensor(model, has_temperature)
+    ):
         return msgspec.structs.replace(settings, kind="sensor", use=settings.use is not False), ""
-    reason = why_fixed(model, has_encoder)
+    reason = reason_for_fixed(model, has_encoder)
     if reason or follows_bending:
         note = f"friction and pretension are the model file's (estimator fixed): {reason}" if reason else ""
         return msgspec.structs.replace(settings, kind="fixed", use=False), note
     return msgspec.structs.replace(settings, kind="stretch", use=settings.use is not False), ""
 
 
-def why_fixed(model: TendonSheath, has_encoder: bool) -> str:
+def reason_for_fixed(model: TendonSheath, has_encoder: bool) -> str:
     """Return the obstacle to an estimate from the tendon elongation; empty if there is none."""
     if not has_encoder:
         return "the elongation is the difference of motor and joint angle, which needs an [axis.encoder]"

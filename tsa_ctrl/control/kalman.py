@@ -14,7 +14,7 @@ the friction of a locked joint.
 
 s is a nuisance parameter: cosh x is too flat to identify x from it. With `elongation_coupling` in the model, h, k and s
 follow from the position of the bends. The torques of the model's effects outside the tendons are subtracted first
-(`Bare`).
+(`EffectRemoval`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from tsa_ctrl.model.steady_sliding import sliding
 _WITHIN = (Stage.BENDING, Stage.PRETENSION, Stage.FRICTION, Stage.TENSION)
 
 
-class Bare:
+class EffectRemoval:
     """Subtract the torques of the model's effects outside the tendons; call `measure` in every cycle.
 
     An estimator without this subtraction attributes the friction of motor and joint to the sheath. The law, which adds
@@ -99,7 +99,7 @@ class Bare:
         return tau_j if stack.load is None else stack.load.invert(SCALARS, tau_j, state.sigma)
 
 
-def why_not(model: TendonSheath, has_temperature: bool = False) -> str:
+def unsupported_reason(model: TendonSheath, has_temperature: bool = False) -> str:
     """Return the reason why the model's effects prevent an estimate of friction angle and pretension, else "".
 
     `has_temperature`: True if the axis measures the temperature.
@@ -137,7 +137,7 @@ class KalmanEstimator(GatedEstimator):
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         super().__init__(model, settings, period)
         self._motor = settings.kind == "motor"
-        self._bare = Bare(model, period) if model.effects else None
+        self._removal = EffectRemoval(model, period) if model.effects else None
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)
         per_torque = 0.5 * (sliding(model, 1.0).slope + sliding(model, -1.0).slope)
         half, slope = self._split.nominal, 1.0 / per_torque if self._motor else per_torque
@@ -171,22 +171,22 @@ class KalmanEstimator(GatedEstimator):
         self._tau_m = self._tau_j = 0.0
         self._first_omega, self._moved = 0.0, False
         self._begin_stroke()
-        if self._bare is not None:
-            self._bare.reset()
+        if self._removal is not None:
+            self._removal.reset()
 
     @property
-    def found(self) -> float:
+    def half_loop_ratio(self) -> float:
         """Return the friction torque over the model file's value, 1; nan while it is not estimated."""
         return self.half_loop / self._split.nominal if self.state is EstimateState.ESTIMATED else math.nan
 
     def update(self, seen: Sample) -> None:
         """Process the data of one cycle."""
         sigma, omega_j, tau_m, tau_j = seen.sigma, seen.omega_j, seen.tau_m, seen.tau_j
-        bare = self._bare
-        if bare is not None:
-            bare.measure(seen)
-            if bare.remembers:
-                bare.joint(self._load if self._motor else tau_j)
+        removal = self._removal
+        if removal is not None:
+            removal.measure(seen)
+            if removal.remembers:
+                removal.joint(self._load if self._motor else tau_j)
         direction = 1 if sigma > SLIDING else -1 if sigma < -SLIDING else 0
         moves = omega_j * direction > self._least_speed
         if self._motor and not moves:  # without a torque sensor, it is unknown if a joint at rest follows
@@ -199,8 +199,8 @@ class KalmanEstimator(GatedEstimator):
             low, high = self._pulling[direction > 0]
             if self._since > self._settle and low < tau_m < high:
                 known = self._load if self._motor else tau_j
-                if bare is not None:
-                    tau_m, known = bare.motor(tau_m), bare.joint(known)
+                if removal is not None:
+                    tau_m, known = removal.motor(tau_m), removal.joint(known)
                 self._admit(direction, omega_j, moves, tau_m, known)
         self._approach()
 

@@ -4,8 +4,9 @@
 
 tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects. Its inputs are the set-point tau_J* at the time
 when the command acts, and the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can
-follow (`reversal.Turn`). At a joint at rest, the reversal stops where the slip fronts do (`reversal.Slip`). c is the
-compensation factor, f the fade-in after every enable, b the back-off of the guards against excessive compensation.
+follow (`reversal.FrictionReversal`). At a joint at rest, the reversal stops where the slip fronts do
+(`reversal.ReversalSlip`). c is the compensation factor, f the fade-in after every enable, b the back-off of the guards
+against excessive compensation.
 
 The term must not exceed the actual friction. Term and friction together give the joint the power
 
@@ -38,7 +39,7 @@ from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.law_design import Plan
 from tsa_ctrl.control.motion_filter import JointAngle, Motion
-from tsa_ctrl.control.reversal import Slip, Turn
+from tsa_ctrl.control.reversal import FrictionReversal, ReversalSlip
 from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
@@ -125,7 +126,7 @@ class Law:
         self.cut = 0  # cycles with `beyond`
         self.near_slack = False
         self.notes = (*plan.notes, *inverse.notes)
-        self.turn = Turn(plan.front, plan.turn, period)
+        self.reversal = FrictionReversal(plan.front, plan.turn, period)
         self.damping = Damping(plan.damping, plan.ringing, plan.delay, r_j / r_m, period)
         self._inverse = inverse
         self._motion = motion
@@ -133,7 +134,7 @@ class Law:
         self._has_encoder = has_encoder
         self._joint_angle = joint_angle
         self._nominal = inverse.pretension
-        self._slip = Slip(plan.front, r_m, r_j, plan.stiffness, period)
+        self._slip = ReversalSlip(plan.front, r_m, r_j, plan.stiffness, period)
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
         self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
         self._settle = settings.settle
@@ -151,7 +152,7 @@ class Law:
     @property
     def sigma(self) -> float:
         """Return the present direction of the friction term, -1 to 1."""
-        return self.turn.force
+        return self.reversal.force
 
     @property
     def velocity(self) -> float:
@@ -203,25 +204,25 @@ class Law:
             ahead: set-point at the end of a reversal that starts now, N*m; nan without torque.
             rate: slope of that set-point, N*m/s; 0 without torque.
         """
-        direction, turn, motion = self.direction, self.turn, self._motion
+        direction, reversal, motion = self.direction, self.reversal, self._motion
         since = self.late * motion.velocity  # rad, joint motion since the planned time
         if self._has_encoder:
             if fresh and self._joint_angle is not None:
                 of_motor = self._ratio * (q_m - self._stretch)
-                q_j = self._joint_angle.update(q_j, of_motor, motion.velocity, turn.turning)
+                q_j = self._joint_angle.update(q_j, of_motor, motion.velocity, reversal.turning)
             motion.update(q_j - since, fresh)
         else:
             motion.update(self._ratio * (q_m - self._stretch) - since, fresh)
-            self._blind = BLIND * self._motion.memory if turn.turning else self._blind - self._period
+            self._blind = BLIND * self._motion.memory if reversal.turning else self._blind - self._period
             if self._blind > 0.0:  # the reversal itself moves the motor, but not the joint
-                turn.update(direction.sigma)
+                reversal.update(direction.sigma)
                 return
         old = direction.sigma
         rested = direction.rest
         sigma = direction.update(ahead, rate)
         if sigma != old:
             slip, inverse = self._slip, self._inverse
-            slip.turn(turn)
+            slip.turn(reversal)
             if rested > STOOD and ahead == ahead:
                 pull = self.friction_term - self._correction + self._ratio * self._peak
                 slip.begin(sigma, pull, inverse.friction_angle, inverse.pretension)
@@ -234,14 +235,14 @@ class Law:
             self._slip.move()
         elif direction.missing > 0.0 and self.half_loop > 0.0:
             self._slip.release(self._closing * direction.missing / self.half_loop)
-        turn.update(sigma, direction.age)
+        reversal.update(sigma, direction.age)
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Account for periods without a cycle: extrapolate the joint motion and continue a planned reversal."""
         for _ in range(min(periods, MOST_EXPECTED)):
             self._motion.update(math.nan, False)
-            self.turn.update(self.direction.sigma)
-            self.damping.pass_over()
+            self.reversal.update(self.direction.sigma)
+            self.damping.skip_cycles()
 
     def update(self, tau_j: float, q_m: float, omega_m: float, t: float, back_off: float) -> float:
         """Return the desired motor torque, N*m.
@@ -252,7 +253,7 @@ class Law:
             t: time since the enable, s.
             back_off: factor of the compensation in [-1, 1]; a negative factor adds to the friction.
         """
-        inverse, motion, turn, slip = self._inverse, self._motion, self.turn, self._slip
+        inverse, motion, reversal, slip = self._inverse, self._motion, self.reversal, self._slip
         ideal = tau_j * self._ratio
         fade = self._fade
         if fade < 1.0:
@@ -265,14 +266,14 @@ class Law:
         velocity, delay = motion.velocity, self._delay
         omega = velocity + delay * acceleration
         angle, motor = motion.angle + delay * velocity, q_m + delay * omega_m  # when the torque acts
-        full = inverse.update(tau_j, turn.force, omega, angle, motor, self.temperature, t=t)
-        slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
+        full = inverse.update(tau_j, reversal.force, omega, angle, motor, self.temperature, t=t)
+        slip.update(tau_j, inverse.friction_angle, inverse.pretension, reversal)
         term = self.friction_term
         change = share * (full + slip.torque - ideal) - term
         self._correction = 0.0
         if self.feedback.used and share > 0.0:
             room = (back_off == 1.0) * self.room * (1.0 - self._settled) * self._wanted * self.half_loop
-            self._correction = fade * self.feedback.torque(turn.force, self.half_loop, room)
+            self._correction = fade * self.feedback.torque(reversal.force, self.half_loop, room)
             change += self._correction
         if back_off == 1.0:  # the guard's action is never delayed
             step = self.slew * self._period
@@ -295,7 +296,7 @@ class Law:
         self.planned = planned
         return wanted + planned
 
-    def follow(self, rate: float, silent: bool = False) -> None:
+    def update_backoff(self, rate: float, silent: bool = False) -> None:
         """Update the removed share of the friction term for the next command.
 
         Args:
@@ -324,12 +325,12 @@ class Law:
         Args:
             excess: delivered minus desired joint torque, N*m; nan without a measurement.
         """
-        turn = self.turn
+        reversal = self.reversal
         if self.feedback.used and not self.beyond:
             self.feedback.update(
                 excess,
-                turn.force,
-                turn.turning,
+                reversal.force,
+                reversal.turning,
                 self.direction.moving,
                 not self.faded,
                 self.ideal,
@@ -340,7 +341,7 @@ class Law:
 
     def swing(self, omega_m: float) -> float:
         """Return the kinetic energy (J) of the motor at `omega_m` rad/s relative to the joint; 0 outside a reversal."""
-        if not self.turn.turning or not self._has_encoder:
+        if not self.reversal.turning or not self._has_encoder:
             return 0.0
         return 0.5 * self._inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
 

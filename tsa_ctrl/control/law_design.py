@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.control.damping import FORGET
-from tsa_ctrl.control.reversal import Front, Turn, front_of
+from tsa_ctrl.control.reversal import FrictionReversal, ReversalFront, front_of
 from tsa_ctrl.errors import UsageError, rounded_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
@@ -184,7 +184,7 @@ class Limits(NamedTuple):
 class Plan:
     """Hold the parameters of one axis's law in SI units; `notes` explain the limits of this rig."""
 
-    front: Front
+    front: ReversalFront
     delay: float  # s, from a measurement to the acting torque
     turn: float  # s, duration of a friction reversal
     lead: float  # s, by which the joint velocity is extrapolated
@@ -198,7 +198,7 @@ class Plan:
     notes: tuple[str, ...] = ()
 
 
-def plan_of(
+def design_law(
     model: TendonSheath,
     *,
     period: float,
@@ -283,7 +283,7 @@ def reversal_speed(model: TendonSheath, turn: float | None, period: float) -> fl
     return wound_by_friction(model) / (turn or TURN * period)
 
 
-def _way(front: Front, half_loop: float, stiffness: float) -> float:
+def _way(front: ReversalFront, half_loop: float, stiffness: float) -> float:
     """Return the motion of the motor in a whole friction reversal, rad."""
     return 2.0 * front.centre * half_loop / stiffness
 
@@ -309,7 +309,7 @@ def _slowed(turn: float, way: float, limits: Limits, where: str, notes: list[str
 
 
 def _duration(
-    model: TendonSheath, front: Front, stiffness: float, inertia: float, period: float, limits: Limits
+    model: TendonSheath, front: ReversalFront, stiffness: float, inertia: float, period: float, limits: Limits
 ) -> float:
     """Return the duration of a friction reversal that the limits of rate and torque allow, s."""
     half_loop = abs(sliding(model).motor_half_loop)
@@ -319,7 +319,7 @@ def _duration(
     duration = periods * period if inertia else max(BLIND, periods * period)
     moved = _way(front, half_loop, stiffness)
     while duration < LONGEST_TURN:
-        step = 2.0 * half_loop * Turn(front, duration, period).steepest()
+        step = 2.0 * half_loop * FrictionReversal(front, duration, period).steepest()
         swing = 2.0 * math.pi * inertia * moved / duration**2
         slope = 2.0 * math.pi * swing / duration
         rate, torque = limits.rate, limits.torque

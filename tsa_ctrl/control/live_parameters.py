@@ -11,7 +11,7 @@ from typing import Any
 
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.direction import LEAST_ZONE
-from tsa_ctrl.control.estimator import Fixed, toward
+from tsa_ctrl.control.estimator import Fixed, rate_limit
 from tsa_ctrl.control.kalman import KalmanEstimator
 from tsa_ctrl.control.stretch_estimator import StretchEstimator
 from tsa_ctrl.control.tension_estimator import TensionEstimator
@@ -107,7 +107,7 @@ class Tuner:
             return
         for index, target in list(self._moving.items()):
             parameter = self.parameters[index]
-            value = toward(parameter.value, target, parameter.rate * self._period)
+            value = rate_limit(parameter.value, target, parameter.rate * self._period)
             setattr(parameter.part, parameter.attribute, value)
             if value == target:
                 del self._moving[index]

@@ -1,9 +1,9 @@
 """Plan the reversal of the friction term: the slip front in the sheath, the motor motion, and the tensions at rest.
 
-**Front.** Until the motor reverses, each tendon slides in one direction, and its tension changes along the bends by
-exp(-+x). After the reversal it slides in the other direction from the motor up to a front. Beyond the front, nothing
-has changed. A front at the share p of the bending (p x of the friction angle) has changed the motor-side tension by
-2 p x T, to first order in x. The motor has moved by
+**ReversalFront.** Until the motor reverses, each tendon slides in one direction, and its tension changes along the
+bends by exp(-+x). After the reversal it slides in the other direction from the motor up to a front. Beyond the front,
+nothing has changed. A front at the share p of the bending (p x of the friction angle) has changed the motor-side
+tension by 2 p x T, to first order in x. The motor has moved by
 
     s(p) = 2 x T l/EA S(p),     S(p) = integral over u from 0 to 1 of max(0, p - b(u)),     S(1) = s_c
 
@@ -13,8 +13,9 @@ the first half of the hysteresis takes a quarter of the motor's travel. With all
 spring. With all bends at the motor, S = 0, and the travel is 0. A series spring is a part of the length without bends.
 A spring at the motor is before all bends, and a spring at the joint is behind them.
 
-**Turn.** When the tendon reverses, the motor-side tension passes through the whole hysteresis, and the motor moves by
-the corresponding elongation. The motor's inertia prevents a step. The elongation therefore follows a cycloid in time,
+**FrictionReversal.** When the tendon reverses, the motor-side tension passes through the whole hysteresis, and the
+motor moves by the corresponding elongation. The motor's inertia prevents a step. The elongation therefore follows a
+cycloid in time,
 
     s/s_end = y - sin(2 pi y) / 2 pi,     y = time / duration in [0, 1],     s'' = 0 at both ends
 
@@ -34,11 +35,11 @@ After the shorter travel, the joint torque follows the sliding tendon, while the
 After the longer travel, both slide, as they do immediately when the joint moves. The tensions at the last reversal are
 the state, with return-point memory: a smaller stroke begins within them, and a larger one replaces them.
 
-Limit of `Slip`: the joint is assumed to be locked. A hand that holds it yields, and then the second tendon slides with
-the first. The shorter the length between bends and joint, the less motion is sufficient. At a point bend, no encoder
-detects this motion. With true parameters, x = 0.8 and bends in the last tenth, `Slip` costs a human-in-the-loop load
-7 mN*m RMS in the first stroke (32 instead of 24), and saves a locked joint 25 (3 instead of 28). On 14 random rigs, it
-reduces the error of a locked joint from 61 to 15 mN*m (geometric mean).
+Limit of `ReversalSlip`: the joint is assumed to be locked. A hand that holds it yields, and then the second tendon
+slides with the first. The shorter the length between bends and joint, the less motion is sufficient. At a point bend,
+no encoder detects this motion. With true parameters, x = 0.8 and bends in the last tenth, `ReversalSlip` costs a
+human-in-the-loop load 7 mN*m RMS in the first stroke (32 instead of 24), and saves a locked joint 25 (3 instead of 28).
+On 14 random rigs, it reduces the error of a locked joint from 61 to 15 mN*m (geometric mean).
 
 Source: (3.24)-(3.30) at each contact, (3.31)-(3.41) for the travel.
 """
@@ -57,7 +58,7 @@ from tsa_ctrl.model.stretch import profile_of
 _STEPS = 64  # of the tables over p and over y
 
 
-class Front:
+class ReversalFront:
     """Hold S(p) of a sheath as a table, with its inverse and the centre of the bending."""
 
     def __init__(self, points: Points, before: float = 0.0, after: float = 0.0) -> None:
@@ -82,11 +83,11 @@ class Front:
         return tuple(after - now for now, after in itertools.pairwise([0.0, *before, 1.0]))
 
 
-def front_of(model: TendonSheath) -> Front:
+def front_of(model: TendonSheath) -> ReversalFront:
     """Return the front of a model; without a curvature profile the sheath is bent evenly."""
     points = profile_of(model).points
     spring = model.series_length / model.unstrained_length
-    return Front(points, 0.0, spring) if model.series_at_joint else Front(points, spring, 0.0)
+    return ReversalFront(points, 0.0, spring) if model.series_at_joint else ReversalFront(points, spring, 0.0)
 
 
 def _mean_above(course: list[tuple[float, float]], p: float) -> float:
@@ -104,14 +105,14 @@ def _mean_above(course: list[tuple[float, float]], p: float) -> float:
 _SOFT = 0.02  # of s_c: elongation added over the whole torque, which would otherwise step with all bends at the motor
 
 
-class Turn:
+class FrictionReversal:
     """Plan a reversal of the friction term.
 
     Attributes: `force` and `stretch`: progress of torque and elongation, in [-1, 1]. `bend`: d^2 stretch / dt^2, 1/s^2.
     `turning`: True during the reversal.
     """
 
-    def __init__(self, front: Front, duration: float, period: float) -> None:
+    def __init__(self, front: ReversalFront, duration: float, period: float) -> None:
         """Prepare the course; `duration` of a whole reversal and `period` in s."""
         self.duration = duration
         self._step = period / duration
@@ -167,7 +168,7 @@ class Turn:
         return self._force[i] + (place - i) * (self._force[i + 1] - self._force[i])
 
 
-def _course(front: Front) -> tuple[float, ...]:
+def _course(front: ReversalFront) -> tuple[float, ...]:
     """Return the fraction of the torque at equal steps of y."""
     table, soft = front.table, _SOFT * max(front.centre, 1e-6)
     last = len(table) - 1
@@ -188,14 +189,16 @@ _ROUNDS = 16  # of the bisection for the travel at a reversal
 FADE = 0.004  # s in which all tendons slide once the joint moves
 
 
-class Slip:
+class ReversalSlip:
     """Track the tensions along both tendons.
 
     Attributes: `torque`: motor torque in addition to the torque of sliding tendons, N*m. `stretch`: planned angle of
     the motor beyond the joint angle, rad. `bend`: its second derivative in a reversal of the friction term, rad/s^2.
     """
 
-    def __init__(self, front: Front, motor_radius: float, joint_radius: float, stiffness: float, period: float) -> None:
+    def __init__(
+        self, front: ReversalFront, motor_radius: float, joint_radius: float, stiffness: float, period: float
+    ) -> None:
         """Prepare the tendons; radii in m, `stiffness` of the tendons at the motor in N*m/rad, `period` in s."""
         self._lengths = front.lengths(CONTACTS)
         self._r_m = motor_radius
@@ -229,7 +232,7 @@ class Slip:
         if self._left > 0.0:
             self._left = max(0.0, self._left - share)
 
-    def turn(self, turn: Turn) -> None:
+    def turn(self, turn: FrictionReversal) -> None:
         """Store the start of a reversal of the friction term; call this before `slide` or `begin`."""
         self._turned = (turn.force, turn.stretch, self.torque, self._lack)
 
@@ -253,7 +256,7 @@ class Slip:
         if x > 0.0 and min(a[0], a[-1], b[0], b[-1]) > 0.0:
             self._start(a, b, sigma)
 
-    def update(self, tau_j: float, x: float, pretension: float, turn: Turn) -> None:
+    def update(self, tau_j: float, x: float, pretension: float, turn: FrictionReversal) -> None:
         """Update torque and elongation for the joint torque `tau_j` (N*m), friction angle (1) and pretension (N)."""
         if x != self._x or pretension != self._pretension:
             self._use(x, pretension)

@@ -61,7 +61,7 @@ class StretchEstimator(GatedEstimator):
         self._way, self._went = 0, 0  # present direction, and its number of cycles
 
     @property
-    def found(self) -> float:
+    def half_loop_ratio(self) -> float:
         """Return the larger friction torque of both directions over the file's value, 1; nan until both are known."""
         known = self.state is EstimateState.ESTIMATED and min(self._shown) > 0.0
         return max(self._shown) / self._split.nominal if known else math.nan
@@ -69,7 +69,7 @@ class StretchEstimator(GatedEstimator):
     def update(self, seen: Sample) -> None:
         """Process one cycle, whose measurements the observer has already processed."""
         observer = self._observer
-        if seen.admit and observer.state is StretchState.TOLD:
+        if seen.admit and observer.state is StretchState.ESTIMATED:
             error = self._per_stretch * observer.innovation
             self.residual += self._forget * (error * error - self.residual)
             way = int(seen.sigma > 0.0)

@@ -20,7 +20,7 @@ import math
 from collections.abc import Collection
 
 from tsa_ctrl.control.estimator import EstimateState, GatedEstimator, Sample
-from tsa_ctrl.control.kalman import Bare
+from tsa_ctrl.control.kalman import EffectRemoval
 from tsa_ctrl.control.settings import Attribution, EstimatorSettings
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.stretch import elongations
@@ -42,7 +42,7 @@ class TensionEstimator(GatedEstimator):
         """Prepare the estimator; `period` in s."""
         super().__init__(model, settings, period)
         self._model = model
-        self._bare = Bare(model, period) if model.effects else None
+        self._removal = EffectRemoval(model, period) if model.effects else None
         self._bends = settings.attribute is Attribution.BENDING
         self._bounds = (1.0 / (1.0 + settings.bounds), 1.0 + settings.bounds)
         self._period = period
@@ -62,11 +62,11 @@ class TensionEstimator(GatedEstimator):
         self._seen = [0.0, 0.0]  # s, admitted motion of each direction
         self._since = self._gap = 0.0
         self._way = -1
-        if self._bare is not None:
-            self._bare.reset()
+        if self._removal is not None:
+            self._removal.reset()
 
     @property
-    def found(self) -> float:
+    def half_loop_ratio(self) -> float:
         """Return the friction torque over the model file's value, 1; nan while it is not estimated."""
         if self.state is not EstimateState.ESTIMATED:
             return math.nan
@@ -74,10 +74,10 @@ class TensionEstimator(GatedEstimator):
 
     def update(self, seen: Sample) -> None:
         """Process the data of one cycle."""
-        bare, tau_m = self._bare, seen.tau_m
-        if bare is not None:
-            bare.measure(seen)
-            tau_m = bare.motor(tau_m)
+        removal, tau_m = self._removal, seen.tau_m
+        if removal is not None:
+            removal.measure(seen)
+            tau_m = removal.motor(tau_m)
         if math.isfinite(seen.t1 + seen.t3):
             self._gap = 0.0
             if seen.admit and math.isfinite(tau_m):
@@ -99,7 +99,7 @@ class TensionEstimator(GatedEstimator):
                 f"{math.sqrt(self._worst):.2g}; check zero and gain of both load cells"
             )
             return
-        if self.why and self.residual > AGREES * self._worst:
+        if self.reason and self.residual > AGREES * self._worst:
             return
         way = 1 if seen.sigma > SLIDING and seen.omega_j > self._least_speed else -1
         if seen.sigma < -SLIDING and seen.omega_j < -self._least_speed:
@@ -135,13 +135,13 @@ class TensionEstimator(GatedEstimator):
             return
         self._accept(angle, tension)
 
-    def _refuse(self, why: str = "") -> None:
+    def _refuse(self, reason: str = "") -> None:
         """Stop using the tensions measured so far."""
-        super()._refuse(why)
+        super()._refuse(reason)
         self._shown, self._seen = [math.nan, math.nan], [0.0, 0.0]
 
 
-def why_not(attribute: Attribution, measured: Collection[str]) -> str:
+def unsupported_reason(attribute: Attribution, measured: Collection[str]) -> str:
     """Return the obstacle with its remedy, or an empty text; `measured`: quantities that have a sensor."""
     missing = [name for name in ("t1", "t3") if name not in measured]
     if missing:

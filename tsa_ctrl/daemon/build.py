@@ -91,7 +91,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     supervision = file.bus.supervision
     most_age = (supervision.tolerated_misses + 1.5) * period
     axes = []
-    for settings, io, model, profile, plan, why_fixed in zip(
+    for settings, io, model, profile, plan, reason_for_fixed in zip(
         file.axes,
         rig.axes,
         configuration.models,
@@ -105,7 +105,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
             supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
         )
         limit = CompensationLimit(
-            bound_for(settings, model, joint_torque, why_fixed),
+            bound_for(settings, model, joint_torque, reason_for_fixed),
             proven_friction_of(settings, model, joint_torque, plan.inertia, period),
             UNPROVEN_ENERGY[file.safety.use_class],
             model.joint_pulley_radius / model.motor_pulley_radius,
@@ -298,10 +298,10 @@ def proven_friction_of(
     return ProvenFriction(model, period, inertia, by_sensor, joint_torque.stretch)
 
 
-def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
+def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, reason_for_fixed: str) -> Bound:
     """Return the bound on the friction that this axis may compensate.
 
-    `why_fixed` is the reason why the estimator does not use the tendon elongation; empty if it does.
+    `reason_for_fixed` is the reason why the estimator does not use the tendon elongation; empty if it does.
     """
     estimator = settings.estimator
     follows = estimator.kind != "tension" or estimator.attribute is Attribution.BENDING
@@ -313,8 +313,10 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         compensation=settings.law.compensation,
     )
     notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
-    if why_fixed and not joint_torque.why_not:  # why_not has the same effect and is reported
-        notes.append(why_fixed)
+    if (
+        reason_for_fixed and not joint_torque.unsupported_reason
+    ):  # unsupported_reason has the same effect and is reported
+        notes.append(reason_for_fixed)
     if settings.oscillation is not None:
         notes.append("[axis.oscillation] no longer has an effect: the guard of [axis.passivity] replaces it; remove it")
     return Bound(bound.seen, bound.unseen, tuple(notes))

@@ -190,7 +190,7 @@ class Controller:
         if (tau_j_des is None) is not self._play:
             raise UsageError("step: give tau_j_des in every step, or none of them with Controller(..., play=True)")
         if skipped > 0:
-            axis.pass_over(skipped)
+            axis.skip_cycles(skipped)
             self._bus.now += skipped * self.period
             self._gap += skipped * self.period
         now = self._bus.now = self._bus.now + self.period
@@ -202,7 +202,7 @@ class Controller:
             self._set_point = (tau_j_des, now)
         controlword, torque = command(axis, now)
         self._state = _ANSWERS.get(controlword, PowerState.SWITCH_ON_DISABLED)
-        axis.follow(now)
+        axis.after_command(now)
         self._tuner.update()
         if self._asked:  # the supervisor has processed a cycle without a request
             self._asked = False

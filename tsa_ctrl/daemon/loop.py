@@ -11,7 +11,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import SupervisionSettings
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.cycle import follow_up, run_cycle
+from tsa_ctrl.control.cycle import after_commands, run_cycle
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.monitoring import SecondChannel
@@ -155,7 +155,7 @@ class Loop:
                 axis.law.late = late
             run_cycle(self._rig, self._axes, now, now + self._collect)
             done = clock()
-            follow_up(self._rig, self._axes, now)
+            after_commands(self._rig, self._axes, now)
             count(lateness, woke - planned)
             if woke - planned > half:
                 self.late += 1
@@ -174,7 +174,7 @@ class Loop:
             gone = ticker.advance(clock())
             if gone:
                 for axis in self._axes:
-                    axis.pass_over(gone)
+                    axis.skip_cycles(gone)
         self.publish(ticker.deadline)
 
     def publish(self, planned: int) -> None:
@@ -305,7 +305,7 @@ class Loop:
 
     def _follow_monitor(self, planned: int) -> None:
         """Latch a stop by the monitor, or ramp the torque to 0 if the monitor has failed."""
-        finding = self.channel.follow(planned * 1e-9, self._axes)
+        finding = self.channel.latch_stop(planned * 1e-9, self._axes)
         if finding is not None:
             self.events.add(self._t(planned), "", str(finding), finding.cause)
             self._fault(planned)

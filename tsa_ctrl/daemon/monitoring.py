@@ -122,7 +122,7 @@ class SecondChannel:
         self._fault = self._watcher.fault(now)
         return self._fault
 
-    def follow(self, now: float, axes: Sequence[ControlAxis]) -> Finding | None:
+    def latch_stop(self, now: float, axes: Sequence[ControlAxis]) -> Finding | None:
         """Latch a stop of the monitor in every supervisor; return a failure of the monitor once."""
         finding = self.fault(now)
         if finding is None or self.state is not MonitorState.STOPPED:

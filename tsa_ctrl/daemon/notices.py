@@ -159,7 +159,7 @@ class AxisNotices:
         self._cut = self._repeated = self._missed = self._statusword = 0
         self._slack = self._contradicted = self._less = False
         self._confirmed = True
-        self._why = ""
+        self._reason = ""
         self._missing: tuple[str, ...] = ()
         self._heard = (0, 0)
         self._may_report_cut, self._may_report_repeated = Seldom(), Seldom()
@@ -173,7 +173,7 @@ class AxisNotices:
         """Report the limitations of this rig, before the first cycle."""
         axis = self._axis
         self._missing = axis.bending.missing  # joints without an encoder are among the notes of the bound
-        for note in (*axis.law.notes, *axis.compensation_limit.bound.notes, axis.joint_torque.why_not):
+        for note in (*axis.law.notes, *axis.compensation_limit.bound.notes, axis.joint_torque.unsupported_reason):
             if note:
                 self._add(0.0, note)
 
@@ -216,13 +216,13 @@ class AxisNotices:
 
     def _update_estimate(self, t: float) -> None:
         law, estimator = self._axis.law, self._axis.estimator
-        if bool(estimator.why) is not bool(self._why):
-            if estimator.why:
-                self._add(t, f"friction and pretension are not estimated: {estimator.why}")
+        if bool(estimator.reason) is not bool(self._reason):
+            if estimator.reason:
+                self._add(t, f"friction and pretension are not estimated: {estimator.reason}")
             elif estimator.state is EstimateState.ESTIMATED:  # otherwise it was reset by a disable
                 self._add(t, "friction and pretension are estimated again")
-            self._why = estimator.why
-        found = estimator.found if estimator.use else math.nan
+            self._reason = estimator.reason
+        found = estimator.half_loop_ratio if estimator.use else math.nan
         if found < LESS and not self._less:
             self._less = True
             self._add(
@@ -280,13 +280,13 @@ class AxisNotices:
     def update_losses(self, t: float, run: int) -> None:
         """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last call."""
         axis = self._axis
-        image, hearing, permitted = axis.image, axis.io.hearing, axis.terms.permitted
-        before, self._heard = self._heard, (hearing.asked, hearing.unheard)
-        asked, unheard = hearing.asked - before[0], hearing.unheard - before[1]
-        if permitted and unheard >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_unheard.permits(t):
+        image, readback, permitted = axis.image, axis.io.readback, axis.terms.permitted
+        before, self._heard = self._heard, (readback.asked, readback.outdated)
+        asked, outdated = readback.asked - before[0], readback.outdated - before[1]
+        if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_unheard.permits(t):
             self._add(
                 t,
-                f"{image.nodes[0]} held an older command {unheard} of the last {asked} times that 0x6071 was read "
+                f"{image.nodes[0]} held an older command {outdated} of the last {asked} times that 0x6071 was read "
                 "back: commands are lost; look at the cable, the bus load, and the drive's cycle",
             )
         lost, self._missed = image.missed - self._missed, image.missed

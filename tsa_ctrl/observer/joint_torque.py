@@ -208,14 +208,15 @@ class JointTorque:
     """Estimate the joint torque of one axis by the tendon elongation, and compare the joint torque sensor with it.
 
     Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan without an estimate. `model`: the
-    estimate from the model alone. `stretch`: the observer, or None on a rig that cannot have one (`why_not`).
+    estimate from the model alone. `stretch`: the observer, or None on a rig that cannot have one
+    (`unsupported_reason`).
     """
 
     def __init__(
         self,
         model: ModelTorque,
         stretch: StretchObserver | None,
-        why_not: str,
+        unsupported_reason: str,
         period: float,
         elongation: ElongationTorque | None = None,
         shape_known: bool = True,
@@ -225,7 +226,7 @@ class JointTorque:
         Args:
             model: the estimate from the model alone.
             stretch: the observer, None on a rig that cannot have it.
-            why_not: the reason why the rig cannot have it.
+            unsupported_reason: the reason why the rig cannot have it.
             period: s.
             elongation: the estimate that does not use the reported torque.
             shape_known: True if the model file states where the sheath bends. Otherwise a wrong shape looks like a
@@ -242,7 +243,7 @@ class JointTorque:
         self.stretch = stretch
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
         self._most_friction_angle = self._friction_angle if stretch is None else stretch.most_friction_angle
-        self.why_not = why_not
+        self.unsupported_reason = unsupported_reason
         self.contradicted = False  # the joint torque sensor is outside the band of the elongation most of the time
         self.difference = 0.0  # N*m, sensor minus estimate by the elongation, averaged over the last seconds
         self._forget = period / MEMORY
@@ -320,10 +321,10 @@ class JointTorque:
         else:
             self.stretch.set_pretension(pretension)
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Account for `periods` without a cycle."""
         if self.stretch is not None:
-            self.stretch.pass_over(periods)
+            self.stretch.skip_cycles(periods)
             self._combine()
 
     def update(
@@ -365,7 +366,7 @@ class JointTorque:
             self.torque, self.low, self.high = stretch.torque, stretch.low, stretch.high
         else:
             self._combine()
-        if tau_j == tau_j and stretch.state is StretchState.TOLD and fresh:
+        if tau_j == tau_j and stretch.state is StretchState.ESTIMATED and fresh:
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)
             room = SENSOR * abs(tau_j)

@@ -370,7 +370,7 @@ class ProvenFriction:
         [uncertainty]. `mean` and `prior` are changed in place.
         """
         observer = self._observer
-        if observer is None or observer.state is not StretchState.TOLD:
+        if observer is None or observer.state is not StretchState.ESTIMATED:
             return False
         if abs(kappa) > 1.96 * deviation + RIGHT_RADII * self._r_j:
             return False

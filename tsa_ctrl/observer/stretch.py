@@ -139,7 +139,7 @@ class StretchState(Enum):
 
     NONE = 0  # fewer than two encoders, or a profile for which the elongation determines nothing
     UNSLID = 1  # the tendons have not slid along their whole length yet: the band includes the possible friction
-    TOLD = 2
+    ESTIMATED = 2
     SLACK = 3  # a tendon is slack, or the motor torque is outside the model's domain: no torque is reported
 
 
@@ -307,7 +307,7 @@ class StretchObserver:
     def _grip(self) -> None:
         tendons.spread(self._pairs, float(self._memory[tendons.ANGLE]), 1.0)
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Account for `periods` without a cycle; the next acceleration is averaged over that time as well."""
         self._wait(periods * self._period)
 
@@ -359,7 +359,7 @@ class StretchObserver:
         variance += self._bent * difference * difference + self._turn_variance * turning
         self._misled_by = 0.0
         if slid:
-            self.state = StretchState.TOLD
+            self.state = StretchState.ESTIMATED
             self._misled_by = turning * self._misleads(innovation)
         else:
             self.state = StretchState.UNSLID

@@ -29,7 +29,7 @@ BLOCKS = 10  # in a row: 0.4 s; a motion of 5 Hz reverses every 0.1 s, which lea
 EXPLAINED = 0.2  # ratio of the amplitudes of set-point and law in the band above which the oscillation is desired
 
 
-class Buzz:
+class ChatterDetector:
     """Detect a sustained oscillation of the motor on its tendons.
 
     The oscillation hardly moves the joint, so `passivity` does not detect it. The torque that the law adds to the
@@ -171,7 +171,7 @@ class Guard:
             compliance: compliance of the joint with the motor locked, rad/(N*m).
         """
         self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period, compliance)
-        self._buzz = Buzz(settings.buzz, period)
+        self._chatter = ChatterDetector(settings.buzz, period)
         self._period = period
         self.count = 0
         self.words = ""
@@ -182,7 +182,7 @@ class Guard:
         self.ratio = math.nan
         self._passivity.reset()
         self._passivity.wary = False
-        self._buzz.reset()
+        self._chatter.reset()
         self._back_off = self.damping = 1.0
         self.reason = Reason.NONE
         self.latched = False
@@ -190,9 +190,9 @@ class Guard:
         self._drove, self._unwinding = 0.0, 0  # excess share that drove the joint; remaining cycles of its reversal
         self._falling = 0.0  # withdrawn share that still fades out while the motor oscillates
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Count periods without a cycle."""
-        self._passivity.pass_over(periods)
+        self._passivity.skip_cycles(periods)
 
     @property
     def back_off(self) -> float:
@@ -238,7 +238,7 @@ class Guard:
             self._energy()
         else:
             self.ratio = math.nan
-        if self._buzz.update(seen.added, seen.ideal, seen.turns):
+        if self._chatter.update(seen.added, seen.ideal, seen.turns):
             self._buzzes()
         if self._back_off < 1.0:
             self._recover()
@@ -293,7 +293,7 @@ class Guard:
             Reason.OSCILLATION,
             0.0,
             LEFT,
-            f"oscillation: the motor buzzes at about {self._buzz.frequency:.0f} Hz",
+            f"oscillation: the motor buzzes at about {self._chatter.frequency:.0f} Hz",
             "the delay, the tendons' stiffness or the motor's inertia differs from the files: tune again",
         )
         self._falling = max(0.0, before - self._back_off)

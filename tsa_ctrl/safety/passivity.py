@@ -98,7 +98,7 @@ class Passivity:
         self._true = self._modelled = 0.0
         self._swung = self._cut = 0.0  # J, peak of a swing since then, and energy beyond the term
 
-    def pass_over(self, periods: int) -> None:
+    def skip_cycles(self, periods: int) -> None:
         """Count periods without a cycle, which the next measurement also covers."""
         self._periods += periods
 

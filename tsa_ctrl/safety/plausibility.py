@@ -99,10 +99,10 @@ class Plausibility:
         """Learn the noise of the joint torque sensor (N*m, nan without one) while torque is not permitted."""
         self._noise.learn(tau_j)
 
-    def pass_over(self) -> None:
+    def skip_cycles(self) -> None:
         """Count a period without measurements."""
         if self._velocity is not None:
-            self._velocity.pass_over()
+            self._velocity.skip_cycles()
 
     def update(
         self,

@@ -225,7 +225,7 @@ class Velocity:
         self._period = period
         self.reset()
 
-    def pass_over(self) -> None:
+    def skip_cycles(self) -> None:
         """Exclude the motion during a period without a sample, because its mean velocity is unknown."""
         self._angle = math.nan
 

@@ -14,7 +14,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
-from tsa_ctrl.safety import blame
+from tsa_ctrl.safety import fault_details
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
 from tsa_ctrl.safety.debounce import SECOND, LostPeriods, Sender
 
@@ -168,7 +168,7 @@ class Supervisor:
         """Latch the faults that stop an axis in every phase."""
         lossy, late = self._losses.update(image, now)
         if late:  # first, because missing commands cause the faults of the nodes
-            self._latch(Cause.SKIPPED, blame.skipped(image, now - SECOND, self._planned), now)
+            self._latch(Cause.SKIPPED, fault_details.skipped(image, now - SECOND, self._planned), now)
         if image.bus_fault is not None:
             self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
         if image.intruder is not None:
@@ -181,13 +181,13 @@ class Supervisor:
             for health in image.nodes:
                 self._examine(image, health, now)
         if image.silent is not None:
-            self._latch(Cause.HEARTBEAT_LOST, blame.silent(image.silent, now), now)
+            self._latch(Cause.HEARTBEAT_LOST, fault_details.silent(image.silent, now), now)
         if image.misses > self._misses:
-            self._latch(Cause.STALE_PDO, blame.stale(image), now)
+            self._latch(Cause.STALE_PDO, fault_details.stale(image), now)
         if image.drops > self._drops:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
         if lossy:
-            self._latch(Cause.STALE_PDO, blame.lossy(image, self._losses.too_many), now)
+            self._latch(Cause.STALE_PDO, fault_details.lossy(image, self._losses.too_many), now)
         self._repeated = image.repeated
         for node in image.nodes:
             sender = self._senders.get(node.node_id)
@@ -245,7 +245,7 @@ class Supervisor:
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
             waited, late = self._settings.enable_timeout, self._shows_late
-            self._latch(Cause.ENABLE_TIMEOUT, blame.not_enabled(image, waited, in_mode, following, late), now)
+            self._latch(Cause.ENABLE_TIMEOUT, fault_details.not_enabled(image, waited, in_mode, following, late), now)
         target = PowerState.OPERATION_ENABLED if in_mode or self._shows_late else PowerState.READY_TO_SWITCH_ON
         return cia402.next_controlword(state, target)
 

@@ -40,7 +40,7 @@ def test_before_it_is_known_whose_the_drive_is_nothing_is_sent() -> None:
     axis.stands_off = False
     assert axis.command(0x0F, 0.5) is True
     assert bus.sent == [(0x201, b"\x0f\x00\xf4\x01")]
-    assert list(axis.hearing.sent) == [500]
+    assert list(axis.readback.sent) == [500]
 
 
 @pytest.mark.parametrize("way", [1, -1])

@@ -10,7 +10,7 @@ import pytest
 
 from tsa_ctrl.bus.canopen.objects import Object, Type
 from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
-from tsa_ctrl.bus.live.read_back import Heard, Hearing, Held, ReadBack, held_by
+from tsa_ctrl.bus.live.read_back import CommandReadback, Held, ReadBack, ReadTarget, held_by
 
 TIMER, CLAMP = Object(0x1400, 5, Type.U16, "RPDO event timer"), Object(0x6072, 0, Type.U16, "max torque")
 HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))
@@ -142,10 +142,10 @@ def test_the_drives_are_asked_by_turns_what_they_heard_between_the_other_questio
             asked.append((can_id, struct.unpack_from("<H", data, 1)[0]))
             return True
 
-    drives = [Heard(node, Object(0x6071 + 0x800 * place, 0, Type.I16, "target torque"), Hearing())
+    drives = [ReadTarget(node, Object(0x6071 + 0x800 * place, 0, Type.I16, "target torque"), CommandReadback())
               for place, node in enumerate((1, 2))]  # fmt: skip
     reader = ReadBack(Drives(), 1_000_000, HELD, drives, 0.2)  # type: ignore[arg-type]
-    assert [each.hearing.too_many for each in drives] == [5, 5]
+    assert [each.readback.too_many for each in drives] == [5, 5]
     for cycle in range(1000):
         count = len(asked)
         reader.update(1e-3 * cycle)
@@ -158,7 +158,7 @@ def test_the_drives_are_asked_by_turns_what_they_heard_between_the_other_questio
     assert commands[:4] == [(0x601, 0x6071), (0x602, 0x6871)] * 2
     assert 46 <= len(commands) <= 49
     assert len(asked) - len(commands) == pytest.approx(50, abs=1)
-    assert [each.hearing.asked for each in drives] == pytest.approx([24, 24], abs=1)
+    assert [each.readback.asked for each in drives] == pytest.approx([24, 24], abs=1)
     assert reader.altered == {}
 
 

@@ -23,7 +23,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.cycle import follow_up, run_cycle
+from tsa_ctrl.control.cycle import after_commands, run_cycle
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.notices import Events
 from tsa_ctrl.daemon.run import Children
@@ -130,7 +130,7 @@ def ours(configuration: Configuration) -> Iterator[Way]:
         return all(axis.image.fresh for axis in axes)
 
     try:
-        yield Way(cycle, lambda deadline: rig.wait(deadline * 1e-9), lambda now: follow_up(rig, axes, now))
+        yield Way(cycle, lambda deadline: rig.wait(deadline * 1e-9), lambda now: after_commands(rig, axes, now))
         _tell_faults(axes)
     finally:
         bus.close()
@@ -150,7 +150,7 @@ def ours_all(configuration: Configuration) -> Iterator[Way]:
                 for axis in axes:
                     axis.enable()
             run_cycle(rig, axes, now, now + collect)
-            follow_up(rig, axes, now)
+            after_commands(rig, axes, now)
             telemetry.record(count * configuration.period, count, 0.0, 0.0)
             command = mailbox.take()
             if command is not None:

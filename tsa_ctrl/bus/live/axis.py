@@ -12,7 +12,7 @@ from tsa_ctrl.bus.canopen.pdo import Pdo
 from tsa_ctrl.bus.drive.network import layout_of, torque_sensor_pdo
 from tsa_ctrl.bus.drive.profile import DriveProfile, DriveScale, drive_scale, encoder_scale
 from tsa_ctrl.bus.live.image import Image, NodeHealth
-from tsa_ctrl.bus.live.read_back import Hearing
+from tsa_ctrl.bus.live.read_back import CommandReadback
 from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
 from tsa_ctrl.bus.wire.bus import Bus, wire_of
 
@@ -47,7 +47,7 @@ class PositionTracker:
         self.angle = math.nan
         self.velocity = 0.0
 
-    def follow(self, count: int) -> int:
+    def take_position(self, count: int) -> int:
         """Take a position without a velocity update; return the step in counts since the last position."""
         last = self._last
         self._last = count
@@ -65,7 +65,7 @@ class PositionTracker:
     def update(self, count: int, t: float) -> None:
         """Take a position sampled at `t` (s), and update the velocity."""
         first = self._last is None
-        step = self.follow(count)
+        step = self.take_position(count)
         dt = t - self._time
         if first:
             self._time = t
@@ -301,8 +301,8 @@ class Axis:
         self._send = self.bus.send
         self.rpdo_id = layout.rpdo_id
         self._pack = pdo.COMMAND.struct.pack
-        self.hearing = Hearing()
-        self._note = self.hearing.sent.append
+        self.readback = CommandReadback()
+        self._note = self.readback.sent.append
 
     def command(self, controlword: int, tau_m: float) -> bool:
         """Send one RPDO with `controlword` and `tau_m` (N*m at the motor pulley), clamped to the drive's limit.
@@ -412,7 +412,7 @@ class Axis:
                 motor.update(self._motor_count, sampled)
                 image.omega_m = motor.velocity
             else:
-                motor.follow(self._motor_count)
+                motor.take_position(self._motor_count)
             image.q_m = motor.angle
             image.misses = 0
             self._sampled = sampled

@@ -4,8 +4,8 @@
 another port, or by a node that lost its settings. They include the watchdogs and the torque clamp.
 
 One object is read every 20 ms, and proportionally more slowly below 1 Mbit/s: the 80 objects of an axis take 2 s. At
-the same rate, the last received command of each drive is read in rotation (`Hearing`). An emergency stop at a drive's
-inputs has priority over both (`StopInput`).
+the same rate, the last received command of each drive is read in rotation (`CommandReadback`). An emergency stop at a
+drive's inputs has priority over both (`StopInput`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ JITTER = 2
 HISTORY = 64  # stored commands: at 1 kHz more than a drive may miss before its RPDO timer expires
 
 
-class Hearing:
+class CommandReadback:
     """Detect lost commands of one drive by comparing its 0x6071, read periodically, with the commands sent.
 
     The RPDO timer of a drive detects only a sequence of lost commands. The usual delay of an answer depends on the
@@ -41,14 +41,14 @@ class Hearing:
     Attributes:
         sent: commands since the last request, in digits of 0x6071, newest last; the sender appends them.
         asked: answers since startup.
-        unheard: answers since startup with too old a command.
+        outdated: answers since startup with too old a command.
         too_many: number of such answers within a second that is a fault.
     """
 
     def __init__(self) -> None:
         self.sent: deque[int] = deque(maxlen=HISTORY)
         self.asked = 0
-        self.unheard = 0
+        self.outdated = 0
         self.too_many = 1
         self._known: list[int] = []
         self._usual = HISTORY
@@ -76,7 +76,7 @@ class Hearing:
             return
         if ages[-1] < len(everything) - 1:  # otherwise it may belong to a command older than the stored ones
             self._usual = min(self._usual, ages[-1])
-        self.unheard += ages[0] - len(since) > self._usual + JITTER
+        self.outdated += ages[0] - len(since) > self._usual + JITTER
 
 
 UNREAD = 0.25  # s without an answer after which the stop is unknown; a slow drive answers within 0.05 s
@@ -122,7 +122,7 @@ INTERVAL = 0.02  # s between two requests at `BITRATE`; request and answer then 
 # s between two requests for a command. It is not a multiple of any cycle, so that the requests do not always coincide
 # with the same command of a periodic loss. The part beyond 20 ms is the golden ratio of a millisecond.
 LISTEN = 0.020618
-LEAST_UNHEARD = 3  # minimum number of lost commands within a second that is a fault; a single loss never is
+LEAST_OUTDATED = 3  # minimum number of lost commands within a second that is a fault; a single loss never is
 BITRATE = 1_000_000  # bit/s
 PATIENCE = 1.0  # s for an answer; without one, the object is read again in the next round
 STOP_PATIENCE = 0.05  # s after which the emergency stop is read although another answer is still missing
@@ -161,12 +161,12 @@ def held_by(report: Report) -> tuple[Held, ...]:
 
 
 @dataclass(frozen=True)
-class Heard:
+class ReadTarget:
     """The object in which a drive reports the last command that it received."""
 
     node_id: int
     entry: Object
-    hearing: Hearing
+    readback: CommandReadback
 
 
 def _rotation(held: Sequence[Held]) -> Iterator[Held]:
@@ -190,7 +190,7 @@ class ReadBack:
         bus: Bus,
         bitrate: int,
         held: Iterable[Held],
-        heard: Sequence[Heard] = (),
+        heard: Sequence[ReadTarget] = (),
         lost_share: float = 1.0,
         stops: Sequence[StopInput] = (),
     ) -> None:
@@ -212,7 +212,7 @@ class ReadBack:
         self._drives = itertools.cycle(heard)
         self._stops = itertools.cycle(stops)
         self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))
-        self._asked: Held | Heard | StopInput | None = None
+        self._asked: Held | ReadTarget | StopInput | None = None
         self._again: Held | None = None  # differed once, and counts only if it differs again
         self._next = -math.inf
         self._next_heard = -math.inf if heard else math.inf
@@ -220,7 +220,7 @@ class ReadBack:
         self._asked_at = -math.inf
         for each in heard:
             asked = 1.0 / (self._listen * len(heard))  # requests per second
-            each.hearing.begin(max(LEAST_UNHEARD, math.ceil(lost_share * asked)))
+            each.readback.begin(max(LEAST_OUTDATED, math.ceil(lost_share * asked)))
 
     def update(self, now: float) -> None:
         """Request the next object when it is due; `now` is monotonic time in s."""
@@ -234,7 +234,7 @@ class ReadBack:
             return
         if self._asked is not None and now < self._asked_at + PATIENCE:
             return
-        asked: Held | Heard
+        asked: Held | ReadTarget
         if now < self._next and now < self._next_heard:
             return
         if now >= self._next:
@@ -244,10 +244,10 @@ class ReadBack:
             behind = now - self._next_heard  # keeps the grid of `LISTEN`, which matches no cycle
             self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
             asked = next(self._drives)
-            asked.hearing.ask()
+            asked.readback.ask()
         self._ask(asked, now)
 
-    def _ask(self, asked: Held | Heard | StopInput, now: float) -> None:
+    def _ask(self, asked: Held | ReadTarget | StopInput, now: float) -> None:
         self._asked, self._asked_at = asked, now
         self._send(SDO_REQUEST + asked.node_id, _QUESTION.pack(_UPLOAD, *asked.entry.key))
 
@@ -262,9 +262,9 @@ class ReadBack:
             if known:
                 asked.answered(asked.entry.decode(data[4:8]))
             return False
-        if isinstance(asked, Heard):
+        if isinstance(asked, ReadTarget):
             if known:
-                asked.hearing.answered(asked.entry.decode(data[4:8]))
+                asked.readback.answered(asked.entry.decode(data[4:8]))
             return False
         if not known:
             self._again = None

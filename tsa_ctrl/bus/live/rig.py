@@ -18,7 +18,7 @@ from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
 from tsa_ctrl.bus.live.image import NodeHealth
-from tsa_ctrl.bus.live.read_back import Heard, ReadBack, StopBit, StopInput, held_by
+from tsa_ctrl.bus.live.read_back import ReadBack, ReadTarget, StopBit, StopInput, held_by
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.errors import BusError
@@ -146,7 +146,7 @@ class Rig:
         held = held_by(report)
         if held:
             settings = self._settings
-            heard = [Heard(axis.nodes.drive.node_id, axis.target, axis.hearing) for axis in self.axes]
+            heard = [ReadTarget(axis.nodes.drive.node_id, axis.target, axis.readback) for axis in self.axes]
             share = settings.supervision.lost_share
             stops = self._stops(report, stop)
             self._read_back = ReadBack(self.bus, settings.bitrate, held, heard, share, stops)

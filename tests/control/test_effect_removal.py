@@ -8,7 +8,7 @@ import pytest
 from tests.blind.memory import bristle, first_order_lag
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.control.estimator import EstimateState, Sample
-from tsa_ctrl.control.kalman import Bare, KalmanEstimator, why_not
+from tsa_ctrl.control.kalman import EffectRemoval, KalmanEstimator, unsupported_reason
 from tsa_ctrl.control.settings import EstimatorSettings
 
 PERIOD = 1e-3
@@ -19,14 +19,14 @@ def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
     """The result is independent of the number of calls per cycle and of the history before the last reset."""
     tendons = 0.6 * np.sin(7.0 * PERIOD * np.arange(800)) + 0.1
     taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2)) + 0.03 * bristle(tendons, 0.3, 0.0)
-    bare = Bare(ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}}), PERIOD)
-    assert bare.remembers
+    removal = EffectRemoval(ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}}), PERIOD)
+    assert removal.remembers
     for _ in range(2):
-        bare.reset()
+        removal.reset()
         for left, brought in zip((tendons - taken).tolist(), tendons.tolist(), strict=True):
-            bare.measure(Sample(1.0, 0.5, 0.0, 0.0, 0.0, True, 0.1, 0.1))
-            bare.joint(left + 0.2)
-            assert bare.joint(left) == pytest.approx(brought, abs=1e-9)
+            removal.measure(Sample(1.0, 0.5, 0.0, 0.0, 0.0, True, 0.1, 0.1))
+            removal.joint(left + 0.2)
+            assert removal.joint(left) == pytest.approx(brought, abs=1e-9)
 
 
 def test_the_memory_of_a_formula_counts_skipped_cycles() -> None:
@@ -34,10 +34,10 @@ def test_the_memory_of_a_formula_counts_skipped_cycles() -> None:
     t = PERIOD * np.arange(3000)
     tendons = 0.6 * np.sin(2.0 * t) + 0.1
     taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2))
-    bare = Bare(ACTUATOR.with_effects({"custom": {"expression": "0.4*(tau - lag(tau, 0.2))"}}), PERIOD)
+    removal = EffectRemoval(ACTUATOR.with_effects({"custom": {"expression": "0.4*(tau - lag(tau, 0.2))"}}), PERIOD)
     for n in np.flatnonzero(np.arange(len(t)) % 3 < 2).tolist():
-        bare.measure(Sample(1.0, 0.5, 0.0, 0.0, 0.0, True, 0.1, 0.1, t=float(t[n])))
-        assert bare.joint(float(tendons[n] - taken[n])) == pytest.approx(tendons[n], abs=1e-6)
+        removal.measure(Sample(1.0, 0.5, 0.0, 0.0, 0.0, True, 0.1, 0.1, t=float(t[n])))
+        assert removal.joint(float(tendons[n] - taken[n])) == pytest.approx(tendons[n], abs=1e-6)
 
 
 def sliding() -> tuple[np.ndarray, ...]:
@@ -85,7 +85,7 @@ def test_a_formula_gets_the_temperature_and_the_time(expression: str) -> None:
     for s, w, motor, joint, temperature, time in rows:
         estimator.update(Sample(s, w, 0.0, motor, joint, True, 0.1, 0.1, temperature=temperature, t=time))
     assert estimator.state is EstimateState.ESTIMATED
-    assert estimator.found == pytest.approx(1.0, abs=0.01)
+    assert estimator.half_loop_ratio == pytest.approx(1.0, abs=0.01)
 
 
 def test_an_unknown_joint_torque_does_not_stay_in_the_filter() -> None:
@@ -100,17 +100,17 @@ def test_an_unknown_joint_torque_does_not_stay_in_the_filter() -> None:
         temperature = np.nan if 4.0 < time < 5.0 else WARM
         estimator.update(Sample(s, w, 0.0, motor, np.nan, True, 0.1, 0.1, temperature=temperature, t=time))
     assert estimator.state is EstimateState.ESTIMATED
-    assert estimator.found == pytest.approx(1.0, abs=0.01)
+    assert estimator.half_loop_ratio == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_missing_speed_does_not_stay_in_the_acceleration() -> None:
-    bare = Bare(ACTUATOR.with_effects({"inertia": {"inertia": 0.1}}), PERIOD)
+    removal = EffectRemoval(ACTUATOR.with_effects({"inertia": {"inertia": 0.1}}), PERIOD)
     for omega in (0.5, np.nan, 0.5, 0.5):
-        bare.measure(Sample(1.0, omega, 0.0, 0.0, 0.0, True, 0.1, 0.1))
-    assert bare.joint(0.2) == pytest.approx(0.2)
+        removal.measure(Sample(1.0, omega, 0.0, 0.0, 0.0, True, 0.1, 0.1))
+    assert removal.joint(0.2) == pytest.approx(0.2)
 
 
 def test_a_temperature_that_is_not_measured_prevents_an_estimate() -> None:
     model = ACTUATOR.with_effects({"custom": {"expression": "0.02*(temperature - 25)*omega_j"}})
-    assert "custom depends on the temperature, which this axis does not measure" in why_not(model)
-    assert why_not(model, has_temperature=True) == ""
+    assert "custom depends on the temperature, which this axis does not measure" in unsupported_reason(model)
+    assert unsupported_reason(model, has_temperature=True) == ""

@@ -8,13 +8,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from tsa_ctrl.bus.live.read_back import Hearing
+from tsa_ctrl.bus.live.read_back import CommandReadback
 
 CYCLES = 2000
 
 
 def play(
-    hearing: Hearing, commands: Iterator[int], hears: int, lag: int = 1, wait: int = 0, trembles: int = 0
+    readback: CommandReadback, commands: Iterator[int], hears: int, lag: int = 1, wait: int = 0, trembles: int = 0
 ) -> float:
     """Return the share of commands counted as lost.
 
@@ -22,28 +22,28 @@ def play(
     every 20 or 21 cycles. The answer comes after `wait` cycles and may be up to `trembles` cycles older.
     """
     late = random.Random(1)
-    before = hearing.asked, hearing.unheard
+    before = readback.asked, readback.outdated
     shown = [0] * (lag + 1 + trembles)
     due, asked = 20.6, -1
     for cycle in range(CYCLES):
         command = next(commands)
-        hearing.sent.append(command)
+        readback.sent.append(command)
         shown = [*shown[1:], command if cycle % hears == 0 else shown[-1]]
         if asked < 0 and cycle >= due:
-            hearing.ask()
+            readback.ask()
             asked, due = cycle, due + 20.6
         if 0 <= asked <= cycle - wait:
-            hearing.answered(shown[trembles - late.randint(0, trembles)])
+            readback.answered(shown[trembles - late.randint(0, trembles)])
             asked = -1
-    answers, unheard = hearing.asked - before[0], hearing.unheard - before[1]
+    answers, outdated = readback.asked - before[0], readback.outdated - before[1]
     assert answers > 90
-    return unheard / answers
+    return outdated / answers
 
 
 @pytest.mark.parametrize("lag", [0, 1, 5])
 @pytest.mark.parametrize("wait", [0, 3])
 def test_a_drive_that_hears_all_is_never_accused_however_late_it_shows_them(lag: int, wait: int) -> None:
-    assert play(Hearing(), itertools.count(), 1, lag, wait) == 0.0
+    assert play(CommandReadback(), itertools.count(), 1, lag, wait) == 0.0
 
 
 @pytest.mark.parametrize("trembles", [1, 2])
@@ -52,8 +52,8 @@ def test_a_drive_whose_answers_are_not_in_step_is_never_accused(trembles: int) -
 
     No command counts as lost.
     """
-    assert play(Hearing(), itertools.count(), 1, trembles=trembles) == 0.0
-    assert play(Hearing(), itertools.count(), 1, wait=3, trembles=trembles) == 0.0
+    assert play(CommandReadback(), itertools.count(), 1, trembles=trembles) == 0.0
+    assert play(CommandReadback(), itertools.count(), 1, wait=3, trembles=trembles) == 0.0
 
 
 @pytest.mark.parametrize(("hears", "share"), [(2, 0.0), (3, 0.0), (5, 0.4), (20, 0.85)])
@@ -62,22 +62,22 @@ def test_of_a_drive_that_hears_each_nth_command_the_others_count(hears: int, sha
 
     This holds from startup and after a time without loss.
     """
-    assert play(Hearing(), itertools.count(), hears) == pytest.approx(share, abs=0.1)
-    hearing, commands = Hearing(), itertools.count()
-    play(hearing, commands, 1)
-    assert play(hearing, commands, hears) == pytest.approx(share, abs=0.1)
+    assert play(CommandReadback(), itertools.count(), hears) == pytest.approx(share, abs=0.1)
+    readback, commands = CommandReadback(), itertools.count()
+    play(readback, commands, 1)
+    assert play(readback, commands, hears) == pytest.approx(share, abs=0.1)
 
 
 def test_what_a_drive_holds_before_it_heard_anything_is_no_measure_of_it() -> None:
     """Requests that are answered before the first command arrives do not count as lost commands."""
-    hearing, commands = Hearing(), itertools.chain([0], itertools.count())
+    readback, commands = CommandReadback(), itertools.chain([0], itertools.count())
     for _ in range(3):
-        hearing.sent.append(next(commands))
-        hearing.ask()
-        hearing.answered(0)
-    assert play(hearing, commands, 1, lag=3) == 0.0
+        readback.sent.append(next(commands))
+        readback.ask()
+        readback.answered(0)
+    assert play(readback, commands, 1, lag=3) == 0.0
 
 
 def test_a_command_that_rests_or_trembles_shows_nothing() -> None:
-    assert play(Hearing(), itertools.repeat(70), 20) == 0.0
-    assert play(Hearing(), itertools.cycle((70, 71)), 20) == 0.0
+    assert play(CommandReadback(), itertools.repeat(70), 20) == 0.0
+    assert play(CommandReadback(), itertools.cycle((70, 71)), 20) == 0.0
