@@ -23,6 +23,7 @@ from tsa_ctrl.observer.stretch import (
     LONGEST_GAP,
     RESTART,
     TURN_DOUBT,
+    Confirmation,
     StretchObserver,
     StretchState,
     pairs_of,
@@ -358,3 +359,16 @@ def test_a_sheath_that_is_bent_further_keeps_the_ratio_to_the_model() -> None:
     assert seen.friction_angle == pytest.approx(x)
     seen.bend(math.nan, pretension)
     assert seen.friction_angle == pytest.approx(x)
+
+
+def test_an_uncertain_stiffness_outside_the_files_bound_is_no_contradiction() -> None:
+    """The bound is 10 %. An estimate of 0.87 contradicts it only if the estimate is certain."""
+    outcomes = []
+    for variance in (0.03**2, 0.005**2):
+        test = Confirmation(dataclasses.replace(NOMINAL, axial_stiffness_uncertainty=0.1), 1e-12, 1e-3)
+        memory = np.zeros(tendons.MEMORY)
+        memory[tendons.COVARIANCE + tendons.STATES + 1] = variance
+        for _ in range(20):
+            test.update(0.0, 0.87, True, memory)
+        outcomes.append(test.confirmed)
+    assert outcomes == [True, False]

@@ -48,7 +48,8 @@ class Confirmation:
 
     def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
         """Prepare the test; `noise`: m^2 of one measured elongation; `period`: s."""
-        self._stiffest = math.exp(model.axial_stiffness_uncertainty)
+        self._uncertainty = model.axial_stiffness_uncertainty  # 1, of ln k
+        self._stiffest = math.exp(self._uncertainty)
         self._softest = 1.0 / self._stiffest
         self._noise = float(noise)
         self._least = MISFIT**2 * self._noise  # m^2: the variance is never less than the noise
@@ -80,7 +81,7 @@ class Confirmation:
         by_x, by_k = float(memory[tendons.GAIN_S]), float(memory[tendons.GAIN_S + 1])
         x, k, passing, zero = memory[tendons.COVARIANCE :: tendons.STATES + 1].tolist()
         variance = by_x * by_x * (x + passing) + by_k * by_k * k + zero + self._noise
-        off = not self._softest <= stiff <= self._stiffest
+        off = abs(math.log(stiff)) > self._uncertainty + MISFIT * math.sqrt(k)
         self._beyond = self._beyond + 1 if off or squared > MISFIT**2 * variance else 0
         self.confirmed = self._beyond < LASTING
 
