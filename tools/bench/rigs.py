@@ -43,7 +43,8 @@ from tsa_ctrl.system.process_supervisor import tsa
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 X = (0.05, 1.2)  # 1, friction angle
-THETA = 6.0  # rad, wrap angle: a friction coefficient of 0.2 at the largest x
+THETA = 6.0  # rad, largest wrap angle: a friction coefficient of 0.2 at the largest x
+LEAST_FRICTION = 0.03  # 1, friction coefficient of a lubricated polymer; a rig with a smaller x is bent less
 OFF = 0.2  # file over truth minus 1, largest magnitude: friction, pretension, stiffness
 INERTIA = (3e-5, 6e-4)  # kg*m^2 at the motor pulley
 STIFFNESS = (0.6, 1.8)  # of the demo's tendons
@@ -131,7 +132,8 @@ def draw(seed: int, number: int) -> Rig:
     x = float(rng.uniform(*X))
     stiffness = demo.NOMINAL.axial_stiffness * math.exp(rng.uniform(*np.log(STIFFNESS)))
     tension = float(rng.uniform(35.0, 55.0))
-    bent = dataclasses.replace(demo.NOMINAL, bending_angle=THETA, bending_centre=None, axial_stiffness=stiffness)
+    theta = min(THETA, x / LEAST_FRICTION)
+    bent = dataclasses.replace(demo.NOMINAL, bending_angle=theta, bending_centre=None, axial_stiffness=stiffness)
     truth = bent.recalibrated(x, tension)
     off = 1.0 + rng.uniform(-OFF, OFF, 3)
     nominal = truth.recalibrated(float(off[0]) * x, float(off[1]) * tension)
