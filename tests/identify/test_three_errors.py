@@ -43,6 +43,16 @@ def test_noise_is_told_whatever_the_model_misses(seed: int) -> None:
     assert found.sliding > 5.0 * NOISE
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_burst_after_each_reversal_is_no_noise(seed: int) -> None:
+    """The torque is lost for 60 ms of motion after each reversal, as by a backlash."""
+    turns = np.flatnonzero(np.diff(np.sign(OMEGA)))
+    missed = np.zeros(len(T))
+    missed[np.minimum(np.add.outer(turns, np.arange(60)), len(T) - 1).ravel()] = 10.0 * NOISE
+    found = three_errors([log(noise(seed) + missed)], [noise(seed) + missed], "tau_j")
+    assert found.sensor_noise == pytest.approx(NOISE, rel=0.25)
+
+
 def test_a_pulse_in_each_reversal_is_no_error_of_sliding() -> None:
     turns = np.flatnonzero(np.diff(np.sign(OMEGA)))
     pulse = np.zeros(len(T))

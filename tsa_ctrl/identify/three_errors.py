@@ -6,7 +6,8 @@ command uses the three errors of this module.
 The sensor noise is estimated from the log alone. A linear regression on motor torque and motion, with separate
 coefficients for each direction, is subtracted from the measured torque. Above the frequencies of the motion, the
 spectrum of the residual is noise. At lower frequencies the noise is the smaller of the measured spectrum and the
-extrapolated spectrum. Therefore an unknown effect does not count as noise.
+extrapolated spectrum. Noise is the same at all times, so no frequency counts with more than its median over short
+segments. Therefore an unknown effect does not count as noise, even if it is as short as a backlash.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, hold_direction
 
 Mask = NDArray[np.bool_]
+Band = tuple[float, float, int]  # mean frequency in Hz, mean density in (N*m)^2, number of spectral lines
 
 AFTER_REVERSAL = 0.020  # s on either side of a reversal: a delay below this value is visible only there
 UNKNOWN = 2.5  # times the velocity noise: the direction of a slower motion is not known
@@ -33,6 +35,12 @@ HIGHEST = 0.5  # largest share of the band up to half the rate that counts as mo
 CONTINUED = 1.2  # largest exponent of 1/f noise in the extrapolation to low frequencies; electronics have 1
 LOWEST = 0.2  # Hz, below which noise counts as flat, because a log of some seconds contains less than one period
 BANDS = 6  # number of bands per octave of the smoothed spectrum
+SEGMENT = 0.25  # s: at most one reversal of a motion up to 4 Hz, and several periods above its frequencies
+FEWEST_SEGMENTS = 8  # a median of fewer is not typical of a log
+WHOLE = 0.9  # share of a segment whose direction must be known
+MEDIAN = (
+    1.0 - 1.0 / 9.0
+) ** 3  # median over mean of a spectral line, chi^2 with two degrees of freedom (Wilson-Hilferty)
 LONGEST = 300_000  # most samples for the noise estimate: five minutes at 1 kHz
 MORE_THAN_NOISE = 1.5  # times the sensor noise, RMS; a smaller error while sliding counts as noise
 
@@ -114,8 +122,25 @@ def sensor_noise(log: Dataset, target: Array, known: Mask) -> float | None:
     # scaled so that the sum over all lines, of both signs, is the mean square
     density = np.square(np.abs(np.fft.rfft(rest * window))) / (used.mean() * count * float(window @ window))
     edge = min(ABOVE * _motion_band(signals.omega_j[part], log.period), HIGHEST * frequency[-1])
-    bands = _bands(frequency, density)
+    bands = _at_most_typical(_bands(frequency, density), rest, used, log.period)
     return math.sqrt(_below_continued(bands, edge) * 2.0)
+
+
+def _at_most_typical(bands: Sequence[Band], rest: Array, used: Mask, period: float) -> Sequence[Band]:
+    """Limit the density of each band to the median over the segments of `rest` (n,) whose direction is known."""
+    length = min(round(SEGMENT / period), len(rest) // FEWEST_SEGMENTS)
+    known = np.lib.stride_tricks.sliding_window_view(used, length)[:: length // 2].mean(axis=1) > WHOLE
+    if int(known.sum()) < FEWEST_SEGMENTS:
+        return bands
+    segments = np.lib.stride_tricks.sliding_window_view(rest, length)[:: length // 2][known]
+    window = np.hanning(length)
+    power = np.square(np.abs(np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * window, axis=1)))
+    typical = np.median(power, axis=0)[1:] / (MEDIAN * float(window @ window) * len(rest))
+    lines = np.fft.rfftfreq(length, period)[1:]
+    return [
+        (centre, min(density, float(np.interp(centre, lines, typical))) if centre >= lines[0] else density, count)
+        for centre, density, count in bands
+    ]
 
 
 def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
@@ -159,7 +184,7 @@ def _motion_band(omega: Array, period: float) -> float:
     return float(np.fft.rfftfreq(len(omega), period)[int(np.searchsorted(total, MOTION * total[-1]))])
 
 
-def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
+def _bands(frequency: Array, density: Array) -> list[Band]:
     """Return mean frequency, mean density and number of lines of logarithmic bands, without the line at 0 Hz."""
     number = np.floor(BANDS * np.log2(frequency[1:] / frequency[1])).astype(np.int64)
     lines = np.bincount(number)
@@ -168,7 +193,7 @@ def _bands(frequency: Array, density: Array) -> list[tuple[float, float, int]]:
     return [(float(c / n), float(d / n), int(n)) for c, d, n in zip(centre, level, lines, strict=True) if n]
 
 
-def _below_continued(bands: Sequence[tuple[float, float, int]], edge: float) -> float:
+def _below_continued(bands: Sequence[Band], edge: float) -> float:
     """Return the sum of the density over all bands, limited below `edge` by the extrapolated slope of higher bands."""
     above = [band for band in bands if band[0] > edge]
     total = sum(density * lines for _, density, lines in above)
