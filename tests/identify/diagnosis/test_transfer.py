@@ -131,3 +131,12 @@ def test_one_level_of_load_is_refused_in_a_sentence_that_is_read_at_once(data_di
     sentence = diagnose(logs, load_model(folder / "actuator.toml")).sentence
     assert "rests on one level" in sentence
     assert len(sentence.split(". ")[0].split()) <= 35
+
+
+def test_the_share_of_a_drift_refers_to_the_residual() -> None:
+    """A drift of a tenth of the mean square is no drift of 100 %, even if it exceeds the noise."""
+    t = np.arange(6000) * 8e-3
+    residual = 0.1 * np.sin(2.0 * np.pi * 1.7 * t) + 0.033 * np.sin(2.0 * np.pi * t / 40.0)
+    residual += 1e-3 * np.random.default_rng(0).standard_normal(len(t))
+    found = drift(residual, np.ones(6000, dtype=np.bool_), [slice(0, 6000)], 8e-3, 1e-3)
+    assert 0.05 < found.share < 0.15

@@ -184,6 +184,8 @@ MOST_TERMS = 3  # largest number of terms that a reader recognises as a law; a w
 LEAST_PART = 0.05
 # Share of the mean square on held-out data for a formula to be reported: less is not visible in a plot
 LEAST_GAIN = 0.1
+# The same for a formula of the time: steps and exponentials fit a third of any random walk
+LEAST_IN_TIME = 0.5
 
 
 LIMITED = ("omega_j", "q_j", "q_m", "tau", "temperature")  # signals that have a range; a direction and a time have none
@@ -321,7 +323,8 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     sums = np.array([[float(np.sum(y[part][split.held[part]] ** 2)) for y in (residual, after)] for part in held])
     before, left = sums.sum(axis=0)
     better = int(np.sum(sums[:, 1] < sums[:, 0]))
-    if not left < (1.0 - LEAST_GAIN) * before or 2 * better <= len(held):
+    least = LEAST_IN_TIME if TIME.search(sought.expression) else LEAST_GAIN
+    if not left < (1.0 - least) * before or 2 * better <= len(held):
         return None
     half = half_width(max(int(blocks[-1]), 1)) * spread
     told = zip(sought.names, constants, half, strict=True)

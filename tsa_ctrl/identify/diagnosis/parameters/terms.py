@@ -107,12 +107,17 @@ def _wide(text: str, number: float) -> Term:
     return Term((text,), (number,), (number / FURTHER,), (number * FURTHER,))
 
 
-# Terms of time that a formula of the residual may have: a step and a wave.
+# Terms of time that a formula of the residual may have: a line, an exponential, a step and a wave.
 #
-# Torque, friction or gain may change at one moment or periodically, for example if an anchor slips, a fan starts, or a
-# tensioner oscillates. One term of each kind is tried, at the moment or the frequency at which it explains most. It
-# describes only these logs, because other logs have other moments.
+# Torque, friction or gain may change steadily, at one moment or periodically, for example if an amplifier drifts, a
+# liner warms up, an anchor slips, or a tensioner oscillates. A step and a wave are tried at the moment and the
+# frequency at which they explain most. Such a term describes only these logs, because other logs have other moments.
 
+LINE = "(t - {0:.12g})"  # "t" if the log starts at 0
+SETTLING = "exp(({0:.12g} - t)/{{0}})"
+# Time constant of an exponential as shares of a log: the start, the shortest with several samples, and the longest that
+# differs from a line
+SETTLES = (0.3, 0.03, 1.0)
 STEP = "(1 + tanh((t - {{0}})/{0:g}))"
 WIDTH = 0.05  # s, width of a step: shorter than a reversal, and long enough to find the time of the step by its slope
 # Times in a log at which a step is tried: in a log of 20 s every tenth of a second, twice the width of the step
@@ -132,10 +137,10 @@ LIKELY = 40
 def time_terms(
     problem: Problem, predicted: Array, fitting: NDArray[np.bool_], residual: Array, others: Array
 ) -> list[Term]:
-    """Return the steps and waves that explain most of the residual in addition to other columns.
+    """Return the changes in time that explain most of the residual in addition to other columns.
 
-    One step and one wave are returned for each of torque, friction and gain. The wave is omitted if the logs are too
-    short.
+    One line, exponential, step and wave are returned for each of torque, friction and gain. The wave is omitted if the
+    logs are too short.
 
     Args:
         problem: the logs with the noise model.
@@ -170,6 +175,10 @@ def time_terms(
     whole[fitting] = left
     out = []
     for factor, signal in (("", np.ones(len(t))), ("*sigma", sigma), ("*tau", load)):
+        level = (ONE,) if not factor else ()  # a zero that drifts is wrong from the start
+        begin, low, high = (share * seconds for share in SETTLES)
+        out.append(Term(((LINE.format(start) if start else "t") + factor, *level)))
+        out.append(Term((SETTLING.format(start) + factor, *level), (begin,), (low,), (high,)))
         at = max(moments, key=lambda moment: taken((signal * (t > moment))[:, None]))
         step = STEP.format(WIDTH) + factor
         out.append(Term((step,), (float(at),), (float(at) - 2.0 * apart,), (float(at) + 2.0 * apart,)))

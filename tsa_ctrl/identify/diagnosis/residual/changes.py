@@ -27,7 +27,7 @@ BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would
 # Least share of the mean square in the bursts, beyond the share for pure noise: in a picture, a reader notices bursts
 # of this size first
 BURST_ENERGY = 0.12
-DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
+DRIFT = "a slow drift"
 REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here downwards; noise.autoregressive begins at 0.7 Hz
 STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
 DRIFT_SHARE = 0.55  # least drift relative to the noise RMS: a user does not notice less than a third of the noise power
@@ -139,7 +139,7 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         period: period of the samples, s.
         rms: RMS of the noise, N*m.
     """
-    excess, expected, lines_ = 0.0, 0.0, 0
+    excess, expected, whole, lines_ = 0.0, 0.0, 0.0, 0
     for part in slices:
         y = residual[part]
         if not mask[part].any() or len(y) < 64:
@@ -157,10 +157,11 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         level = float(np.mean(np.log(power[band]) + 0.5772 - slope * x))
         expected += float(np.sum(np.exp(level + slope * np.log(np.maximum(frequency[slow], 0.2)))))
         excess += float(np.sum(power[slow]))
+        whole += float(np.sum(power))
         lines_ += int(slow.sum())
     if lines_ == 0 or expected <= 0.0:
         return Finding(DRIFT, 0.0, 0.0, False)
     ratio = excess / expected
-    share = min((excess - expected) / rms**2, 1.0)  # the drift may exceed the noise
-    sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
-    return Finding(DRIFT, share, ratio, bool(sure and share > DRIFT_SHARE**2))
+    share = (excess - expected) / whole
+    sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_) and excess - expected > (DRIFT_SHARE * rms) ** 2
+    return Finding(DRIFT, share, ratio, bool(sure and share > LEAST_SHARE))
