@@ -14,6 +14,7 @@ from tests.drives.rig import PERIOD, Foreign, refused
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile, ExtraWrite
 from tsa_ctrl.plant.dictionary import Entry, Type
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.safety.supervisor import Phase, Request
 
 RPDO, NMT, SYNC, HEARTBEAT = 0x201, 0x000, 0x080, 0x77F
@@ -82,6 +83,28 @@ def test_torque_stays_zero_until_the_mode_shows(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="operation_enabled after 2 s, in mode 0 instead of 10"):
         foreign.enable(0.3)
     assert {data[2:] for _, data in foreign.sent(RPDO)} == {bytes(2)}
+
+
+def test_a_power_cycle_latches_and_only_a_bring_up_with_a_reset_leads_back(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    foreign.start()
+    foreign.enable(0.1)
+    foreign.node.power_off()
+    foreign.run(Request.ENABLE, Phase.FAULT, 0.1)
+    foreign.node.boot(foreign.wire.now)
+    foreign.cycle(Request.ENABLE, 0.1, cycles=100)
+    assert foreign.supervisor.needs_bring_up
+    assert {fault.cause for fault in foreign.supervisor.faults} & {Cause.HEARTBEAT_LOST, Cause.BOOT_UP}
+    foreign.cycle(Request.RESET, 0.1, cycles=20)
+    assert foreign.supervisor.phase is Phase.FAULT
+    foreign.bring_up()
+    assert foreign.rig is not None
+    foreign.rig.start()
+    foreign.supervisor.configured(foreign.rig.axes[0].image)
+    foreign.cycle(Request.DISABLE)
+    foreign.run(Request.RESET, Phase.STANDBY)
+    foreign.enable(0.1)
+    assert foreign.drive.command.torque == pytest.approx(0.1)
 
 
 def test_a_drive_may_need_the_sync_period(tmp_path: Path) -> None:
