@@ -130,12 +130,6 @@ def test_position_and_velocity_are_those_of_the_motor(tmp_path: Path) -> None:
     assert (mode, error) == (10, 0)
 
 
-def test_rated_torque_and_units_can_be_read(bench: Bench) -> None:
-    assert bench.upload(1, 0x6076, 0, "I") == 1000
-    assert bench.upload(1, 0x60A9, 0, "I") == 0xFDB44700
-    assert bench.upload(1, 0x1000, 0, "I") & 0xFFFF == 402
-
-
 def test_a_fault_takes_the_torque_and_stays(bench: Bench) -> None:
     bench.enable(500)
     before = len(bench.bus.sent)
@@ -211,18 +205,6 @@ def test_leaving_operational_while_enabled_takes_the_torque(bench: Bench) -> Non
     bench.wait(0.02)
     assert bench.upload(1, 0x6041, 0, "H") & 0x4F == 0x08
     assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.0, abs=1e-6)
-
-
-def test_another_drive_can_be_imitated(tmp_path: Path) -> None:
-    bench = Bench(
-        tmp_path,
-        "[[axis]]\nname='joint'\n[axis.drive]\nrated_torque_unit=1e-6\nvendor=0xFB\nabsent=[0x6072]\n"
-        "objects={'0x6502:0'=0x3A5}\n",
-    )
-    assert bench.upload(1, 0x6076, 0, "I") == 1_000_000
-    assert bench.upload(1, 0x1018, 1, "I") == 0xFB
-    assert bench.upload(1, 0x6502, 0, "I") == 0x3A5
-    assert bench.download(1, 0x6072, 0, "H", 100) == 0x06020000
 
 
 @pytest.mark.parametrize(

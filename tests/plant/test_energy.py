@@ -75,12 +75,11 @@ def work_of_cycles(joint: Axis, path: Path2, cycles: int = 3) -> list[float]:
 @pytest.mark.parametrize("profile", list(PROFILES))
 @pytest.mark.parametrize("kind", ["full", "distributed"])
 def test_a_closed_cycle_creates_no_energy(tmp_path: Path, kind: str, profile: str) -> None:
-    for seed, radius in enumerate((1e-5, 1e-4, 1e-3)):
-        for friction in (0.1, 0.3):
-            joint = axis(tmp_path, tendon={"kind": kind, "curvature": PROFILES[profile]})
-            joint.parameters["friction"] = friction
-            works = work_of_cycles(joint, closed_path(seed, radius))
-            assert min(works[1:]) >= LEAST, (seed, friction, works)
+    for seed, (radius, friction) in enumerate(((1e-5, 0.1), (1e-4, 0.3), (1e-3, 0.1), (1e-4, 0.1))):
+        joint = axis(tmp_path, tendon={"kind": kind, "curvature": PROFILES[profile]})
+        joint.parameters["friction"] = friction
+        works = work_of_cycles(joint, closed_path(seed, radius), 2)
+        assert min(works[1:]) >= LEAST, (seed, friction, works)
 
 
 @pytest.mark.slow

@@ -199,14 +199,6 @@ def test_a_fault_of_a_missing_part_is_rejected_at_the_request(tmp_path: Path, te
         check(path)
 
 
-def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench.machine, "_switch", lambda channel, up: None)
-    for name in FAULTS:
-        begin(bench, f"{name} duration=0.002")
-        bench.sync(5, bench.command(0x0F, 100))
-    assert bench.machine.faults.active == 0
-
-
 def faulted(bench: Bench) -> list[object]:
     """Return everything that a fault changes, except the positions of the joint and the state of the nodes."""
     unit = bench.unit
