@@ -39,20 +39,15 @@ def test_torque_is_per_mille_of_the_rated_torque(bench: Bench) -> None:
     assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.3)
 
 
-def test_the_current_loop_lags(bench: Bench) -> None:
-    bench.enable()
-    bench.send(0x201, bench.command(0x0F, 1000))
-    first = tpdo1(bench.sync())[1]
-    second = tpdo1(bench.sync())[1]
-    assert first == 0  # the command is applied at this SYNC
-    assert second == pytest.approx(1000 * (1 - 2.718281828 ** (-1 / 0.5)), abs=1)
-
-
-def test_an_rpdo_on_arrival_acts_before_the_next_sync(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("transmission", "unchanged"), [(1, [0]), (255, [])])
+def test_the_current_loop_lags_from_the_sync_or_from_the_arrival_of_the_command(
+    tmp_path: Path, transmission: int, unchanged: list[int]
+) -> None:
     bench = Bench(tmp_path, STILL)
-    bench.set_up(rpdo_transmission=255)
+    bench.set_up(rpdo_transmission=transmission)
     bench.enable()
     bench.send(0x201, bench.command(0x0F, 1000))
+    assert [tpdo1(bench.sync())[1] for _ in unchanged] == unchanged  # the command is applied at this SYNC
     assert tpdo1(bench.sync())[1] == pytest.approx(1000 * (1 - 2.718281828 ** (-1 / 0.5)), abs=1)
 
 
@@ -138,12 +133,6 @@ def test_a_fault_takes_the_torque_and_stays(bench: Bench) -> None:
     status, torque, _ = settled(bench, 500)
     assert (status, torque) == (0x0218, 0)
     assert struct.unpack_from("<H", dict(bench.sync())[0x281], 5)[0] == 0x2310
-
-
-def test_a_fault_reset_says_that_the_error_is_gone(bench: Bench) -> None:
-    bench.enable()
-    bench.unit.drive.fault(0x2310)
-    settled(bench, 0)
     before = len(bench.bus.sent)
     bench.sync(2, bench.command(0x80))
     assert (0x081, bytes(8)) in bench.bus.sent[before:]

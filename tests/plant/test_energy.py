@@ -92,8 +92,8 @@ def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str)
         actuator.write_text(ACTUATOR.replace("diameter =", spring), encoding="utf-8")
         soft = Axis(settings, PhysicsSettings())
         assert float(soft.parameters["series_length"][0]) > 1.0
-        for seed in (7, 8, 9):
-            assert min(work_of_cycles(soft, closed_path(seed, 1e-4))[1:]) >= LEAST
+        for seed in (7, 8):
+            assert min(work_of_cycles(soft, closed_path(seed, 1e-4), 2)[1:]) >= LEAST
 
 
 def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
