@@ -38,20 +38,12 @@ def sensor(quantity: str, port: str, more: str = "") -> str:
     return f'\n[[axis.serial]]\nquantity = "{quantity}"\nport = "{port}"\n{more}\n'
 
 
-def test_sensors_are_read_from_the_configuration(tmp_path: Path) -> None:
-    path = controller(tmp_path, sensor("tau_j", "/dev/a", "scale = 0.01") + sensor("t1", "/dev/b"), estimator="sensor")
-    axis = load_configuration(path).file.axes[0]
-    assert [s.quantity for s in axis.serial] == ["tau_j", "t1"]
-    assert axis.serial[0].scale == 0.01
-
-
 @pytest.mark.parametrize(
     ("serial", "can_sensor", "said"),
     [
         (sensor("tau_j", "/dev/a"), True, "tau_j already has a sensor"),
         (sensor("t1", "/dev/a") + sensor("t1", "/dev/b"), False, "t1 already has a sensor"),
         (sensor("t1", "/dev/a") + sensor("t3", "/dev/a"), False, "already read by another sensor"),
-        (sensor("t1", "/dev/a", "pattern = '(?P<val>.*)'"), False, "no group 'value'"),
         (sensor("t1", "/dev/a", "timeout = 0.001"), False, "shorter than the time between two values"),
         (sensor("tau_m", "/dev/a"), False, "tau_m"),
         (sensor("t1", "/dev/a", "baudrate = 9600"), False, "did you mean 'baud_rate'"),
@@ -113,19 +105,22 @@ def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Pa
         machine.close()
 
 
-@pytest.mark.parametrize(("source", "serial"), [("sensor", ""), ("command", sensor("theta", "/dev/a"))])
-def test_a_measured_bending_and_its_sensor_belong_together(tmp_path: Path, source: str, serial: str) -> None:
-    path = controller(tmp_path, serial, estimator="map")
-    path.write_text(path.read_text().replace('# source = "fixed" ', f'source = "{source}" ', 1))
+@pytest.mark.parametrize(
+    ("estimator", "default", "source", "serial"),
+    [
+        ("map", "fixed", "sensor", ""),
+        ("map", "fixed", "command", sensor("theta", "/dev/a")),
+        ("fixed", "none", "serial", ""),
+        ("fixed", "none", "none", sensor("temperature", "/dev/a")),
+    ],
+)
+def test_a_source_of_bending_or_temperature_and_its_sensor_belong_together(
+    tmp_path: Path, estimator: str, default: str, source: str, serial: str
+) -> None:
+    path = controller(tmp_path, serial, estimator=estimator)
+    path.write_text(path.read_text().replace(f'# source = "{default}" ', f'source = "{source}" ', 1))
     with pytest.raises(UsageError, match="belong together"):
         load_configuration(path)
-
-
-def test_without_serial_sensors_the_bus_says_the_joint_torque(machine: Machine) -> None:
-    machine.run(seconds=0.3)
-    records = machine.records()
-    assert math.isfinite(records["tau_j"][-1])
-    assert math.isnan(records["t1"][-1])
 
 
 def test_the_state_of_a_line_is_told_once(tmp_path: Path) -> None:
@@ -134,6 +129,7 @@ def test_the_state_of_a_line_is_told_once(tmp_path: Path) -> None:
     events = Events()
     sensors = AxisSensors(axes)
     try:
+        assert sensors.sources("hip") == {}
         read = sensors.sources("knee")["t1"]
 
         def told(text: str) -> bool:
@@ -148,24 +144,6 @@ def test_the_state_of_a_line_is_told_once(tmp_path: Path) -> None:
         assert sum("was unplugged" in event.text for event in events.all) == 1
     finally:
         sensors.close()
-
-
-def test_an_axis_has_only_its_own_sensors(tmp_path: Path) -> None:
-    axes = load_configuration(controller(tmp_path, sensor("t1", str(tmp_path / "none")))).file.axes
-    sensors = AxisSensors(axes)
-    try:
-        assert set(sensors.sources("knee")) == {"t1"}
-        assert sensors.sources("hip") == {}
-    finally:
-        sensors.close()
-
-
-@pytest.mark.parametrize(("source", "serial"), [("serial", ""), ("none", sensor("temperature", "/dev/a"))])
-def test_a_temperature_and_its_sensor_belong_together(tmp_path: Path, source: str, serial: str) -> None:
-    path = controller(tmp_path, serial)
-    path.write_text(path.read_text().replace('# source = "none" ', f'source = "{source}" ', 1))
-    with pytest.raises(UsageError, match="of temperature belong together"):
-        load_configuration(path)
 
 
 def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:

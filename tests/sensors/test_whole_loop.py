@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 
 from tests.sensors.adapters import AdapterPair
-from tests.sensors.lines import Line, wait_for
-from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.bus import Bus, Frame
-from tsa_ctrl.bus.wire.link import open_bus
+from tests.sensors.lines import Line
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.outcome import course_of
 from tsa_ctrl.demo.rig import BusChoice, gait
@@ -32,28 +29,6 @@ scale = 9.80665
 rate = 20
 timeout = 2.0
 """
-
-
-def test_frames_cross_a_pair_of_adapters_both_ways() -> None:
-    with AdapterPair() as ports:
-        first, second = (
-            open_bus(BusSettings(interface="slcan", channel=port, options={"sleep_after_open": 0.0})) for port in ports
-        )
-        try:
-            for sender, receiver in ((first, second), (second, first)):
-                frames: list[Frame] = []
-
-                def arrived(receiver: Bus = receiver, frames: list[Frame] = frames) -> bool:
-                    frame = receiver.recv(0.05)
-                    if frame is not None:
-                        frames.append(frame)
-                    return bool(frames)
-
-                wait_for(arrived, lambda sender=sender: sender.send(0x201, b"\x0f\x00\xfa\x00"))
-                assert frames[0] == (0x201, b"\x0f\x00\xfa\x00")
-        finally:
-            first.close()
-            second.close()
 
 
 @pytest.mark.hil
