@@ -78,6 +78,7 @@ def test_a_rate_holds_when_nothing_is_lost_or_late(change: dict[str, object], go
 
 
 VIRTUAL = ('interface = "socketcan"', 'interface = "virtual"')
+SLOW = ("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 ")
 
 
 def edited(folder: Path, *edits: tuple[str, str]) -> str:
@@ -102,8 +103,7 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
 
     This also holds on a busy machine.
     """
-    slow = (("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "))
-    run = bench(tmp_path, VIRTUAL, *slow)
+    run = bench(tmp_path, VIRTUAL, *SLOW)
     assert run.exit_code == 0, run.output
     found = json.loads(run.stdout)
     assert (found["schema"], found["nodes"]) == (1, "simulated")
@@ -178,6 +178,14 @@ def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)
     assert words in said.err
     assert set(heard) <= ({0x611} if "drive node" in words else set())
+
+
+def test_real_nodes_are_measured_and_never_enabled(tmp_path: Path) -> None:
+    with served(tmp_path, "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n") as channel:
+        run = bench(tmp_path, VIRTUAL, *SLOW, ('"vcan0"', f'"{channel}"'))
+    assert run.exit_code == 0, run.output
+    found = json.loads(run.stdout)
+    assert (found["nodes"], len(found["measured"]), found["measured"][0]["enabled"]) == ("real", 1, 0)
 
 
 def test_a_drive_that_is_not_the_configured_one_is_only_read(tmp_path: Path) -> None:

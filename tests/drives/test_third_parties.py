@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -11,16 +9,13 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from tests.conftest import ROOT
 from tests.drives.rig import PERIOD, STILL, Foreign, Recording, refused, running
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
-from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.plant.process import eds_files
-from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 durand_drive = pytest.importorskip("tests.drives.durand_drive")
@@ -93,42 +88,6 @@ def test_a_drive_on_durand_that_falls_silent_is_a_fault() -> None:
     master.durand.remove_subscription(0x80)
     master.run(Request.ENABLE, Phase.FAULT)
     assert "stale PDO: drive node 3" in str(master.supervisor.fault)
-
-
-@pytest.mark.vcan
-def test_a_drive_on_durand_in_a_process_of_its_own_on_a_vcan(vcan: str) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.drives.durand_drive", vcan], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    )
-    settings = BusSettings(channel=vcan)
-    bus = open_bus(settings)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        period = 0.01  # s; slow enough for a Python stack on a loaded machine
-        supervisor = Supervisor(SupervisionSettings(tolerated_misses=50, enable_timeout=10.0))
-        bring_up(bus, settings, [AXIS], [DriveProfile()], period)
-        rig = Rig(bus, settings, [AXIS], [DriveProfile()])
-        rig.start()
-        begin = time.monotonic()
-        reached, image = 0, rig.axes[0].image
-        for cycle in range(1000):
-            begin = rig.wait(max(begin + period, time.monotonic()))
-            rig.sync(begin)
-            rig.collect(begin + 0.8 * period)
-            request = Request.ENABLE if cycle > 3 else Request.DISABLE
-            controlword, permitted, _ = supervisor.update(image, begin, request)
-            rig.axes[0].command(controlword, 0.2 if permitted else 0.0)
-            rig.heartbeat(begin)
-            reached += abs(image.tau_m - 0.2) < 1e-6
-            if reached > 10:
-                break
-        assert reached > 10, str(supervisor.fault)
-        assert shut_down(rig, period) == []
-    finally:
-        process.kill()
-        process.wait()
-        bus.close()
 
 
 def test_a_master_on_python_canopen_enables_the_plant_and_pulls(tmp_path: Path) -> None:

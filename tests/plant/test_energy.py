@@ -96,15 +96,6 @@ def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str)
             assert min(work_of_cycles(soft, closed_path(seed, 1e-4), 2)[1:]) >= LEAST
 
 
-def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
-    """The test above would fail for friction that follows the middle of the tendon, with all bends at one end."""
-    joint = axis(tmp_path, tendon={"curvature": "motor_end"})
-    joint.parameters["centre"] = 0.5
-    t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
-    path = 1e-4 * np.column_stack((np.sin(t), np.sin(t - 2.4) - math.sin(-2.4)))
-    assert min(work_of_cycles(joint, path)[1:]) < -1e-6
-
-
 def elastic_energy(joint: Axis) -> float:
     """Return the elastic energy of both chains and of their contacts, J."""
     chains = joint._arrays.chains
