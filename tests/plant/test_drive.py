@@ -75,19 +75,16 @@ def test_max_torque_clamps_and_sets_the_internal_limit(bench: Bench) -> None:
     assert settled(bench, -900)[:2] == (0x1A37, -200)
 
 
-def test_the_torque_offset_adds_to_the_target(bench: Bench) -> None:
-    bench.enable()
-    bench.download(1, 0x60B2, 0, "h", -120)
-    assert settled(bench, 0)[1] == pytest.approx(-120, abs=1)
-    assert settled(bench, 300)[1] == pytest.approx(180, abs=1)
-
-
-@pytest.mark.parametrize(("index", "most"), [(0x60E0, (100, -500)), (0x60E1, (500, -100)), (0x6073, (100, -100))])
-def test_each_torque_limit_acts_on_its_side(bench: Bench, index: int, most: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("index", "delivered"),
+    [(0x60E0, (100, -500)), (0x60E1, (500, -100)), (0x6073, (100, -100)), (0x60B2, (600, -400))],
+)
+def test_each_torque_limit_acts_on_its_side_and_the_offset_adds(
+    bench: Bench, index: int, delivered: tuple[int, int]
+) -> None:
     bench.enable()
     bench.download(1, index, 0, "H", 100)
-    assert settled(bench, 500)[1] == pytest.approx(most[0], abs=1)
-    assert settled(bench, -500)[1] == pytest.approx(most[1], abs=1)
+    assert [settled(bench, torque)[1] for torque in (500, -500)] == pytest.approx(delivered, abs=1)
 
 
 @pytest.mark.parametrize(("mode", "reached"), [(10, 500), (4, 50)])

@@ -94,24 +94,6 @@ def test_a_joint_may_bend_its_own_sheath(tmp_path: Path) -> None:
     assert after["theta"] == pytest.approx(THETA - 0.3 * after["q_j"])
 
 
-@pytest.mark.slow
-def test_routing_is_what_a_table_of_the_same_bending_over_time_is(tmp_path: Path) -> None:
-    """The torque of a knee during a swing of the hip agrees within 1 mN*m. The swing changes it by over 100 mN*m."""
-    gait = {"kind": "gait"}
-    made, axes = machine(files(tmp_path, two("distributed", HIP, gait), routing="[routing]\njoints = { hip = 0.8 }\n"))
-    axes["knee"].command.enabled, axes["knee"].command.torque = True, 0.4
-    routed = run(made, 2.0)["knee"]["tau_j"]
-    times = np.arange(0.0, 2.1, 1e-3)
-    bent = 1.0 + 0.8 * 0.5 * np.sin(2.0 * math.pi * times) / THETA
-    knee, hip = two("distributed", HIP, gait)
-    over_time = {"bending": np.column_stack([times, bent]).tolist()}
-    for environment, least, most in ((over_time, 0.0, 1e-3), ({}, 0.1, math.inf)):
-        made, axes = machine(files(tmp_path, [knee | {"environment": environment}, hip]))
-        axes["knee"].command.enabled, axes["knee"].command.torque = True, 0.4
-        difference = np.abs(run(made, 2.0)["knee"]["tau_j"] - routed).max()
-        assert least < difference < most
-
-
 @pytest.mark.parametrize("tendon", ["full", "distributed"])
 def test_two_tendons_that_are_routed_differently_have_their_own_friction_and_length(
     tmp_path: Path, tendon: str
