@@ -14,7 +14,7 @@ import pytest
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.datagram import MOST_PARTICIPANTS, DatagramBus
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
-from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.errors import BusError
 
 TORQUE = (0x201, b"\x0f\x00\x01\x02")
 
@@ -181,7 +181,7 @@ print(bus.recv(0.2))
     assert three[0].recv(0.0) is None
 
 
-def test_the_configured_interface_opens_it_and_takes_no_options(channel: str) -> None:
+def test_the_configured_interface_opens_it(channel: str) -> None:
     settings = BusSettings(interface="datagram", channel=channel)
     bus = open_bus(settings)
     assert bus.name == f"datagram:{channel}"
@@ -189,5 +189,3 @@ def test_the_configured_interface_opens_it_and_takes_no_options(channel: str) ->
     assert is_simulated("datagram", channel)
     bus.close()
     bus.close()
-    with pytest.raises(UsageError, match='do not apply to interface "datagram"'):
-        open_bus(BusSettings(interface="datagram", channel=channel, options={"fd": True}))

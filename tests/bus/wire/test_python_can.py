@@ -143,9 +143,10 @@ def test_bus_that_cannot_be_opened_is_one_line(interface: str, channel: str) -> 
     assert "\n" not in str(error.value)
 
 
-def test_options_mean_nothing_to_socketcan() -> None:
-    with pytest.raises(UsageError, match="options: fd do not apply"):
-        open_bus(BusSettings(options={"fd": True}))
+@pytest.mark.parametrize("interface", ["socketcan", "datagram"])
+def test_options_that_do_not_apply_are_refused(interface: str) -> None:
+    with pytest.raises(UsageError, match=f'options: fd do not apply to interface "{interface}"'):
+        open_bus(BusSettings(interface=interface, channel="x", options={"fd": True}))
 
 
 def test_session_starts_no_thread(pair: tuple[PythonCan, PythonCan]) -> None:
