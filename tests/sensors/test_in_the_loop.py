@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -61,24 +61,20 @@ def test_the_sensor_estimator_needs_a_torque_sensor_of_either_kind(tmp_path: Pat
         load_configuration(controller(tmp_path, sensor("t1", "/dev/a"), estimator="sensor"))
 
 
-@pytest.fixture
-def machine(tmp_path: Path) -> Iterator[Machine]:
-    made = Machine(tmp_path)
-    yield made
-    made.close()
-
-
-def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> None:
+def test_the_log_and_the_estimator_take_the_serial_values(tmp_path: Path) -> None:
     seen: list[float] = []
-    machine.axis.instruments.connect({"tau_j": lambda now: 0.25, "t1": lambda now: 40.0, "t3": lambda now: math.nan})
-    update = machine.axis.estimator.update
-    machine.axis.estimator.update = lambda sample: (seen.append(sample.tau_j), update(sample))[1]  # type: ignore[assignment]
-    machine.run(seconds=0.3)
-    records = machine.records()
-    assert set(records["tau_j"]) == {0.25}
-    assert set(records["t1"]) == {40.0}
-    assert all(math.isnan(value) for value in records["t3"])
-    assert set(seen) == {0.25}
+    with closing(Machine(tmp_path)) as machine:
+        machine.axis.instruments.connect(
+            {"tau_j": lambda now: 0.25, "t1": lambda now: 40.0, "t3": lambda now: math.nan}
+        )
+        update = machine.axis.estimator.update
+        machine.axis.estimator.update = lambda sample: (seen.append(sample.tau_j), update(sample))[1]  # type: ignore[assignment]
+        machine.run(seconds=0.3)
+        records = machine.records()
+        assert set(records["tau_j"]) == {0.25}
+        assert set(records["t1"]) == {40.0}
+        assert all(math.isnan(value) for value in records["t3"])
+        assert set(seen) == {0.25}
 
 
 MAP = (('# kind = "sensor"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
@@ -88,8 +84,7 @@ THETA = "Sensors on serial lines that send"  # heading of the example's section
 def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Path) -> None:
     port = sensor("theta", "/dev/nothing", "scale = 0.0174532925")
     still = ("amplitude = 0.5", "amplitude = 0.0")  # the motor in this test is at rest, so no torque may act on it
-    machine = Machine(tmp_path, *MAP, still, (f"# {THETA}", f"{port}\n# {THETA}"))
-    try:
+    with closing(Machine(tmp_path, *MAP, still, (f"# {THETA}", f"{port}\n# {THETA}"))) as machine:
         model, says = machine.axis.model, [1.2]
         machine.axis.instruments.connect({"theta": lambda now: says[0] * model.bending_angle})
         machine.drive.at_sync[2000] = lambda: says.__setitem__(0, math.nan)
@@ -101,8 +96,6 @@ def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Pa
             assert records["friction_angle"][row] == pytest.approx(1.2 * model.friction_angle)
         states = [records["estimate_state"][row] for row in (lost - 50, lost + 50)]
         assert states == [EstimateState.ESTIMATED.value, EstimateState.INVALID.value]
-    finally:
-        machine.close()
 
 
 @pytest.mark.parametrize(
@@ -151,8 +144,7 @@ def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:
     port = sensor("temperature", "/dev/nothing")
     still = ("amplitude = 0.5", "amplitude = 0.0")
     warm = ('# source = "none"  ', 'source = "serial"  ')
-    machine = Machine(tmp_path, still, warm, (f"# {THETA}", f"{port}\n# {THETA}"))
-    try:
+    with closing(Machine(tmp_path, still, warm, (f"# {THETA}", f"{port}\n# {THETA}"))) as machine:
         effects = {"thermal_friction_drift": {"temperature_coefficient": 0.01, "reference_temperature": 25.0}}
         model = machine.axis.model.with_effects(effects)
         inverse = Feedforward(model, 1e-3, {"q_j", "q_m", "temperature"})
@@ -168,8 +160,6 @@ def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:
 
             machine.drive.at_sync[cycle] = change
         machine.run(seconds=3.0)
-    finally:
-        machine.close()
     x = model.friction_angle
     assert found[1000] == pytest.approx(x)
     assert found[2000] == pytest.approx(1.02 * x, rel=1e-3)
