@@ -87,9 +87,10 @@ def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Pa
     with closing(Machine(tmp_path, *MAP, still, (f"# {THETA}", f"{port}\n# {THETA}"))) as machine:
         model, says = machine.axis.model, [1.2]
         machine.axis.instruments.connect({"theta": lambda now: says[0] * model.bending_angle})
-        machine.drive.at_sync[2000] = lambda: says.__setitem__(0, math.nan)
-        machine.run(seconds=2.5)
-        records, lost = machine.records(), 2000
+        lost = 800
+        machine.drive.at_sync[lost] = lambda: says.__setitem__(0, math.nan)
+        machine.run(seconds=1.2)
+        records = machine.records()
         assert records["theta"][lost - 50] == pytest.approx(1.2 * model.bending_angle)
         assert math.isnan(records["theta"][lost + 50])
         for row in (lost - 50, lost + 50):
@@ -152,18 +153,18 @@ def test_the_law_follows_a_measured_temperature_slowly(tmp_path: Path) -> None:
         says = [25.0]
         machine.axis.instruments.connect({"temperature": lambda now: says[0]})
         found: dict[int, float] = {}
-        for cycle, reading in ((1000, 35.0), (2000, math.nan), (2500, math.nan)):
+        for cycle, reading in ((400, 35.0), (900, math.nan), (1100, math.nan)):
 
             def change(cycle: int = cycle, reading: float = reading) -> None:
                 found[cycle] = inverse.friction_angle
                 says[0] = reading
 
             machine.drive.at_sync[cycle] = change
-        machine.run(seconds=3.0)
+        machine.run(seconds=1.3)
     x = model.friction_angle
-    assert found[1000] == pytest.approx(x)
-    assert found[2000] == pytest.approx(1.02 * x, rel=1e-3)
-    assert found[2500] == pytest.approx(found[2000], rel=1e-4)
+    assert found[400] == pytest.approx(x)
+    assert found[900] == pytest.approx(1.01 * x, rel=1e-3)
+    assert found[1100] == pytest.approx(found[900], rel=1e-4)
 
 
 @pytest.mark.parametrize("reading", [math.nan, math.inf, -273.0, 900.0])
