@@ -76,8 +76,7 @@ def test_max_torque_clamps_and_sets_the_internal_limit(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "delivered"),
-    [(0x60E0, (100, -500)), (0x60E1, (500, -100)), (0x6073, (100, -100)), (0x60B2, (600, -400))],
+    ("index", "delivered"), [(0x60E0, (100, -500)), (0x60E1, (500, -100)), (0x6073, (100, -100)), (0x60B2, (600, -400))]
 )
 def test_each_torque_limit_acts_on_its_side_and_the_offset_adds(
     bench: Bench, index: int, delivered: tuple[int, int]
@@ -170,8 +169,7 @@ def test_an_rpdo_that_stops_coming_is_a_fault(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("reaction", "behaviour", "state"),
-    [(1, 0, 0x0218), (2, 0, 0x02D0), (3, 0, 0x02D0), (0, 1, 0x12B7), (1, 1, 0x0218)],
+    ("reaction", "behaviour", "state"), [(1, 0, 0x0218), (2, 0, 0x02D0), (3, 0, 0x02D0), (0, 1, 0x12B7), (1, 1, 0x0218)]
 )
 def test_a_lost_heartbeat(bench: Bench, reaction: int, behaviour: int, state: int) -> None:
     bench.download(1, 0x1016, 1, "I", 127 << 16 | 50)

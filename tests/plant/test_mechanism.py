@@ -29,10 +29,7 @@ def files(folder: Path, axes: list[dict[str, Any]], mechanism: dict[str, Any] | 
     """Write a plant whose axis "knee" has a sheath bent by `routing`. The motors have no inertia and no lag."""
     (folder / "actuator.toml").write_text(ACTUATOR)
     (folder / "routed.toml").write_text(f"{ACTUATOR}{routing}")
-    plain: dict[str, Any] = {
-        "motor": {"inertia": 0.0, "damping": 1e-12},
-        "drive": {"torque_time_constant": 0.0},
-    }
+    plain: dict[str, Any] = {"motor": {"inertia": 0.0, "damping": 1e-12}, "drive": {"torque_time_constant": 0.0}}
     knee = {"actuator": "routed.toml"} if routing else {}
     tables = [plain | (knee if axis["name"] == "knee" else {}) | axis for axis in axes]
     text = tomlkit.dumps({"axis": tables} | ({"mechanism": mechanism} if mechanism else {}))
@@ -227,17 +224,9 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
     ("mechanism", "axis", "words"),
     [
         ({"kind": "joints", "model": "leg.xml"}, {}, r'\[mechanism\] kind "joints" has no model; remove model'),
-        (
-            {"kind": "mujoco"},
-            {"joint": {"load": "free"}},
-            r"\[axis.joint\] describes a separate joint.*the rest",
-        ),
+        ({"kind": "mujoco"}, {"joint": {"load": "free"}}, r"\[axis.joint\] describes a separate joint.*the rest"),
         ({"kind": "mujoco"}, {"motion": HIP}, r"\[axis.motion\] describes a separate joint"),
-        (
-            {"kind": "mujoco"},
-            {"name": "elbow"},
-            r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give",
-        ),
+        ({"kind": "mujoco"}, {"name": "elbow"}, r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give"),
         ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is not a hinge; an axis drives a hinge"),
         (
             {"kind": "mujoco", "model": "actuator.toml"},

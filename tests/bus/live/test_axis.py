@@ -14,13 +14,7 @@ from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.axis import Axis, Inbox
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.settings import (
-    AxisNodes,
-    BusSettings,
-    DriveSettings,
-    EncoderSettings,
-    TorqueSensorSettings,
-)
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, TorqueSensorSettings
 from tsa_ctrl.bus.wire.bus import Frame
 
 OVER_CURRENT = struct.pack("<HBxxxxx", 0x2310, 0x02)
