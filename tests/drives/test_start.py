@@ -151,6 +151,12 @@ def test_read_only_objects_whose_value_does_as_well_are_forgiven(tmp_path: Path)
     ]
 
 
+def test_a_reaction_of_the_maker_that_cannot_be_changed_is_refused(tmp_path: Path) -> None:
+    """It is unknown whether the fault reaction -1 ends without torque."""
+    with refused("rejects 0x605E:0 fault reaction", 'write fault = "keep"'):
+        Foreign(tmp_path, "read_only = ['0x605E']", "objects = { '0x605E:0' = -1 }").start()
+
+
 def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
     """A drive that repeats the same answer to node guarding may have stopped working.
 
