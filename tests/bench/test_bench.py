@@ -63,14 +63,9 @@ def test_nothing_measured_allows_no_rate() -> None:
 
 @given(st.floats(LOWEST, HIGHEST))
 def test_rounding_is_down_and_by_less_than_a_tenth(rate: float) -> None:
-    """Rates are rounded down by less than 10 %."""
-    assert 0.9 * rate < rounded_down(rate) <= rate * (1.0 + 1e-9)
-
-
-@pytest.mark.parametrize("rate", [9.999, 0.0, -1.0, math.nan])
-def test_below_what_can_be_configured_is_no_rate(rate: float) -> None:
     """A rate below the lowest configurable one, or not a number, becomes 0."""
-    assert rounded_down(rate) == 0.0
+    assert 0.9 * rate < rounded_down(rate) <= rate * (1.0 + 1e-9)
+    assert [rounded_down(low) for low in (9.999, 0.0, -1.0, math.nan)] == [0.0] * 4
 
 
 @pytest.mark.parametrize(
@@ -82,15 +77,25 @@ def test_a_rate_holds_when_nothing_is_lost_or_late(change: dict[str, object], go
     assert holds(replace(MEASURED, **change), 0.3) is good  # type: ignore[arg-type]
 
 
-def bench(folder: Path, *edits: tuple[str, str]) -> Result:
+VIRTUAL = ('interface = "socketcan"', 'interface = "virtual"')
+SLOW = ("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 ")
+
+
+def edited(folder: Path, *edits: tuple[str, str]) -> str:
+    """Copy the example with these changes, and return the path of its controller.toml."""
     shutil.copytree(ROOT / "config", folder, dirs_exist_ok=True)
     path = folder / "controller.toml"
     text = path.read_text(encoding="utf-8")
-    for before, after in (("# allow_without = false", "allow_without = true"), *edits):
+    for before, after in edits:
         assert before in text
         text = text.replace(before, after)
     path.write_text(text, encoding="utf-8")
-    return CliRunner().invoke(cli, ["bench", str(path), "--seconds", "0.3", "--json"])
+    return str(path)
+
+
+def bench(folder: Path, *edits: tuple[str, str]) -> Result:
+    path = edited(folder, ("# allow_without = false", "allow_without = true"), *edits)
+    return CliRunner().invoke(cli, ["bench", path, "--seconds", "0.3", "--json"])
 
 
 def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
@@ -98,8 +103,7 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
 
     This also holds on a busy machine.
     """
-    slow = (("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "))
-    run = bench(tmp_path, ('interface = "socketcan"', 'interface = "virtual"'), *slow)
+    run = bench(tmp_path, VIRTUAL, *SLOW)
     assert run.exit_code == 0, run.output
     found = json.loads(run.stdout)
     assert (found["schema"], found["nodes"]) == (1, "simulated")
@@ -139,45 +143,34 @@ def test_simulated_nodes_send_the_frames_that_the_loop_expects(
 
 def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A missing bus gives exit code 1 and one line on stderr."""
-    shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
-    path = tmp_path / "controller.toml"
-    path.write_text(path.read_text("utf-8").replace('channel = "vcan0"', 'channel = "can17"'), encoding="utf-8")
     with pytest.raises(SystemExit) as left:
-        main(["bench", str(path)])
+        main(["bench", edited(tmp_path, ('channel = "vcan0"', 'channel = "can17"'))])
     said = capsys.readouterr()
     assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)
 
 
 @pytest.mark.parametrize(
-    ("frame", "words"),
+    ("can_id", "data", "words"),
     [
-        (can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False), "drive node 17 (active nodes: 1)"),
-        (can.Message(arbitration_id=0x080, is_extended_id=False), "another master"),
-        (can.Message(arbitration_id=0x000, data=b"\x01\x11", is_extended_id=False), "another master"),
-        (can.Message(arbitration_id=0x605, data=bytes(8), is_extended_id=False), "another master"),
-        (can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False), "another master"),
+        (0x701, b"\x05", "drive node 17 (active nodes: 1)"),
+        (0x080, b"", "another master"),
+        (0x605, bytes(8), "another master"),
     ],
-    ids=["other nodes", "SYNC", "NMT", "SDO", "heartbeat"],
 )
 def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: can.Message, words: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], can_id: int, data: bytes, words: str
 ) -> None:
     """With foreign nodes or another master on the bus, the command ends with a one-line error.
 
     It sends nothing next to another master, and otherwise only the SDO requests that look for the configured drive.
     """
-    path, channel = tmp_path / "controller.toml", tmp_path.name
-    shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
-    text = path.read_text(encoding="utf-8")
-    for before, after in (('"socketcan"', '"virtual"'), ('"vcan0"', f'"{channel}"'), ("node_id = 1 ", "node_id = 17 ")):
-        assert before in text
-        text = text.replace(before, after, 1)
-    path.write_text(text, encoding="utf-8")
+    channel = tmp_path.name
+    path = edited(tmp_path, VIRTUAL, ('"vcan0"', f'"{channel}"'), ("node_id = 1 ", "node_id = 17 "))
     heard = []
     with can.Bus(interface="virtual", channel=channel) as other:
-        task = other.send_periodic(frame, 0.01)
+        task = other.send_periodic(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), 0.01)
         with pytest.raises(SystemExit) as left:
-            main(["bench", str(path)])
+            main(["bench", path])
         task.stop()
         while (message := other.recv(0.0)) is not None:
             heard.append(message.arbitration_id)
@@ -187,11 +180,19 @@ def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     assert set(heard) <= ({0x611} if "drive node" in words else set())
 
 
+def test_real_nodes_are_measured_and_never_enabled(tmp_path: Path) -> None:
+    with served(tmp_path, "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n") as channel:
+        run = bench(tmp_path, VIRTUAL, *SLOW, ('"vcan0"', f'"{channel}"'))
+    assert run.exit_code == 0, run.output
+    found = json.loads(run.stdout)
+    assert (found["nodes"], len(found["measured"]), found["measured"][0]["enabled"]) == ("real", 1, 0)
+
+
 def test_a_drive_that_is_not_the_configured_one_is_only_read(tmp_path: Path) -> None:
     """A drive with another serial number gets no SYNC, no RPDO, no NMT command and no SDO write."""
     drive = "[[axis]]\nname = 'joint'\ndrive.node_id = 1\ndrive.serial_number = 5\n"
     heard: list[can.Message] = []
-    edits = ('interface = "socketcan"', 'interface = "virtual"'), ("node_id = 1 ", "serial_number = 6\nnode_id = 1 ")
+    edits = VIRTUAL, ("node_id = 1 ", "serial_number = 6\nnode_id = 1 ")
     with (
         served(tmp_path, drive + STILL) as channel,
         can.Bus(interface="virtual", channel=channel) as other,

@@ -17,26 +17,22 @@ def seen(torques: Sequence[float], node: int = 1, period: float = 0.002, source:
     return [Sample(n * period, node, torque, source) for n, torque in enumerate(torques)]  # type: ignore[arg-type]
 
 
-def test_first_sample_without_torque_counts() -> None:
-    found = timing(seen([0.1] * 10 + [0.01] * 10), 1, 0.005, ZERO)
+@pytest.mark.parametrize(
+    ("torques", "stopped", "last_torque", "zero_after"),
+    [
+        ([0.1] * 10 + [0.01] * 10, 0.005, 0.013, 0.015),  # the first sample without torque counts
+        ([0.1] * 5 + [0.0] * 5 + [-0.1] * 5 + [0.0] * 5, 0.005, 0.023, 0.025),  # the torque came back
+        ([0.1] * 20, 0.005, 0.033, None),
+        ([0.1] * 10, 0.0101, 0.0079, None),  # a drive that falls silent with torque has not stopped
+    ],
+)
+def test_time_until_the_torque_stays_zero(
+    torques: list[float], stopped: float, last_torque: float, zero_after: float | None
+) -> None:
+    found = timing(seen(torques), 1, stopped, ZERO)
     assert found.torque_before == 0.1
-    assert found.last_torque == pytest.approx(0.013)
-    assert found.zero_after == pytest.approx(0.015)
-
-
-def test_torque_that_comes_back_starts_anew() -> None:
-    found = timing(seen([0.1] * 5 + [0.0] * 5 + [-0.1] * 5 + [0.0] * 5), 1, 0.005, ZERO)
-    assert found.zero_after == pytest.approx(0.025)
-
-
-def test_torque_that_stays_is_never_zero() -> None:
-    assert timing(seen([0.1] * 20), 1, 0.005, ZERO).zero_after is None
-
-
-def test_a_drive_that_falls_silent_with_torque_is_not_taken_for_stopped() -> None:
-    found = timing(seen([0.1] * 10), 1, 0.0101, ZERO)
-    assert found.zero_after is None
-    assert found.last_torque == pytest.approx(0.0079)
+    assert found.last_torque == pytest.approx(last_torque)
+    assert found.zero_after == (None if zero_after is None else pytest.approx(zero_after))
 
 
 def test_a_drive_never_heard_is_not_safe() -> None:

@@ -1,21 +1,17 @@
 """A CiA 402 drive on durand, a third-party CANopen stack.
 
 The drive has no heartbeat consumer, no RPDO event timer and no 0x6007. `Durand` attaches it to a wire in virtual time.
-`python -m tests.drives.durand_drive CHANNEL` runs it on a SocketCAN interface.
 """
 
 from __future__ import annotations
 
-import asyncio
 import math
-import sys
 from collections.abc import Callable
 from typing import Any
 
-import can
 from durand import MinimalNode
 from durand.datatypes import DatatypeEnum
-from durand.network import CANBusNetwork, NetworkABC
+from durand.network import NetworkABC
 from durand.object_dictionary import Record, Variable
 from durand.scheduler import VirtualScheduler, set_scheduler
 
@@ -106,15 +102,3 @@ class Durand(NetworkABC):
         handler = None if frame is None else self._heard.get(frame[0])
         if frame is not None and handler is not None:
             handler(frame[0], frame[1])
-
-
-async def serve(channel: str) -> None:
-    """Run the drive on a SocketCAN interface until the process is killed."""
-    with can.Bus(interface="socketcan", channel=channel) as bus:
-        DurandDrive(CANBusNetwork(bus, loop=asyncio.get_running_loop()))
-        print("ready", flush=True)
-        await asyncio.Event().wait()
-
-
-if __name__ == "__main__":
-    asyncio.run(serve(sys.argv[1]))

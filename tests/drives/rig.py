@@ -44,15 +44,22 @@ def refused(*parts: str) -> pytest.RaisesContext[TsaError]:
 @contextlib.contextmanager
 def served(folder: Path, text: str) -> Iterator[str]:
     """Run a plant with these axes in a thread. Yield its channel on python-can's virtual bus in this process."""
+    with running(plant_file(folder, text)) as (name, _):
+        yield name
+
+
+@contextlib.contextmanager
+def running(plant: Path) -> Iterator[tuple[str, Machine]]:
+    """Run the plant of a file in a thread. Yield its channel and the machine."""
     name = f"drives-{next(_channels)}"
     bus = PythonCan("virtual", name, 1_000_000)
-    machine = Machine(load_plant(plant_file(folder, text)), bus)
+    machine = Machine(load_plant(plant), bus)
     machine.start()
     stop = threading.Event()
     thread = threading.Thread(target=machine.run, args=(stop.is_set,))
     thread.start()
     try:
-        yield name
+        yield name, machine
     finally:
         stop.set()
         thread.join()

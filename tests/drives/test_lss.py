@@ -22,7 +22,6 @@ def test_a_drive_without_an_id_is_given_one_that_it_keeps(tmp_path: Path) -> Non
     assert foreign.node.lss.stored == 5
     assert foreign.node.storage.saves == 0
     assert {can_id for can_id, _ in foreign.sent()} == {0x7E5}
-    foreign.axis = foreign.axis.__class__(name="knee", drive=foreign.axis.drive.__class__(node_id=5))
     assert foreign.node.values[0x1014, 0] == 0x85
 
 

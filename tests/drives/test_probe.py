@@ -66,20 +66,14 @@ def written(folder: Path, foreign: Foreign, kind: str = "generic") -> DriveProfi
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_but_questions_is_sent(tmp_path: Path, kind: str) -> None:
+def test_only_questions_are_sent_and_the_finished_profile_brings_the_drive_up(tmp_path: Path, kind: str) -> None:
     foreign = Foreign(tmp_path, f"kind = '{kind}'")
     before = dict(foreign.node.values)
-    looked_at(foreign)
+    profile = written(tmp_path, foreign, kind)
     assert foreign.commands() == []
     assert {can_id for can_id, _ in foreign.sent()} == {0x601}
     changed = {key for key, value in foreign.node.values.items() if before[key] != value}
     assert changed <= {(0x6041, 0), (0x6061, 0), (0x6077, 0), (0x606C, 0), (0x6064, 0)}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_finished_profile_brings_the_drive_up(tmp_path: Path, kind: str) -> None:
-    foreign = Foreign(tmp_path, f"kind = '{kind}'")
-    profile = written(tmp_path, foreign, kind)
     foreign.start(profile)
     foreign.enable(0.3)
     assert foreign.drive.command.torque == pytest.approx(0.3, rel=1e-3)
@@ -107,28 +101,22 @@ def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("quirks", "line"),
+    ("quirk", "line"),
     [
-        (["sync_producer = true"], "produces_sync = true "),
-        (["node_guarding = true"], 'supervision = "guarding" '),
-        (["answer_time = 0.3"], "answer_timeout = 0.9 "),
-        (["objects = { '0x6060:0' = 10 }", "mode_shows = 'enabled'"], 'mode_shows = "enabled" '),
-        (["absent = [0x6502, 0x6080]"], 'absent = ["max motor speed", "supported modes"]'),
-        (["absent = [0x1402, 0x1403, 0x1803]"], "rpdo_count = 2"),
-        (
-            ["objects = { '0x60B2:0' = 120 }"],
-            "# 0x60B2:0 torque offset is 120 per mille of the rated torque; it adds to",
-        ),
-        (
-            ["objects = { '0x60E0:0' = 250 }"],
-            "# 0x60E0:0 positive torque limit is 250 per mille of the rated torque; it",
-        ),
-        (["modes = ['csp']"], "# FINISH: no cyclic synchronous torque (bit 9)"),
-        (["objects = { '0x1019:0' = 7 }"], "# 0x1019:0 SYNC counter is 7; startup sets it to 0"),
+        ("sync_producer = true", "produces_sync = true "),
+        ("node_guarding = true", 'supervision = "guarding" '),
+        ("answer_time = 0.3", "answer_timeout = 0.9 "),
+        ("mode_shows = 'enabled'\ndrive.objects = { '0x6060:0' = 10 }", 'mode_shows = "enabled" '),
+        ("absent = [0x6502, 0x6080]", 'absent = ["max motor speed", "supported modes"]'),
+        ("absent = [0x1402, 0x1403, 0x1803]", "rpdo_count = 2"),
+        ("objects = { '0x60B2:0' = 120 }", "# 0x60B2:0 torque offset is 120 per mille of the rated torque; it adds to"),
+        ("objects = { '0x60E0:0' = 250 }", "# 0x60E0:0 positive torque limit is 250 per mille of the rated torque; it"),
+        ("modes = ['csp']", "# FINISH: no cyclic synchronous torque (bit 9)"),
+        ("objects = { '0x1019:0' = 7 }", "# 0x1019:0 SYNC counter is 7; startup sets it to 0"),
     ],
 )
-def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str], line: str) -> None:
-    foreign = Foreign(tmp_path, *quirks)
+def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirk: str, line: str) -> None:
+    foreign = Foreign(tmp_path, quirk)
     foreign.wait(0.05)
     text = profile_text(looked_at(foreign), "here")
     assert any(found.startswith(line) for found in text.splitlines()), text
@@ -204,33 +192,32 @@ def channel(tmp_path: Path) -> Iterator[str]:
         yield name
 
 
-def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -> None:
-    """`tsa run --check` accepts a controller that uses the profile written by `tsa drive probe --out`."""
+def checked(folder: Path, profile: str) -> str:
+    """Return the output of `tsa run --check`, which accepts a controller with this profile."""
     for name in ("controller.toml", "actuator.toml"):
-        shutil.copy(ROOT / "config" / name, tmp_path)
+        shutil.copy(ROOT / "config" / name, folder)
+    controller = folder / "controller.toml"
+    text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', f'profile = "{profile}"')
+    controller.write_text(text, encoding="utf-8")
+    done = CliRunner().invoke(cli, ["run", "--check", str(controller)])
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -> None:
     (tmp_path / "drives").mkdir()
     profile = tmp_path / "drives" / "mine.toml"
     where = ["--interface", "virtual", "--channel", channel]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "1", "--out", str(profile)])
     assert done.exit_code == 0, done.output
     assert "lines to complete (marked FINISH); then run: tsa run --check" in done.output
-    controller = tmp_path / "controller.toml"
-    text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "mine"')
-    controller.write_text(text, encoding="utf-8")
-    checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
-    assert checked.exit_code == 0, checked.output
+    checked(tmp_path, "mine")
 
 
 def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> None:
-    for name in ("controller.toml", "actuator.toml"):
-        shutil.copy(ROOT / "config" / name, tmp_path)
     shutil.copytree(ROOT / "config" / "drives", tmp_path / "drives")
-    controller = tmp_path / "controller.toml"
-    text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "copley"')
-    controller.write_text(text, encoding="utf-8")
-    checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
-    assert checked.exit_code == 0, checked.output
-    told = [line for line in checked.output.splitlines() if "not known in the profile of Copley Controls: " in line]
+    lines = checked(tmp_path, "copley").splitlines()
+    told = [line for line in lines if "not known in the profile of Copley Controls: " in line]
     assert len(told) == len(load_profile("copley", tmp_path).unknown) > 0
 
 

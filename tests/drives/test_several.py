@@ -18,6 +18,7 @@ from tsa_ctrl import simulate_loop
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.virtual.script import Fault
 
 Keys = dict[str, Any]
 NONE = {"present": False}
@@ -51,18 +52,6 @@ def pulls(result: Any, axis: int) -> float:
     return float(abs(result.axes[axis].truth["command"]).max())
 
 
-def test_two_axes_of_one_device(tmp_path: Path) -> None:
-    """Both axes of one node deliver torque.
-
-    The objects of the second axis are 0x800 higher and its PDOs 64 higher. It uses PDO identifiers of the node that the
-    first axis leaves free.
-    """
-    device: Keys = {"node_id": 5}
-    result = simulate_loop(*files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2})), 1.2)
-    assert not result.summary.failed, result.summary.cause
-    assert 0.1 < pulls(result, 0) < pulls(result, 1)
-
-
 def test_three_axes_of_one_device_need_identifiers_for_the_third(tmp_path: Path) -> None:
     device: Keys = {"node_id": 5}
     axes = [({**device, "slot": slot}, {**device, "slot": slot}) for slot in (1, 2, 3)]
@@ -74,12 +63,15 @@ def test_three_axes_of_one_device_need_identifiers_for_the_third(tmp_path: Path)
     assert min(pulls(result, axis) for axis in range(3)) > 0.1
 
 
-def test_a_fault_of_one_axis_of_a_device_stops_both(tmp_path: Path) -> None:
-    from tsa_ctrl.virtual.script import Fault
+def test_two_axes_of_one_device_pull_and_a_fault_of_one_stops_both(tmp_path: Path) -> None:
+    """The objects of the second axis are 0x800 higher and its PDOs 64 higher.
 
+    It uses PDO identifiers of the node that the first axis leaves free.
+    """
     device: Keys = {"node_id": 5}
     paths = files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2}))
     result = simulate_loop(*paths, 1.5, faults=[Fault("fault axis=b", 0.5)])
+    assert 0.1 < pulls(result, 0) < pulls(result, 1)
     for axis in range(2):
         truth = result.axes[axis].truth
         late = truth["clock"] > result.axes[axis].start + 0.5 + 0.35
@@ -115,15 +107,13 @@ def test_one_encoder_for_two_axes(tmp_path: Path) -> None:
     """Both read the angle of the first joint, each with its own sign."""
     kinds = [({"profile": kind}, {"kind": kind}) for kind in ("generic", "elmo_gold")]
     controller, plant = files(tmp_path, *kinds)
-    tables = tomlkit.parse(controller.read_text(encoding="utf-8")).unwrap()
-    for axis, sign in zip(tables["axis"], (1, -1), strict=True):
+    tables, machine = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in (controller, plant))
+    for axis, simulated, sign in zip(tables["axis"], machine["axis"], (1, -1), strict=True):
         axis["encoder"] = {"node_id": 32, "sign": sign}
-    controller.write_text(tomlkit.dumps(tables), encoding="utf-8")
-    machine = tomlkit.parse(plant.read_text(encoding="utf-8")).unwrap()
+        simulated["motion"] = {"kind": "sine", "amplitude": 0.3, "ramp": 0.0}
     machine["axis"][0]["encoder"] = {"present": True, "node_id": 32}
-    machine["axis"][0]["motion"] = {"kind": "sine", "amplitude": 0.3, "ramp": 0.0}
-    machine["axis"][1]["motion"] = {"kind": "sine", "amplitude": 0.3, "ramp": 0.0}
-    plant.write_text(tomlkit.dumps(machine), encoding="utf-8")
+    for path, table in ((controller, tables), (plant, machine)):
+        path.write_text(tomlkit.dumps(table), encoding="utf-8")
     result = simulate_loop(controller, plant, 0.5)
     angles = [result.axes[axis].log["q_j"][20:-20] for axis in range(2)]
     assert max(abs(angles[0])) > 0.01

@@ -14,6 +14,7 @@ from tests.drives.rig import PERIOD, Foreign, refused
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile, ExtraWrite
 from tsa_ctrl.plant.dictionary import Entry, Type
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.safety.supervisor import Phase, Request
 
 RPDO, NMT, SYNC, HEARTBEAT = 0x201, 0x000, 0x080, 0x77F
@@ -84,6 +85,28 @@ def test_torque_stays_zero_until_the_mode_shows(tmp_path: Path) -> None:
     assert {data[2:] for _, data in foreign.sent(RPDO)} == {bytes(2)}
 
 
+def test_a_power_cycle_latches_and_only_a_bring_up_with_a_reset_leads_back(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    foreign.start()
+    foreign.enable(0.1)
+    foreign.node.power_off()
+    foreign.run(Request.ENABLE, Phase.FAULT, 0.1)
+    foreign.node.boot(foreign.wire.now)
+    foreign.cycle(Request.ENABLE, 0.1, cycles=100)
+    assert foreign.supervisor.needs_bring_up
+    assert {fault.cause for fault in foreign.supervisor.faults} & {Cause.HEARTBEAT_LOST, Cause.BOOT_UP}
+    foreign.cycle(Request.RESET, 0.1, cycles=20)
+    assert foreign.supervisor.phase is Phase.FAULT
+    foreign.bring_up()
+    assert foreign.rig is not None
+    foreign.rig.start()
+    foreign.supervisor.configured(foreign.rig.axes[0].image)
+    foreign.cycle(Request.DISABLE)
+    foreign.run(Request.RESET, Phase.STANDBY)
+    foreign.enable(0.1)
+    assert foreign.drive.command.torque == pytest.approx(0.1)
+
+
 def test_a_drive_may_need_the_sync_period(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "objects = { '0x1019:0' = 10 }")
     foreign.start(DriveProfile(needs_sync_period=True))
@@ -104,27 +127,34 @@ def test_what_the_drive_said_is_in_the_message_of_the_proof(tmp_path: Path) -> N
         foreign.start(DriveProfile(absent=["SYNC counter"]))
 
 
-@pytest.mark.parametrize("entry", [1, 2, 4])
-def test_the_consumer_entry_that_has_our_id_is_used(tmp_path: Path, entry: int) -> None:
-    foreign = Foreign(tmp_path, f"objects = {{ '0x1016:{entry}' = 0x7F0400 }}")
+@pytest.mark.parametrize(
+    ("entry", "left", "ours"), [(1, 0x7F0400, 1), (2, 0x7F0400, 2), (4, 0x7F0400, 4), (1, 0x0503E8, 2)]
+)
+def test_the_consumer_entry_of_our_id_is_used_and_that_of_another_node_is_left_alone(
+    tmp_path: Path, entry: int, left: int, ours: int
+) -> None:
+    foreign = Foreign(tmp_path, f"objects = {{ '0x1016:{entry}' = {left} }}")
     foreign.start()
-    values = [foreign.node.values[0x1016, number] for number in range(1, 5)]
-    assert values == [0x7F0064 if number == entry else 0 for number in range(1, 5)]
-
-
-def test_a_consumer_entry_of_another_node_is_left_alone(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path, "objects = { '0x1016:1' = 0x0503E8 }")
-    foreign.start()
-    assert [foreign.node.values[0x1016, number] for number in (1, 2)] == [0x0503E8, 0x7F0064]
+    values = {number: foreign.node.values[0x1016, number] for number in range(1, 5)}
+    assert values == dict.fromkeys(range(1, 5), 0) | {entry: left} | {ours: 0x7F0064}
 
 
 def test_read_only_objects_whose_value_does_as_well_are_forgiven(tmp_path: Path) -> None:
-    report = Foreign(tmp_path, "read_only = ['0x605A', '0x605E', '0x6007', '0x1029:1']").start()
-    forgiven = [note for note in report.nodes[0].notes if "cannot be written" in note]
-    assert forgiven == [
-        "0x605A:0 quick stop reaction cannot be written; its value 0x2 is also sufficient",
-        "0x605E:0 fault reaction cannot be written; its value 0x2 is also sufficient",
+    quirks = ("read_only = ['0x605A', '0x605E', '0x6007', '0x1029:1', '0x1015']", "objects = {'0x1015:0' = 5000}")
+    assert [note for node in Foreign(tmp_path, *quirks).start().nodes for note in node.notes] == [
+        f"{name} cannot be written; its value {value} is also sufficient"
+        for name, value in (
+            ("0x1015:0 inhibit time EMCY", "0x1388"),
+            ("0x605A:0 quick stop reaction", "0x2"),
+            ("0x605E:0 fault reaction", "0x2"),
+        )
     ]
+
+
+def test_a_reaction_of_the_maker_that_cannot_be_changed_is_refused(tmp_path: Path) -> None:
+    """It is unknown whether the fault reaction -1 ends without torque."""
+    with refused("rejects 0x605E:0 fault reaction", 'write fault = "keep"'):
+        Foreign(tmp_path, "read_only = ['0x605E']", "objects = { '0x605E:0' = -1 }").start()
 
 
 def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
@@ -141,12 +171,6 @@ def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
         AssertionError, match=r"heartbeat lost: drive node 1: none for 20\d ms; \d+ answers to node gua"
     ):
         foreign.run(Request.ENABLE, Phase.STANDBY, 0.3)
-
-
-def test_an_inhibit_time_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
-    foreign = Foreign(tmp_path, "objects = {'0x1015:0' = 5000}", "read_only = ['0x1015']")
-    (note,) = [note for node in foreign.start().nodes for note in node.notes]
-    assert note == "0x1015:0 inhibit time EMCY cannot be written; its value 0x1388 is also sufficient"
 
 
 VALUES = (  # type, value in the profile, bytes in the drive

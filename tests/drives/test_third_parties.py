@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
-import subprocess
-import sys
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from tests.conftest import ROOT
-from tests.drives.rig import PERIOD, Foreign, Recording, refused
+from tests.drives.rig import PERIOD, STILL, Foreign, Recording, refused, running
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.rig import Rig, check_startup
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
-from tsa_ctrl.bus.wire.link import open_bus
-from tsa_ctrl.bus.wire.python_can import PythonCan
-from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import eds_files
-from tsa_ctrl.plant.settings import load_plant
-from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 durand_drive = pytest.importorskip("tests.drives.durand_drive")
 
-_channels = itertools.count()
 # The drive has no watchdog, so it is accepted only with require_watchdog = false.
 AXIS = AxisNodes(name="knee", drive=DriveSettings(node_id=3, require_watchdog=False))
 
@@ -102,68 +90,13 @@ def test_a_drive_on_durand_that_falls_silent_is_a_fault() -> None:
     assert "stale PDO: drive node 3" in str(master.supervisor.fault)
 
 
-@pytest.mark.vcan
-def test_a_drive_on_durand_in_a_process_of_its_own_on_a_vcan(vcan: str) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.drives.durand_drive", vcan], cwd=ROOT, stdout=subprocess.PIPE, text=True
-    )
-    settings = BusSettings(channel=vcan)
-    bus = open_bus(settings)
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        period = 0.01  # s; slow enough for a Python stack on a loaded machine
-        supervisor = Supervisor(SupervisionSettings(tolerated_misses=50, enable_timeout=10.0))
-        bring_up(bus, settings, [AXIS], [DriveProfile()], period)
-        rig = Rig(bus, settings, [AXIS], [DriveProfile()])
-        rig.start()
-        begin = time.monotonic()
-        reached, image = 0, rig.axes[0].image
-        for cycle in range(1000):
-            begin = rig.wait(max(begin + period, time.monotonic()))
-            rig.sync(begin)
-            rig.collect(begin + 0.8 * period)
-            request = Request.ENABLE if cycle > 3 else Request.DISABLE
-            controlword, permitted, _ = supervisor.update(image, begin, request)
-            rig.axes[0].command(controlword, 0.2 if permitted else 0.0)
-            rig.heartbeat(begin)
-            reached += abs(image.tau_m - 0.2) < 1e-6
-            if reached > 10:
-                break
-        assert reached > 10, str(supervisor.fault)
-        assert shut_down(rig, period) == []
-    finally:
-        process.kill()
-        process.wait()
-        bus.close()
-
-
-@pytest.fixture
-def plant(tmp_path: Path) -> Iterator[tuple[str, Machine, Path]]:
-    """Run a plant with one drive in a thread. Yield its channel, the machine and the EDS file that it writes."""
-    channel = f"third-{next(_channels)}"
-    text = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"
-    path = plant_file(tmp_path, text)
+def test_a_master_on_python_canopen_enables_the_plant_and_pulls(tmp_path: Path) -> None:
+    """BaseNode402 uses the EDS of `tsa plant --eds` for states, mode, target torque by SDO, fault and fault reset."""
+    path = plant_file(tmp_path, f"[[axis]]\nname = 'joint'\n{STILL}")
     ((eds, content),) = eds_files(path, tmp_path / "drive.eds")
     eds.write_text(content, encoding="latin-1")
-    bus = PythonCan("virtual", channel, 1_000_000)
-    machine = Machine(load_plant(path), bus)
-    machine.start()
-    stop = threading.Event()
-    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
-    thread.start()
-    yield channel, machine, eds
-    stop.set()
-    thread.join()
-    bus.close()
-
-
-def test_a_master_on_python_canopen_enables_the_plant_and_pulls(plant: tuple[str, Machine, Path]) -> None:
-    """BaseNode402 uses the EDS of `tsa plant --eds` for states, mode, target torque by SDO, fault and fault reset."""
-    channel, machine, eds = plant
     network = canopen.Network()
-    network.connect(interface="virtual", channel=channel)
-    try:
+    with running(path) as (channel, machine), network.connect(interface="virtual", channel=channel):
         node = BaseNode402(1, str(eds))
         network.add_node(node)
         node.sdo.RESPONSE_TIMEOUT = 2.0
@@ -187,8 +120,6 @@ def test_a_master_on_python_canopen_enables_the_plant_and_pulls(plant: tuple[str
         node.sdo[0x6040].raw = 0x80
         _eventually(lambda: node.state == "SWITCH ON DISABLED")
         assert drive.command.torque == 0.0
-    finally:
-        network.disconnect()
 
 
 def _eventually(reached: object, seconds: float = 5.0) -> None:

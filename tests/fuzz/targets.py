@@ -6,12 +6,9 @@ A call raises an exception only for a defect.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
-import socket
 import struct
 import tempfile
-import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -22,9 +19,7 @@ import numpy as np
 from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import Responder, cycle, one_axis_rig
 from tests.conftest import ROOT
-from tests.daemon.serving import QUARTERS, description
 from tests.fuzz.corpus import Target
-from tests.fuzz.requests import GOOD
 from tests.log.logs import write_log
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.eds import read_eds
@@ -34,8 +29,6 @@ from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.dashboard.server import application
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.ipc.mailbox import General, Mailbox
-from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import read_table, read_waypoints
 from tsa_ctrl.model.parameters import load_model
@@ -138,35 +131,6 @@ def _sdo(data: bytes) -> None:
             except TsaError as error:
                 if len(str(error).splitlines()) != 1:
                     raise AssertionError(f"not one line: {error}") from None
-
-
-def _requests(data: bytes) -> None:
-    """Send the lines of one client to a server in this process."""
-    path = _folder() / "tsa.sock"
-    path.unlink(missing_ok=True)
-    listener = socket.socket(socket.AF_UNIX)
-    listener.bind(str(path))
-    listener.listen()
-    mailbox = Mailbox(2, 2)
-    try:
-        mailbox.publish(General(time=time.monotonic(), phase=2.0, cycles=7.0), [(QUARTERS, (0.95, 45.0))] * 2)
-        server = Server(listener, mailbox, description(path, ["knee", "hip"]))
-        with socket.socket(socket.AF_UNIX) as client:
-            client.connect(str(path))
-            server.step(0.0)
-            with contextlib.suppress(OSError):
-                client.setblocking(False)
-                client.sendall(data + b"\n")
-            for _ in range(data.count(b"\n") + 4):
-                server.step(0.0)
-                while (command := mailbox.take()) is not None:
-                    assert command.axis in (0, 1)
-                    assert np.isfinite(command.value)
-        server.step(0.0)
-        server.close()
-    finally:
-        listener.close()
-        mailbox.close()
 
 
 class _Feed:
@@ -282,12 +246,6 @@ def targets() -> tuple[Target, ...]:
             _sdo,
             (b"\xfe\x02AAAA\x00\x00" * 6, b"\x80\x41\x60\x00\x00\x00\x02\x06", b"\x41\x61\x60\x00\x14\x00\x00\x00"),
             (b"\xfe\x02", b"\xfe\x00", b"\x80", b"\x60\x72\x60\x00", b"\x00\x00\x02\x06", b"\x41"),
-        ),
-        Target(
-            "requests",
-            _requests,
-            (*GOOD, b"\n".join(GOOD)),
-            (*_text('"verb":', '"lease"', '"setpoint"', '"knee"', "\n", "{", "}", "null"), *GOOD),
         ),
         Target(
             "http",

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.plant.bench import R_J, R_M, T_P0, X, axis
-from tests.plant.test_full import CLOSED_FORMS, RAMP, run
+from tests.plant.test_full import RAMP, run
 from tsa_ctrl.plant.axis import CURVATURES
 from tsa_ctrl.plant.chain import Row, build_chain, chain_tensions, commit_chains, prepare_chains, settle
 from tsa_ctrl.plant.state import PARAMETERS
@@ -32,7 +32,6 @@ class Tendons:
         for tendon in self.chains:
             settle(tendon, 0.0, 0.0, T_P0)
         self.x = x
-        self.taken = 0.0
 
     def pull(self, u: float, v: float, pretension: float = T_P0) -> NDArray[np.float64]:
         """Move the ends, and return T1, T2, T3 and T4."""
@@ -41,41 +40,13 @@ class Tendons:
         totals = prepare_chains(self.p[0], both, (2.6, 2.6), (self.x, self.x), self.chains)
         assert chain_tensions(self.p[0], totals, self.chains, u, v, f)
         self.last_taken, self.used = commit_chains(self.chains)
-        self.taken += self.last_taken
         return f[:4]
-
-    def elastic_energy(self) -> float:
-        springs = 0.5 * self.chains[:, Row.TENSION] ** 2 / self.chains[:, Row.STIFFNESS]
-        force, stiffness = self.chains[:, Row.FORCE_OLD, :-1], self.chains[:, Row.BRISTLE, :-1]
-        bristles = np.where(stiffness > 0.0, 0.5 * force**2 / np.maximum(stiffness, 1e-300), 0.0)
-        return float(springs.sum() + bristles.sum())
-
-
-@pytest.mark.parametrize("curvature", list(CLOSED_FORMS))
-@pytest.mark.parametrize("direction", [1, -1])
-@pytest.mark.parametrize("torque", [1.0, -0.6])
-def test_sliding_tends_to_the_closed_form(tmp_path: Path, curvature: str, direction: int, torque: float) -> None:
-    motion = {**RAMP, "amplitude": float(direction)}
-    joint = axis(tmp_path, tendon={"kind": "distributed", "curvature": curvature}, motion=motion)
-    delivered = run(joint, torque, 0.3)["tau_j"]
-    assert delivered == pytest.approx(CLOSED_FORMS[curvature](torque, direction * X), abs=1e-5)
-
-
-def test_uniform_bending_has_slope_one_and_half_loop_2_tp_x_rj(tmp_path: Path) -> None:
-    def delivered(torque: float, direction: float) -> float:
-        motion = {**RAMP, "amplitude": direction}
-        joint = axis(tmp_path, tendon={"kind": "distributed", "elements": 160}, motion=motion)
-        return run(joint, torque, 0.3)["tau_j"]
-
-    forward, more, back = delivered(0.2, 1.0), delivered(1.0, 1.0), delivered(0.2, -1.0)
-    assert (more - forward) / (1.0 - 0.2) * R_M / R_J == pytest.approx(1.0, abs=1e-6)
-    assert (back - forward) / 2 == pytest.approx(2 * T_P0 * X * R_J, rel=1e-6)
 
 
 def test_the_error_falls_with_the_square_of_the_elements(tmp_path: Path) -> None:
     def error(elements: int) -> float:
         joint = axis(tmp_path, tendon={"kind": "distributed", "elements": elements}, motion=RAMP)
-        return abs(run(joint, 1.0, 0.3)["tau_j"] - CLOSED_FORMS["uniform"](1.0, X))
+        return abs(run(joint, 1.0, 0.3)["tau_j"] - R_J * (1.0 / R_M - 2 * T_P0 * X))
 
     ratio = error(5) / error(20)
     assert 14 < ratio < 18
@@ -114,46 +85,16 @@ def test_a_slip_front_travels_from_the_motor_end() -> None:
 
 @pytest.mark.parametrize("curvature", ["uniform", "motor_end", "joint_end"])
 @pytest.mark.parametrize("bristle", [0.0, 1e5])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_friction_never_creates_energy(curvature: str, bristle: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
+def test_friction_never_creates_energy(curvature: str, bristle: float) -> None:
+    """In no step, where tests/plant/test_energy.py has the sum of closed cycles."""
+    rng = np.random.default_rng(1)
     tendons = Tendons(curvature, bristle=bristle)
     u = v = 0.0
-    for _ in range(3000):
+    for _ in range(1000):
         du, dv = rng.normal(0.0, 2e-5, 2)
         u, v = 0.999 * (u + du), 0.999 * (v + dv)
         tendons.pull(u, v)
         assert tendons.last_taken >= -1e-9
-    assert tendons.taken > 0.0
-
-
-def test_work_is_stored_or_taken_by_friction() -> None:
-    tendons = Tendons()
-    rng = np.random.default_rng(3)
-    u = v = work = 0.0
-    before = tendons.elastic_energy()
-    tension = tendons.pull(0.0, 0.0)
-    for target_u, target_v in rng.normal(0.0, 3e-4, (30, 2)):
-        du, dv = (target_u - u) / 200, (target_v - v) / 200
-        for _ in range(200):
-            u, v = u + du, v + dv
-            new = tendons.pull(u, v)
-            mean = 0.5 * (tension + new)
-            work += (mean[2] - mean[0]) * du - (mean[3] - mean[1]) * dv
-            tension = new
-    stored = tendons.elastic_energy() - before
-    assert work - stored == pytest.approx(tendons.taken, rel=2e-3)
-
-
-def test_a_closed_path_takes_energy() -> None:
-    tendons = Tendons()
-    path = 3e-4 * np.sin(np.linspace(0.0, 4 * np.pi, 4000))
-    work, last, tension = 0.0, 0.0, tendons.pull(0.0, 0.0)
-    for place in path:
-        new = tendons.pull(place, 0.0)
-        work += 0.5 * (tension[2] - tension[0] + new[2] - new[0]) * (place - last)
-        last, tension = place, new
-    assert work > 0.0
 
 
 def test_slack_is_everywhere_or_nowhere_and_ends_where_it_began() -> None:

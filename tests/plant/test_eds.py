@@ -53,12 +53,9 @@ def test_canopen_finds_every_object_with_its_type_and_default(tmp_path: Path, ki
     written = texts(tmp_path, f"[[axis]]\nname = 'joint'\ndrive.kind = '{kind}'\n")
     assert list(written) == ["out-1.eds", "out-32.eds", "out-64.eds"]
     dictionary = import_eds(io.StringIO(written["out-1.eds"]), 5)
-    assert isinstance(dictionary[0x6071], ODVariable)
-    assert (dictionary[0x6071].data_type, dictionary[0x6071].writable, dictionary[0x6071].pdo_mappable) == (
-        3,
-        True,
-        True,
-    )
+    target = dictionary[0x6071]
+    assert isinstance(target, ODVariable)
+    assert (target.data_type, target.writable, target.pdo_mappable) == (3, True, True)
     assert (dictionary[0x1800][1].default, dictionary[0x1014].default) == (0x40000185, 0x85)
     assert (0x6072 in dictionary) == (kind != "epos4")
     assert (0x60A9 in dictionary) == (kind != "elmo_gold")

@@ -77,33 +77,18 @@ def test_the_plant_agrees_with_the_definitions(
         assert delivered(tmp_path, effects, state, shift) == pytest.approx(value, abs=2e-6)
 
 
-def test_the_encoder_lags_by_the_time_constant(tmp_path: Path) -> None:
-    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"velocity_lag": {"time_constant": 0.02}})
+@pytest.mark.parametrize(
+    ("effect", "lagged", "true"),
+    [("velocity_lag", "omega_lagged", "omega_j"), ("torque_sensor_lag", "tau_sensed", "tau_j")],
+)
+def test_a_sensor_lags_by_the_time_constant(tmp_path: Path, effect: str, lagged: str, true: str) -> None:
+    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={effect: {"time_constant": 0.02}})
     joint.advance(0.3)
-    before = joint.values()["omega_lagged"]
+    before = joint.values()[lagged]
     joint.advance(0.3001)
     after = joint.values()
-    slope = (after["omega_lagged"] - before) / 1e-4
-    assert after["omega_lagged"] + 0.02 * slope == pytest.approx(after["omega_j"], rel=1e-2)
-
-
-def test_the_torque_sensor_is_late_by_the_delay(tmp_path: Path) -> None:
-    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"transport_delay": {"delay": 0.0123}})
-    history = {}
-    for i in range(1, 4000):
-        joint.advance(i * 1e-4)
-        history[i] = joint.values()["tau_j"]
-    assert joint.values()["tau_sensed"] == pytest.approx(history[3999 - 123], abs=1e-6)
-
-
-def test_the_torque_sensor_lags_by_the_time_constant(tmp_path: Path) -> None:
-    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"torque_sensor_lag": {"time_constant": 0.02}})
-    joint.advance(0.3)
-    before = joint.values()["tau_sensed"]
-    joint.advance(0.3001)
-    after = joint.values()
-    slope = (after["tau_sensed"] - before) / 1e-4
-    assert after["tau_sensed"] + 0.02 * slope == pytest.approx(after["tau_j"], rel=1e-2)
+    slope = (after[lagged] - before) / 1e-4
+    assert after[lagged] + 0.02 * slope == pytest.approx(after[true], rel=1e-2)
 
 
 def test_backlash_is_a_dead_interval_after_a_reversal(tmp_path: Path) -> None:

@@ -75,12 +75,11 @@ def work_of_cycles(joint: Axis, path: Path2, cycles: int = 3) -> list[float]:
 @pytest.mark.parametrize("profile", list(PROFILES))
 @pytest.mark.parametrize("kind", ["full", "distributed"])
 def test_a_closed_cycle_creates_no_energy(tmp_path: Path, kind: str, profile: str) -> None:
-    for seed, radius in enumerate((1e-5, 1e-4, 1e-3)):
-        for friction in (0.1, 0.3):
-            joint = axis(tmp_path, tendon={"kind": kind, "curvature": PROFILES[profile]})
-            joint.parameters["friction"] = friction
-            works = work_of_cycles(joint, closed_path(seed, radius))
-            assert min(works[1:]) >= LEAST, (seed, friction, works)
+    for seed, (radius, friction) in enumerate(((1e-5, 0.1), (1e-4, 0.3), (1e-3, 0.1), (1e-4, 0.1))):
+        joint = axis(tmp_path, tendon={"kind": kind, "curvature": PROFILES[profile]})
+        joint.parameters["friction"] = friction
+        works = work_of_cycles(joint, closed_path(seed, radius), 2)
+        assert min(works[1:]) >= LEAST, (seed, friction, works)
 
 
 @pytest.mark.slow
@@ -93,17 +92,8 @@ def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str)
         actuator.write_text(ACTUATOR.replace("diameter =", spring), encoding="utf-8")
         soft = Axis(settings, PhysicsSettings())
         assert float(soft.parameters["series_length"][0]) > 1.0
-        for seed in (7, 8, 9):
-            assert min(work_of_cycles(soft, closed_path(seed, 1e-4))[1:]) >= LEAST
-
-
-def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
-    """The test above would fail for friction that follows the middle of the tendon, with all bends at one end."""
-    joint = axis(tmp_path, tendon={"curvature": "motor_end"})
-    joint.parameters["centre"] = 0.5
-    t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
-    path = 1e-4 * np.column_stack((np.sin(t), np.sin(t - 2.4) - math.sin(-2.4)))
-    assert min(work_of_cycles(joint, path)[1:]) < -1e-6
+        for seed in (7, 8):
+            assert min(work_of_cycles(soft, closed_path(seed, 1e-4), 2)[1:]) >= LEAST
 
 
 def elastic_energy(joint: Axis) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import re
 import struct
 from pathlib import Path
 
@@ -173,7 +174,7 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
-    with pytest.raises(UsageError, match=".*".join(part for part in (said.replace("?", "."),))) as raised:
+    with pytest.raises(UsageError, match=re.escape(said)) as raised:
         parse_fault(text)
     assert "\n" not in str(raised.value)
 
@@ -197,14 +198,6 @@ def test_a_fault_of_a_missing_part_is_rejected_at_the_request(tmp_path: Path, te
     path = plant_file(tmp_path, plant + "[[axis.fault]]\n" + "\n".join(lines))
     with pytest.raises(UsageError, match=f"^{path}: .*{said}"):
         check(path)
-
-
-def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench.machine, "_switch", lambda channel, up: None)
-    for name in FAULTS:
-        begin(bench, f"{name} duration=0.002")
-        bench.sync(5, bench.command(0x0F, 100))
-    assert bench.machine.faults.active == 0
 
 
 def faulted(bench: Bench) -> list[object]:

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.plant.bench import axis, plant_file
-from tsa_ctrl.errors import UsageError
+from tests.plant.bench import axis
 from tsa_ctrl.plant.axis import Axis
-from tsa_ctrl.plant.settings import load_plant
 
 HOLD = [(0.0, 20.0, 1.0, 0.3), (1.0, 20.0, 1.0, 0.3)]
 
@@ -96,20 +94,3 @@ def test_a_wearer_moves_holds_and_lets_go(tmp_path: Path) -> None:
     assert stiffness.max() == pytest.approx(15.0)
     assert angle.max() > 0.4
     assert angle.min() < -0.2
-
-
-def test_times_of_a_hand_rise(tmp_path: Path) -> None:
-    text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'limb'\nhand = [[1.0, 1, 1, 0], [0.5, 1, 1, 0]]\n"
-    with pytest.raises(UsageError, match="hand: times must increase"):
-        load_plant(plant_file(tmp_path, text))
-
-
-def test_no_hand_moves_an_imposed_joint(tmp_path: Path) -> None:
-    text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'held'\nhand = [[0.0, 1, 1, 0]]\n"
-    with pytest.raises(UsageError, match=r'hand cannot move a joint with load "held".*choose a load that moves'):
-        load_plant(plant_file(tmp_path, text))
-
-
-def test_an_unknown_load_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="load: invalid enum value 'limp'"):
-        load_plant(plant_file(tmp_path, "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'limp'\n"))

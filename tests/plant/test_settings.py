@@ -39,6 +39,12 @@ def test_the_example_is_valid() -> None:
         ("[[axis]]\nname='a'\n[axis.effects.stribek_friction]\n", "did you mean 'stribeck_friction'"),
         ("[[axis]]\nname='a'\n[axis.tendon]\ncurvature=[[0.0,0.0],[0.5,0.2]]\n", "that never decrease"),
         ("[[axis]]\nname='a'\n[[axis.fault]]\nname='torn'\n", "unknown fault"),
+        ("[[axis]]\nname='a'\njoint.load='limb'\njoint.hand=[[1,1,1,0],[0.5,1,1,0]]\n", "hand: times must increase"),
+        (
+            "[[axis]]\nname='a'\njoint.load='held'\njoint.hand=[[0,1,1,0]]\n",
+            'hand cannot move a joint with load "held".*choose a load that moves',
+        ),
+        ("[[axis]]\nname='a'\njoint.load='limp'\n", "load: invalid enum value 'limp'"),
         (
             "[[axis]]\nname='a'\ndrive.absent=[0x6040]\n",
             "plant.toml: axis 'a': .* the PDO 0x1400 contains 0x6040 at power-on; remove it from absent",

@@ -37,10 +37,3 @@ def test_a_name_that_is_none_is_one_line(name: str, hint: str) -> None:
     done = run(name)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert hint in done.stderr
-
-
-@pytest.mark.slow
-def test_an_error_for_people_is_one_line_with_the_command_in_front() -> None:
-    done = run("manual/measure", "no_such_table")
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.startswith("tools/run manual/measure: no figure")

@@ -53,11 +53,6 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_good_file_is_read(tmp_path: Path) -> None:
-    dictionary = load_eds(write(tmp_path, GOOD))
-    assert dictionary[0x6072].name == "Max torque"
-
-
 def test_file_in_the_encoding_of_a_vendors_editor_is_read(tmp_path: Path) -> None:
     assert load_eds(write(tmp_path, GOOD.replace("Max torque", "Größtes Moment")))[0x6072].name == "Größtes Moment"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.bus.local_nodes import I16, U8, U32, Bench, bench, drive
+from tests.bus.local_nodes import U8, U32, Bench, Dictionary, bench, drive
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.drive import checks
 from tsa_ctrl.bus.drive.bring_up import bring_up
@@ -20,40 +20,31 @@ def start(nodes: Bench, axis: AxisNodes | None = None, profile: DriveProfile | N
     return bring_up(nodes.bus, settings, [axis or axis_nodes()], [profile or DriveProfile()], 0.001)
 
 
+HELD = {  # after a bring-up with max_torque 0.5 N*m and max_speed 20 rad/s
+    (0x6060, 0): 10, (0x6072, 0): 500, (0x6080, 0): 190, (0x60A9, 0): 0xFDB44700,  # 0x6080 in rpm
+    (0x60C2, 1): 1, (0x60C2, 2): 0xFD,  # 10^-3
+    (0x6007, 0): 1, (0x1016, 1): 0x007F0064, (0x1017, 0): 50, (0x1400, 5): 20,  # node 127, 100 ms
+    (0x1600, 0): 2, (0x1600, 1): 0x60400010, (0x1600, 2): 0x60710010,
+    (0x1A00, 0): 3, (0x1A00, 1): 0x60410010, (0x1A00, 2): 0x60770010, (0x1A00, 3): 0x606C0020,
+    (0x1A01, 0): 3, (0x1A01, 1): 0x60640020, (0x1A01, 2): 0x60610008, (0x1A01, 3): 0x603F0010,
+    (0x1400, 1): 0x201, (0x1800, 1): 0x40000181, (0x1801, 1): 0x40000281,
+    (0x1400, 2): 1, (0x1800, 2): 1, (0x1801, 2): 1,
+    (0x1401, 1): 0x80000301, (0x1802, 1): 0xC0000381,  # spare PDOs are switched off
+}  # fmt: skip
+
+
 def test_drive_holds_the_whole_configuration_afterwards() -> None:
+    """No enable and no torque is ever written, and a second bring-up changes nothing."""
     with bench() as nodes:
-        start(nodes, axis_nodes(max_torque=0.5, max_speed=20.0))
-        held = {
-            key: nodes.get(1, *key)
-            for key in ((0x6060, 0), (0x6072, 0), (0x6080, 0), (0x60C2, 1), (0x60C2, 2), (0x6007, 0), (0x1016, 1))
-        }
-        assert held == {
-            (0x6060, 0): 10,
-            (0x6072, 0): 500,
-            (0x6080, 0): 190,  # rpm, below 20 rad/s
-            (0x60C2, 1): 1,
-            (0x60C2, 2): 0xFD,  # 10^-3
-            (0x6007, 0): 1,
-            (0x1016, 1): 0x007F0064,  # node 127, 100 ms
-        }
-        assert (nodes.get(1, 0x1017), nodes.get(1, 0x1400, 5), nodes.get(1, 0x60A9)) == (50, 20, 0xFDB44700)
-
-
-def test_pdos_are_mapped_as_planned() -> None:
-    with bench() as nodes:
-        start(nodes)
-        mapped = {
-            index: [nodes.get(1, index, number) for number in range(1, nodes.get(1, index, 0) + 1)]
-            for index in (0x1600, 0x1A00, 0x1A01)
-        }
-        assert mapped == {
-            0x1600: [0x60400010, 0x60710010],
-            0x1A00: [0x60410010, 0x60770010, 0x606C0020],
-            0x1A01: [0x60640020, 0x60610008, 0x603F0010],
-        }
-        assert [nodes.get(1, index, 1) for index in (0x1400, 0x1800, 0x1801)] == [0x201, 0x40000181, 0x40000281]
-        assert [nodes.get(1, index, 2) for index in (0x1400, 0x1800, 0x1801)] == [1, 1, 1]
+        axis = axis_nodes(max_torque=0.5, max_speed=20.0)
+        start(nodes, axis)
+        assert {key: nodes.get(1, *key) for key in HELD} == HELD
         assert (nodes.get(32, 0x1A00, 1), nodes.get(64, 0x1A00, 1)) == (0x60040020, 0x91300120)
+        assert [data for _, index, _, data in nodes.written if index in (0x6040, 0x6071) and any(data)] == []
+        assert set(nodes.commands[:3]) == {b"\x82\x01", b"\x82\x20", b"\x82\x40"}  # reset, then start
+        assert set(nodes.commands[3:]) == {b"\x01\x01", b"\x01\x20", b"\x01\x40"}
+        report = start(nodes, axis)
+    assert [str(row) for node in report.nodes for row in node.rows if row.changed] == []
 
 
 def test_pdo_is_disabled_and_empty_while_it_is_mapped() -> None:
@@ -64,12 +55,6 @@ def test_pdo_is_disabled_and_empty_while_it_is_mapped() -> None:
         assert steps[-1] == (0x1400, 1, b"\x01\x02\x00\x00")
         entries = [index for index, step in enumerate(steps) if step[0] == 0x1600 and step[1] > 0]
         assert steps[entries[-1] + 1] == (0x1600, 0, b"\x02")
-
-
-def test_spare_pdos_are_switched_off() -> None:
-    with bench() as nodes:
-        start(nodes)
-        assert [nodes.get(1, index, 1) for index in (0x1401, 0x1802)] == [0x80000301, 0xC0000381]
 
 
 def test_rpdo_on_arrival_is_transmission_type_255() -> None:
@@ -87,26 +72,6 @@ def test_report_shows_what_was_changed_and_what_is_missing() -> None:
     assert "RPDO3 COB-ID, RPDO4 COB-ID" in text
 
 
-def test_second_bring_up_changes_nothing() -> None:
-    with bench() as nodes:
-        start(nodes)
-        report = start(nodes)
-    assert [str(row) for node in report.nodes for row in node.rows if row.changed] == []
-
-
-def test_nodes_are_reset_and_then_started() -> None:
-    with bench() as nodes:
-        start(nodes)
-        assert set(nodes.commands[:3]) == {b"\x82\x01", b"\x82\x20", b"\x82\x40"}
-        assert set(nodes.commands[3:]) == {b"\x01\x01", b"\x01\x20", b"\x01\x40"}
-
-
-def test_no_torque_and_no_enable_is_ever_written() -> None:
-    with bench() as nodes:
-        start(nodes)
-        assert [data for _, index, _, data in nodes.written if index in (0x6040, 0x6071) and any(data)] == []
-
-
 def test_missing_node_is_named_with_those_that_answered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checks, "BOOT_TIMEOUT", 0.3)
     monkeypatch.setattr(checks, "ANSWER_TIMEOUT", 0.05)
@@ -116,14 +81,6 @@ def test_missing_node_is_named_with_those_that_answered(monkeypatch: pytest.Monk
             start(nodes)
     finally:
         nodes.close()
-
-
-def test_rated_torque_as_peak_value_is_refused_with_a_hint() -> None:
-    with (
-        bench(drive={(0x6076, 0): (U32, 1414)}) as nodes,
-        pytest.raises(UsageError, match="a factor of the root of 2: one is the peak"),
-    ):
-        start(nodes)
 
 
 def test_rated_torque_unit_of_the_profile_is_used() -> None:
@@ -145,34 +102,24 @@ def test_remembered_errors_are_shown() -> None:
         assert "newest error in its history 0x3210 (DC link over-voltage)" in start(nodes).nodes[0].notes
 
 
-def test_encoder_with_another_resolution_is_refused() -> None:
-    with (
-        bench(encoder={(0x6001, 0): (U32, 4096)}) as nodes,
-        pytest.raises(UsageError, match=r"is 4096, but the configuration has 1048576; correct counts_per_revolution"),
-    ):
-        start(nodes)
+def ratio(index: int, numerator: int, denominator: int = 1) -> Dictionary:
+    return {(index, 1): (U32, numerator), (index, 2): (U32, denominator)}
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({(0x607E, 0): (U8, 0xE0)}, r"reverses the sign of position and velocity and torque; write polarity = 0xE0"),
-        ({(0x607E, 0): (U8, 0x20)}, r"polarity \(0x607E\) is 0x20, the drive reverses the sign of torque"),
-        (
-            {(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)},
-            r"has 4096 counts per motor rev.* has 65536; correct",
-        ),
-        ({(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1)}, r"gear ratio \(0x6091\) is 7, .* write absent = "),
-        (
-            {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 2), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},
-            r"gear ratio \(0x6091\) is 7/2",
-        ),
+        ({"encoder": {(0x6001, 0): (U32, 4096)}}, r"is 4096, but .* has 1048576; correct counts_per_revolution"),
+        ({"drive": {(0x6076, 0): (U32, 1414)}}, "a factor of the root of 2: one is the peak"),
+        ({"drive": {(0x607E, 0): (U8, 0xE0)}}, r"the sign of position and velocity and torque; write polarity = 0xE0"),
+        ({"drive": {(0x607E, 0): (U8, 0x20)}}, r"polarity \(0x607E\) is 0x20, the drive reverses the sign of torque"),
+        ({"drive": ratio(0x608F, 4096)}, r"has 4096 counts per motor rev.* has 65536; correct"),
+        ({"drive": ratio(0x6091, 7)}, r"gear ratio \(0x6091\) is 7, .* write absent = "),
+        ({"drive": ratio(0x6091, 7, 2) | ratio(0x6092, 65536)}, r"gear ratio \(0x6091\) is 7/2"),
     ],
 )
-def test_sign_or_count_that_the_drive_makes_otherwise_is_refused(
-    changes: dict[tuple[int, int], tuple[int, int]], said: str
-) -> None:
-    with bench(drive=changes) as nodes:
+def test_sign_or_scale_that_the_node_has_otherwise_is_refused(changes: dict[str, Dictionary], said: str) -> None:
+    with bench(**changes) as nodes:
         with pytest.raises(UsageError, match=said):
             start(nodes)
         assert all(command[0] != 0x01 for command in nodes.commands)  # no node is set to operational
@@ -181,15 +128,13 @@ def test_sign_or_count_that_the_drive_makes_otherwise_is_refused(
 @pytest.mark.parametrize(
     "changes",
     [
-        {(0x607E, 0): (U8, 0), (0x608F, 1): (U32, 1 << 17), (0x608F, 2): (U32, 2)},
-        {(0x608F, 1): (U32, 0), (0x608F, 2): (U32, 0), (0x6091, 1): (U32, 3), (0x6091, 2): (U32, 3)},
-        {(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},
-        {(0x6091, 1): (U32, 2), (0x6091, 2): (U32, 1), (0x6092, 1): (U32, 1 << 17), (0x6092, 2): (U32, 1)},
+        {(0x607E, 0): (U8, 0)} | ratio(0x608F, 1 << 17, 2),
+        ratio(0x608F, 0, 0) | ratio(0x6091, 3, 3),
+        ratio(0x608F, 4096) | ratio(0x6092, 65536),
+        ratio(0x6091, 2) | ratio(0x6092, 1 << 17),
     ],
 )
-def test_sign_and_count_as_configured_in_whatever_terms_pass(
-    changes: dict[tuple[int, int], tuple[int, int]],
-) -> None:
+def test_sign_and_count_as_configured_in_whatever_terms_pass(changes: Dictionary) -> None:
     with bench(drive=changes) as nodes:
         start(nodes)
 
@@ -201,17 +146,8 @@ def test_polarity_that_is_given_is_written() -> None:
 
 
 def test_what_the_profile_says_it_lacks_is_not_compared() -> None:
-    changes = {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1), (0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}
-    with bench(drive=changes) as nodes:
+    with bench(drive=ratio(0x6091, 7) | ratio(0x608F, 4096)) as nodes:
         start(nodes, profile=DriveProfile(absent=["motor shaft revolutions", "encoder increments"]))
-
-
-def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
-    """-1 is manufacturer-specific, so it is unknown whether the fault reaction ends without torque."""
-    with bench(drive={(0x605E, 0): (I16, -1)}) as nodes:
-        nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
-        with pytest.raises(BusError, match=r"rejects 0x605E:0 fault reaction: Attempt to write a read only object"):
-            start(nodes)
 
 
 def test_bus_that_fails_meanwhile_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

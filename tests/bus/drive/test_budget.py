@@ -64,9 +64,7 @@ def test_heartbeats_count() -> None:
 def leaner(number: int, torque_sensor: bool = False) -> AxisNodes:
     nodes = axis(number)
     return replace(
-        nodes,
-        drive=replace(nodes.drive, pdo="lean"),
-        torque_sensor=nodes.torque_sensor if torque_sensor else None,
+        nodes, drive=replace(nodes.drive, pdo="lean"), torque_sensor=nodes.torque_sensor if torque_sensor else None
     )
 
 

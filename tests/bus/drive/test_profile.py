@@ -12,7 +12,7 @@ from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
 from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, drive_scale, load_profile
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+from tsa_ctrl.bus.settings import BusSettings, DriveSettings
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -22,15 +22,13 @@ NAMES = sorted(path.stem for path in (CONFIG / "drives").glob("*.toml"))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_profile_file_loads_and_names_its_sources(name: str) -> None:
-    profile = load_profile(name, CONFIG)
+def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name: str) -> None:
+    """It also lists its sources, and what they do not document."""
+    profile, axis = load_profile(name, CONFIG), axis_nodes()
     assert profile.name
     assert profile.sources
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name: str) -> None:
-    profile, axis = load_profile(name, CONFIG), axis_nodes()
+    assert "\nunknown = [" in (CONFIG / "drives" / f"{name}.toml").read_text(encoding="utf-8")
+    assert all(profile.unknown)
     scale = drive_scale(axis.drive, profile, "axis")
     plan = drive_plan(axis, profile, scale, BusSettings(), 0.001)
     instead = profile.torque_clamp
@@ -44,30 +42,21 @@ def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name
 @pytest.mark.parametrize(("share", "value"), [(0.0011, 32751), (0.5, 24577), (1.0, 16387), (2.0, 7)])
 def test_a_clamp_that_counts_downwards_is_rounded_towards_no_torque(share: float, value: int) -> None:
     """Object 0x207F of an iPOS is 32767 minus the current, where 16380 digits are the rated current."""
-    clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
-    profile = DriveProfile(absent=["max torque"], torque_clamp=clamp, units=Units(torque=16380.0))
-    drive = DriveSettings(node_id=1, max_torque=share)
-    axis = AxisNodes(name="knee", drive=drive)
-    plan = drive_plan(axis, profile, drive_scale(drive, profile, "axis"), BusSettings(), 0.001)
-    assert [write.value for write in plan if write.entry.index == 0x207F] == [value]
+    assert clamped(share, Units(torque=16380.0)) == [value]
 
 
 def test_a_clamp_beyond_its_object_is_refused() -> None:
-    clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
-    profile = DriveProfile(absent=["max torque"], torque_clamp=clamp)
-    drive = DriveSettings(node_id=1, max_torque=2.1)
     with pytest.raises(UsageError, match=r"whose range is 0 to 65535; lower max_torque in \[axis.drive\]"):
-        drive_plan(
-            AxisNodes(name="knee", drive=drive), profile, drive_scale(drive, profile, "axis"), BusSettings(), 0.001
-        )
+        clamped(2.1, Units())
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_profile_of_a_make_says_what_its_documents_do_not(name: str) -> None:
-    text = (CONFIG / "drives" / f"{name}.toml").read_text(encoding="utf-8")
-    assert "\nunknown = [" in text
-    for line in load_profile(name, CONFIG).unknown:
-        assert line
+def clamped(max_torque: float, units: Units) -> list[int]:
+    """Return the values that a bring-up writes to the torque clamp of an iPOS."""
+    clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
+    profile = DriveProfile(absent=["max torque"], torque_clamp=clamp, units=units)
+    axis = axis_nodes(max_torque=max_torque)
+    plan = drive_plan(axis, profile, drive_scale(axis.drive, profile, "axis"), BusSettings(), 0.001)
+    return [write.value for write in plan if write.entry.index == 0x207F]
 
 
 def test_generic_file_says_what_is_assumed_without_one() -> None:
@@ -90,10 +79,7 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
         ("[torque_clamp]\nindex = 0x207F", "torque_clamp: give either rated_index"),
         ("[torque_clamp]\nindex = 0x207F\nrated = 1\nrated_index = 0x2000", "or rated (that value itself)"),
         ("absent = ['max torqe']", "absent: unknown object 'max torqe'; did you mean 'max torque'?"),
-        (
-            _OFFSET.format(0x60B2),
-            "[[extra]] 'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0",
-        ),
+        (_OFFSET.format(0x60B2), "'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0"),
         (_OFFSET.format(0x70B1), "[[extra]] 'mine' writes 5 to 0x70B1"),
         (_EXTRA.format("u24", 1 << 24), "'mine': value 16777216 does not fit u24 (whole numbers from 0 to 16777215)"),
         (_EXTRA.format("i40", 0.5), "'mine': value 0.5 does not fit i40 (whole numbers from"),
@@ -117,20 +103,10 @@ def test_profile_with_a_mistake_is_one_line(tmp_path: Path, text: str, message: 
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("unit", "counts", "radians"),
-    [
-        (VelocityUnit.RPM, 4096, 2 * math.pi / 60),
-        (VelocityUnit.MILLI_RPM, 4096, 2 * math.pi / 60e3),
-        (VelocityUnit.COUNTS, 4096, 2 * math.pi / 4096),
-        (VelocityUnit.DECI_COUNTS, 4096, 2 * math.pi / 40960),
-    ],
-)
-def test_velocity_units(unit: VelocityUnit, counts: int, radians: float) -> None:
-    assert unit.radians_per_second(counts) == pytest.approx(radians)
-
-
-def test_velocity_unit_code_of_milli_rpm() -> None:
+def test_velocity_units_and_their_codes() -> None:
+    digits = {"RPM": 60.0, "MILLI_RPM": 60e3, "COUNTS": 4096.0, "DECI_COUNTS": 40960.0}  # in one revolution per second
+    for name, number in digits.items():
+        assert VelocityUnit[name].radians_per_second(4096) == pytest.approx(2 * math.pi / number)
     assert (VelocityUnit.MILLI_RPM.si_code, VelocityUnit.COUNTS.si_code) == (0xFDB44700, None)
 
 

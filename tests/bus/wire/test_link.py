@@ -98,30 +98,29 @@ def test_a_vcan_is_made_up_switched_and_seen(vcan: str) -> None:
     assert interface.read("vcan77") is None
 
 
+ACTIVE, PASSIVE, OFF = CanState.ERROR_ACTIVE, CanState.ERROR_PASSIVE, CanState.BUS_OFF
+
+
 @pytest.mark.parametrize(
-    ("found", "message"),
+    ("bitrate", "state", "errors", "message"),
     [
-        (Interface(True, "can", 128, 250_000, CanState.ERROR_ACTIVE), "its bit rate is 250000 bit/s, .* has 1000000"),
-        (
-            Interface(True, "can", 128, 1_000_000, CanState.ERROR_PASSIVE, (136, 0)),
-            r"state error_passive, error counters 136 \(tx\) and 0 \(rx\)",
-        ),
-        (Interface(True, "can", 128, 1_000_000, CanState.BUS_OFF), "state bus_off"),
-        (
-            Interface(True, "can", 128, 1_000_000, CanState.ERROR_ACTIVE, (0, 8)),
-            r"error counters are 0 \(tx\) and 8 \(rx\), required: 0",
-        ),
+        (250_000, ACTIVE, None, "its bit rate is 250000 bit/s, .* has 1000000"),
+        (1_000_000, PASSIVE, (136, 0), r"state error_passive, error counters 136 \(tx\) and 0 \(rx\)"),
+        (1_000_000, OFF, None, "state bus_off"),
+        (1_000_000, ACTIVE, (0, 8), r"error counters are 0 \(tx\) and 8 \(rx\), required: 0"),
     ],
 )
-def test_interface_that_is_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch, found: Interface, message: str) -> None:
-    monkeypatch.setattr(interface, "read", lambda channel: found)
+def test_only_a_fit_or_unknown_interface_passes(
+    monkeypatch: pytest.MonkeyPatch, bitrate: int, state: CanState, errors: tuple[int, int] | None, message: str
+) -> None:
+    found = [
+        None,
+        Interface(True, "vcan"),
+        Interface(True, "can", 128, 1_000_000, ACTIVE, (0, 0)),
+        Interface(True, "can", 128, bitrate, state, errors),
+    ]
+    monkeypatch.setattr(interface, "read", lambda channel: found.pop(0))
+    for _ in range(3):
+        check("can0", 1_000_000)
     with pytest.raises(BusError, match=message):
         check("can0", 1_000_000)
-
-
-@pytest.mark.parametrize(
-    "found", [None, Interface(True, "vcan"), Interface(True, "can", 128, 1_000_000, CanState.ERROR_ACTIVE, (0, 0))]
-)
-def test_fit_or_unknown_interface_passes(monkeypatch: pytest.MonkeyPatch, found: Interface | None) -> None:
-    monkeypatch.setattr(interface, "read", lambda channel: found)
-    check("can0", 1_000_000)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import pty
 import select
 import socket
 import threading
 import time
 import tty
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 
 import can
 import pytest
@@ -23,20 +23,30 @@ from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.errors import BusError, UsageError
 
 
+@contextmanager
+def opened(interface: str, *channels: str) -> Iterator[list[PythonCan]]:
+    buses = [PythonCan(interface, channel, 1_000_000) for channel in channels]
+    try:
+        yield buses
+    finally:
+        for bus in buses:
+            bus.close()
+
+
 @pytest.fixture
-def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
+def pair() -> Iterator[list[PythonCan]]:
     """Yield two ends of a bus in this process."""
-    first, second = (PythonCan("virtual", "test-pythoncan", 1_000_000) for _ in range(2))
-    yield first, second
-    first.close()
-    second.close()
+    with opened("virtual", "test-pythoncan", "test-pythoncan") as buses:
+        yield buses
 
 
-def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: list[PythonCan]) -> None:
     first, second = pair
     assert first.send(0x201, b"\x0f\x00\x01\x02")
     assert second.recv(1.0) == (0x201, b"\x0f\x00\x01\x02")
     assert first.recv(0.0) is None
+    first.send(0x080, b"")
+    assert second.recv(1.0) == (0x080, b"")
 
 
 def group(number: int) -> str:
@@ -45,27 +55,19 @@ def group(number: int) -> str:
 
 
 def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not() -> None:
-    first, second = (PythonCan("udp_multicast", group(0), 1_000_000) for _ in range(2))
-    try:
+    with opened("udp_multicast", group(0), group(0)) as (first, second):
         first.send(0x080, b"")
         second.send(0x080, b"")
         first.send(0x201, b"\x01")
         assert [first.recv(1.0), first.recv(0.1)] == [(0x080, b""), None]
         assert [second.recv(1.0), second.recv(1.0), second.recv(0.1)] == [(0x080, b""), (0x201, b"\x01"), None]
-    finally:
-        first.close()
-        second.close()
 
 
 def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
-    first, second, third = (PythonCan("udp_multicast", group(n), 1_000_000) for n in (1, 2, 2))
-    try:
+    with opened("udp_multicast", group(1), group(2), group(2)) as (first, second, third):
         second.send(0x201, b"\x01")
         assert third.recv(1.0) == (0x201, b"\x01")
         assert first.recv(0.1) is None
-    finally:
-        for bus in (first, second, third):
-            bus.close()
 
 
 def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -81,23 +83,14 @@ def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch
         heard_before.append(select.select([descriptor], [], [], 1.0)[0])
         told(descriptor)
 
-    other = PythonCan("udp_multicast", group(3), 1_000_000)
-    monkeypatch.setattr(python_can, "_hear_own_group_only", late)
-    bus = PythonCan("udp_multicast", group(4), 1_000_000)
-    try:
-        assert heard_before == [[bus.fileno()]]
-        assert bus.recv(0.1) is None
-    finally:
-        other.close()
-        bus.close()
+    with opened("udp_multicast", group(3)) as (other,):
+        monkeypatch.setattr(python_can, "_hear_own_group_only", late)
+        with opened("udp_multicast", group(4)) as (bus,):
+            assert heard_before == [[bus.fileno()]]
+            assert bus.recv(0.1) is None
 
 
-def test_sync_has_no_data(pair: tuple[PythonCan, PythonCan]) -> None:
-    pair[0].send(0x080, b"")
-    assert pair[1].recv(1.0) == (0x080, b"")
-
-
-def test_other_identifiers_are_kept_out(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_other_identifiers_are_kept_out(pair: list[PythonCan]) -> None:
     first, second = pair
     second.accept([0x181])
     for can_id in (0x180, 0x181, 0x581):
@@ -106,7 +99,7 @@ def test_other_identifiers_are_kept_out(pair: tuple[PythonCan, PythonCan]) -> No
     assert second.recv(0.0) is None
 
 
-def test_flush_throws_away_what_waits(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_flush_throws_away_what_waits(pair: list[PythonCan]) -> None:
     first, second = pair
     for _ in range(5):
         first.send(0x181, b"")
@@ -122,7 +115,7 @@ def test_error_frame_is_flagged() -> None:
         bus.close()
 
 
-def test_adapter_that_fails_is_latched(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_adapter_that_fails_is_latched(pair: list[PythonCan]) -> None:
     first, _ = pair
     first._bus.shutdown()
     assert first.recv(0.0) is None
@@ -147,18 +140,19 @@ def test_bus_that_cannot_be_opened_is_one_line(interface: str, channel: str) -> 
     assert "\n" not in str(error.value)
 
 
-def test_options_mean_nothing_to_socketcan() -> None:
-    with pytest.raises(UsageError, match="options: fd do not apply"):
-        open_bus(BusSettings(options={"fd": True}))
+@pytest.mark.parametrize("interface", ["socketcan", "datagram"])
+def test_options_that_do_not_apply_are_refused(interface: str) -> None:
+    with pytest.raises(UsageError, match=f'options: fd do not apply to interface "{interface}"'):
+        open_bus(BusSettings(interface=interface, channel="x", options={"fd": True}))
 
 
-def test_session_starts_no_thread(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_session_starts_no_thread(pair: list[PythonCan]) -> None:
     before = threading.active_count()
     with Session(pair[0], BusSettings(interface="virtual")):
         assert threading.active_count() == before
 
 
-def test_session_sends_our_heartbeat_and_ends_with_one(pair: tuple[PythonCan, PythonCan]) -> None:
+def test_session_sends_our_heartbeat_and_ends_with_one(pair: list[PythonCan]) -> None:
     with Session(pair[0], BusSettings(interface="virtual", host_heartbeat_period=0.005)) as session:
         session.begin_heartbeat()
         session.wait(0.05)
@@ -194,54 +188,12 @@ def read_until(descriptor: int, wanted: bytes, seconds: float = 5.0) -> bytes:
 def test_slcan_speaks_the_adapters_language(slcan: tuple[int, str]) -> None:
     ours, name = slcan
     settings = BusSettings(interface="slcan", channel=name, bitrate=500_000, options={"sleep_after_open": 0.0})
-    bus = open_bus(settings)
-    try:
+    with closing(open_bus(settings)) as bus:
         assert bus.send(0x201, b"\x0f\x00\xfa\x00")
         assert b"S6\r" in (sent := read_until(ours, b"t20140F00FA00\r"))  # S6: 500 kbit/s
         assert b"t20140F00FA00\r" in sent
         os.write(ours, b"t18180102030405060708\r")
         assert bus.recv(5.0) == (0x181, b"\x01\x02\x03\x04\x05\x06\x07\x08")
-    finally:
-        bus.close()
-
-
-class SlcanAdapter:
-    """A serial adapter on a pseudo-terminal that repeats each standard frame with the next identifier."""
-
-    def __init__(self) -> None:
-        self._master, slave = pty.openpty()
-        tty.setraw(slave)
-        self.path = os.ttyname(slave)
-        self._slave = slave
-        threading.Thread(target=self._serve, daemon=True).start()
-
-    def _serve(self) -> None:
-        line = b""
-        while True:
-            try:
-                line += os.read(self._master, 64)
-            except OSError:
-                return
-            while b"\r" in line:
-                command, _, line = line.partition(b"\r")
-                if command.startswith(b"t"):
-                    os.write(self._master, b"t%03X" % (int(command[1:4], 16) + 1) + command[4:] + b"\r")
-
-    def close(self) -> None:
-        os.close(self._slave)
-        os.close(self._master)
-
-
-def test_frames_pass_a_serial_adapter() -> None:
-    adapter = SlcanAdapter()
-    bus = PythonCan("slcan", adapter.path, 1_000_000, {"sleep_after_open": 0.0})
-    try:
-        assert bus.recv(0.0) is None
-        assert bus.send(0x180, b"\x01\x02")
-        assert bus.recv(5.0) == (0x181, b"\x01\x02")
-    finally:
-        bus.close()
-        adapter.close()
 
 
 def served(connection: socket.socket) -> None:

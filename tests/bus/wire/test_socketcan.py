@@ -56,15 +56,6 @@ def test_nothing_is_waited_for_its_time_and_not_much_longer(pair: tuple[SocketCa
 
 
 @pytest.mark.vcan
-def test_burst_is_received_in_order(pair: tuple[SocketCan, SocketCan]) -> None:
-    first, second = pair
-    for number in range(100):
-        assert first.send(0x100 + number, bytes([number]))
-    assert [second.recv(1.0) for _ in range(100)] == [(0x100 + number, bytes([number])) for number in range(100)]
-    assert second.recv(0.0) is None
-
-
-@pytest.mark.vcan
 def test_what_has_come_is_taken_at_once(pair: tuple[SocketCan, SocketCan]) -> None:
     first, second = pair
     frames = [(0x100 + number, bytes(range(number % 9))) for number in range(150)]  # more than one system call
