@@ -187,6 +187,10 @@ def test_a_damaged_record_is_one_line(tmp_path: Path) -> None:
 
 def test_the_nodes_of_the_record_are_there_and_their_inputs_have_an_emergency_stop(tmp_path: Path) -> None:
     """Another drive is named with both numbers. A stop that no drive can read is an error in every class."""
+    stop = {"safety": {"emergency_stop": 3}}
+    bench = load_configuration(write(tmp_path, controller(file=stop))[0])
+    (line,) = missing_on_bus(bench, NODES, has_inputs=False)
+    assert "no drive has 0x60FD:0 digital inputs" in line
     rig = ready(tmp_path)
     assert missing_on_bus(rig, NODES, has_inputs=False) == []
     other = {"knee": {**NODES["knee"], "drive": NodeIdentity(serial_number=9, node_id=1)}}
@@ -194,11 +198,7 @@ def test_the_nodes_of_the_record_are_there_and_their_inputs_have_an_emergency_st
     assert "another drive: serial number 7, found serial number 9 (run tsa verify-safety again)" in line
     (line,) = missing_on_bus(rig, NODES, has_inputs=True)
     assert "the emergency stop: a drive has 0x60FD:0 digital inputs (give its bit as [safety] emergency_stop)" in line
-    stop = {"safety": {"emergency_stop": 3}}
     assert missing_on_bus(ready(tmp_path, file=stop), NODES, has_inputs=True) == []
-    bench = load_configuration(write(tmp_path, controller(file=stop))[0])
-    (line,) = missing_on_bus(bench, NODES, has_inputs=False)
-    assert "no drive has 0x60FD:0 digital inputs" in line
 
 
 def lines(folder: Path, **changes: Any) -> list[str]:
