@@ -57,17 +57,15 @@ def ready(folder: Path, **changes: Any) -> Configuration:
     return configuration
 
 
-def test_a_complete_rig_lacks_nothing(tmp_path: Path) -> None:
-    assert missing(ready(tmp_path)) == []
-
-
-def test_class_bench_requires_nothing(tmp_path: Path) -> None:
-    assert missing(load_configuration(write(tmp_path)[0])) == []
+CELLS = [{"quantity": name, "port": f"/dev/{name}"} for name in ("t1", "t3")]
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({}, ""),
+        ({"torque_sensor": None, "serial": CELLS}, ""),
+        ({"file": {"safety": {"class": "bench"}}, "torque_sensor": None, "tuned": ""}, ""),
         ({"torque_sensor": None}, "a joint torque sensor or both load cells (add"),
         ({"torque_sensor": None, "serial": [{"quantity": "t1", "port": "/dev/a"}]}, "or both load cells (add"),
         ({"file": {"safety": {"travel": None}}}, "the travel (give"),
@@ -95,11 +93,6 @@ def test_each_thing_that_is_missing_is_named_with_its_remedy(
 ) -> None:
     found = missing(ready(tmp_path, **changes))
     assert any(words in line for line in found) if words else not found
-
-
-def test_both_load_cells_stand_in_for_the_torque_sensor(tmp_path: Path) -> None:
-    cells = [{"quantity": name, "port": f"/dev/{name}"} for name in ("t1", "t3")]
-    assert missing(ready(tmp_path, torque_sensor=None, serial=cells)) == []
 
 
 def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
@@ -151,11 +144,10 @@ def test_a_change_that_matters_invalidates_the_record(tmp_path: Path, changes: M
 
 
 def test_other_pulleys_invalidate_the_record(tmp_path: Path) -> None:
-    configuration = ready(tmp_path)
+    before = fingerprint(ready(tmp_path))
     path = tmp_path / "actuator.toml"
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("motor_pulley_radius = 0.02", "motor_pulley_radius = 0.021"), encoding="utf-8")
-    assert fingerprint(load_configuration(configuration.path)) != fingerprint(configuration)
+    path.write_text(path.read_text().replace("motor_pulley_radius = 0.02", "motor_pulley_radius = 0.021"))
+    assert fingerprint(load_configuration(tmp_path / "controller.toml")) != before
 
 
 @pytest.mark.parametrize(
@@ -193,34 +185,24 @@ def test_a_damaged_record_is_one_line(tmp_path: Path) -> None:
         missing(configuration)
 
 
-def test_nodes_of_the_record_that_are_there_lack_nothing(tmp_path: Path) -> None:
-    assert missing_on_bus(ready(tmp_path), NODES, has_inputs=False) == []
-
-
-def test_another_drive_than_that_of_the_record_is_named_with_both_numbers(tmp_path: Path) -> None:
-    other = {"knee": {**NODES["knee"], "drive": NodeIdentity(serial_number=9, node_id=1)}}
-    (line,) = missing_on_bus(ready(tmp_path), other, has_inputs=False)
-    assert "another drive: serial number 7, found serial number 9 (run tsa verify-safety again)" in line
-
-
-def test_a_drive_with_inputs_needs_an_emergency_stop(tmp_path: Path) -> None:
-    (line,) = missing_on_bus(ready(tmp_path), NODES, has_inputs=True)
-    assert "the emergency stop: a drive has 0x60FD:0 digital inputs (give its bit as [safety] emergency_stop)" in line
-    assert missing_on_bus(ready(tmp_path, file={"safety": {"emergency_stop": 3}}), NODES, has_inputs=True) == []
-
-
-def test_an_emergency_stop_that_no_drive_can_read_is_an_error_in_every_class(tmp_path: Path) -> None:
-    tables = controller(file={"safety": {"emergency_stop": 3}})
-    (line,) = missing_on_bus(load_configuration(write(tmp_path, tables)[0]), NODES, has_inputs=False)
+def test_the_nodes_of_the_record_are_there_and_their_inputs_have_an_emergency_stop(tmp_path: Path) -> None:
+    """Another drive is named with both numbers. A stop that no drive can read is an error in every class."""
+    stop = {"safety": {"emergency_stop": 3}}
+    bench = load_configuration(write(tmp_path, controller(file=stop))[0])
+    (line,) = missing_on_bus(bench, NODES, has_inputs=False)
     assert "no drive has 0x60FD:0 digital inputs" in line
+    rig = ready(tmp_path)
+    assert missing_on_bus(rig, NODES, has_inputs=False) == []
+    other = {"knee": {**NODES["knee"], "drive": NodeIdentity(serial_number=9, node_id=1)}}
+    (line,) = missing_on_bus(rig, other, has_inputs=False)
+    assert "another drive: serial number 7, found serial number 9 (run tsa verify-safety again)" in line
+    (line,) = missing_on_bus(rig, NODES, has_inputs=True)
+    assert "the emergency stop: a drive has 0x60FD:0 digital inputs (give its bit as [safety] emergency_stop)" in line
+    assert missing_on_bus(ready(tmp_path, file=stop), NODES, has_inputs=True) == []
 
 
 def lines(folder: Path, **changes: Any) -> list[str]:
     return loose_lines(load_configuration(write(folder, controller(**changes))[0]))
-
-
-def test_the_example_has_no_loose_bound() -> None:
-    assert loose_lines(load_configuration(Path(__file__).parents[1] / "config/controller.toml")) == []
 
 
 @pytest.mark.parametrize(
@@ -240,10 +222,13 @@ def test_a_bound_that_is_looser_than_shipped_is_listed(tmp_path: Path, changes: 
     assert any(words in line for line in lines(tmp_path, **changes))
 
 
-def test_a_check_prints_the_loose_bounds(tmp_path: Path) -> None:
+def test_check_and_status_list_the_loose_bounds_and_the_example_has_none(tmp_path: Path) -> None:
     path, _ = write(tmp_path, controller(drive={"host_timeout": 0.3}))
     result = CliRunner().invoke(cli, ["run", "--check", str(path)])
     assert "looser than shipped: axis 'knee': [axis.drive] host_timeout 0.3 s (shipped is 0.1)" in result.output
+    configuration = load_configuration(path)
+    assert describe(configuration, ()).loose_bounds == loose_lines(configuration) != []
+    assert loose_lines(load_configuration(Path(__file__).parents[1] / "config/controller.toml")) == []
 
 
 def test_a_drive_without_a_speed_clamp_is_reported(tmp_path: Path) -> None:
@@ -254,8 +239,3 @@ def test_a_drive_without_a_speed_clamp_is_reported(tmp_path: Path) -> None:
         "axis 'knee': the drive has no 0x6080:0 max motor speed (by its profile): the controller alone limits the "
         "speed of the motor"
     )
-
-
-def test_the_status_lists_the_loose_bounds(tmp_path: Path) -> None:
-    configuration = load_configuration(write(tmp_path, controller(drive={"host_timeout": 0.3}))[0])
-    assert describe(configuration, ()).loose_bounds == loose_lines(configuration) != []

@@ -23,10 +23,14 @@ def run(*line: str) -> int:
     return int(ended.value.code or 0)
 
 
-def test_the_desk_set_is_valid(tmp_path: Path) -> None:
+def test_the_desk_set_is_valid_on_any_machine(tmp_path: Path) -> None:
     assert run("init", "--desk", str(tmp_path / "new")) == 0
-    check_drives(load_configuration(tmp_path / "new/controller.toml"))
-    assert len(check(tmp_path / "new/plant.toml").axis) == 1
+    configuration = load_configuration(tmp_path / "new/controller.toml")
+    check_drives(configuration)
+    file, plant = configuration.file, check(tmp_path / "new/plant.toml")
+    assert len(plant.axis) == 1
+    assert (file.bus.interface, file.bus.channel) == (plant.bus.interface, plant.bus.channel)
+    assert (file.bus.interface, file.realtime.allow_without, file.controller.rate) == ("udp_multicast", True, 250.0)
 
 
 @pytest.mark.parametrize("options", [[], ["--rig"]])
@@ -44,12 +48,10 @@ def test_an_unfilled_rig_lists_every_empty_value_in_one_line(
         listed = line.partition(f"{name}: ")[2].partition(";")[0]
         assert [key.rpartition(".")[2] for key in listed.split(", ")] == empty
     assert "15 values are empty" in line
-
-
-def test_an_empty_model_is_one_line_for_other_commands_too(tmp_path: Path) -> None:
-    run("init", "--rig", str(tmp_path / "rig"))
     with pytest.raises(UsageError, match=r"8 values are empty; .*actuator.toml: actuator.motor_pulley_radius, .*value"):
         load_model(tmp_path / "rig/actuator.toml")
+    assert 'channel = "can0"' in (tmp_path / "rig/controller.toml").read_text()
+    assert not [path for path in (tmp_path / "rig").rglob("*.toml") if "vcan" in path.read_text()]
 
 
 def filled(folder: Path) -> Path:
@@ -72,43 +74,26 @@ def filled(folder: Path) -> Path:
 
 
 def test_a_filled_rig_cannot_move_anything(tmp_path: Path) -> None:
-    (axis,) = load_configuration(filled(tmp_path / "rig")).file.axes
+    """A second torque limit is rejected."""
+    path = filled(tmp_path / "rig")
+    (axis,) = load_configuration(path).file.axes
     assert axis.limits.torque == pytest.approx(0.3)  # a tenth of the rated torque, at the gear output
     assert axis.law.compensation == 0.0
     play = SetPoint(axis.setpoint, 1e-3, tmp_path)
     assert {play.update(0.01 * step) for step in range(300)} == {0.0}
-
-
-def test_the_rig_has_no_virtual_bus(tmp_path: Path) -> None:
-    run("init", "--rig", str(tmp_path / "rig"))
-    assert 'channel = "can0"' in (tmp_path / "rig/controller.toml").read_text()
-    assert not [path for path in (tmp_path / "rig").rglob("*.toml") if "vcan" in path.read_text()]
-
-
-def test_a_rig_is_no_desk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("init", "--rig", "--desk", str(tmp_path / "new")) == 2
-    assert "give one of them" in capsys.readouterr().err
-
-
-def test_a_torque_limit_is_given_once(tmp_path: Path) -> None:
-    path = filled(tmp_path / "rig")
     path.write_text(path.read_text().replace("torque_share = 0.1", "torque = 0.2\ntorque_share = 0.1"))
     with pytest.raises(UsageError, match="both torque and torque_share are given; keep one"):
         load_configuration(path)
 
 
-def test_the_desk_set_has_a_bus_and_rights_that_any_machine_has(tmp_path: Path) -> None:
-    run("init", "--desk", str(tmp_path / "new"))
-    file = load_configuration(tmp_path / "new/controller.toml").file
-    plant = check(tmp_path / "new/plant.toml")
-    assert (file.bus.interface, file.bus.channel) == (plant.bus.interface, plant.bus.channel)
-    assert (file.bus.interface, file.realtime.allow_without, file.controller.rate) == ("udp_multicast", True, 250.0)
-
-
 def test_nothing_that_is_there_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two sets of files at once are rejected."""
     (tmp_path / "plant.toml").write_text("mine")
     assert run("init", str(tmp_path)) == 2
     assert "plant.toml: already exists" in capsys.readouterr().err
+    for other in ("--desk", "--leg"):
+        assert run("init", "--rig", other, str(tmp_path / "new")) == 2
+        assert "give one of them" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plant.toml"]
     assert (tmp_path / "plant.toml").read_text() == "mine"
 
@@ -138,8 +123,3 @@ def test_a_leg_has_three_joints_on_one_bus(tmp_path: Path) -> None:
     assert [axis.name for axis in check(tmp_path / "leg/plant.toml").axis] == ["hip", "knee", "ankle"]
     text = (tmp_path / "leg/controller.toml").read_text(encoding="utf-8")
     assert text.count("share c of the friction term") == 1
-
-
-def test_two_sets_of_files_are_one_too_many(tmp_path: Path) -> None:
-    assert run("init", "--leg", "--rig", str(tmp_path / "leg")) == 2
-    assert not (tmp_path / "leg").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import shutil
 import subprocess
@@ -13,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.conftest import ROOT
-from tsa_ctrl.cli import VERBS, cli, main
+from tsa_ctrl.cli import VERBS, cli, main, module_of
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.causes import Cause
@@ -33,40 +35,10 @@ def commands() -> list[str]:
     return found
 
 
-def test_every_verb_of_the_table_is_there() -> None:
-    assert sorted(LISTED) == sorted(VERBS)
-
-
 @pytest.mark.parametrize("line", commands())
-def test_help_has_an_example_of_this_very_verb(line: str) -> None:
+def test_help_has_an_example_and_no_number_may_be_nan_or_infinite(line: str) -> None:
     text = CliRunner().invoke(cli, [*line.split(), "--help"], catch_exceptions=False).output
     assert f" tsa {line}" in text.partition("Example")[2]
-
-
-@pytest.mark.parametrize("line", [*commands(), ""])
-@pytest.mark.parametrize("wrong", ["--no-such-option", "--json=maybe"])
-def test_wrong_option_is_one_line_and_code_2(line: str, wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([*line.split(), wrong])
-    said = capsys.readouterr()
-    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
-
-
-@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
-@pytest.mark.parametrize("line", ["run", "bench", "doctor", "verify-safety"])
-def test_a_number_that_is_none_is_one_line_and_code_2(
-    line: str, number: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    option = "--torque" if line == "verify-safety" else "--seconds"
-    with pytest.raises(SystemExit) as ended:
-        main([line, "no.toml", option, number])
-    said = capsys.readouterr()
-    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
-    assert option in said.err
-
-
-@pytest.mark.parametrize("line", commands())
-def test_no_number_of_an_option_may_be_nan_or_infinite(line: str) -> None:
     command: click.Command | None = cli
     for word in line.split():
         assert isinstance(command, click.Group)
@@ -77,20 +49,40 @@ def test_no_number_of_an_option_may_be_nan_or_infinite(line: str) -> None:
             assert isinstance(kind, Finite) or not isinstance(kind, click.types.FloatParamType), option.name
 
 
-@pytest.mark.parametrize("line", ["tune", "investigate"])
-def test_an_infinite_travel_is_one_line_and_code_2(line: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([line, "no.toml", "--out", "out", "--travel", "-inf", "inf"])
-    said = capsys.readouterr()
-    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
-    assert "--travel" in said.err
+def failed(*line: str) -> str:
+    """Return the message of a command with a wrong option."""
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.raises(SystemExit) as ended, contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        main(list(line))
+    assert (ended.value.code, out.getvalue(), err.getvalue().count("\n")) == (2, "", 1)
+    return err.getvalue()
 
 
-def test_unknown_verb_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["diagnoze"])
-    assert ended.value.code == 2
-    assert capsys.readouterr().err.startswith("tsa: No such command 'diagnoze'")
+@pytest.mark.parametrize("line", [*commands(), ""])
+def test_wrong_option_is_one_line_and_code_2(line: str) -> None:
+    for wrong in ("--no-such-option", "--json=maybe"):
+        failed(*line.split(), wrong)
+
+
+def test_a_number_that_is_none_is_one_line_and_code_2() -> None:
+    for line, option in (
+        ("run", "--seconds"),
+        ("bench", "--seconds"),
+        ("doctor", "--seconds"),
+        ("verify-safety", "--torque"),
+    ):
+        for number in ("nan", "inf", "-inf"):
+            assert option in failed(line, "no.toml", option, number)
+    for line in ("tune", "investigate"):
+        assert "--travel" in failed(line, "no.toml", "--out", "out", "--travel", "-inf", "inf")
+
+
+def test_unknown_verb_is_one_line_with_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sorted(LISTED) == sorted(VERBS)
+    assert failed("diagnoze").startswith("tsa: No such command 'diagnoze'")
+    assert "did you mean 'status'?" in failed("stat")
+    monkeypatch.setenv("SHELL", "/bin/tcsh")
+    assert "no completion for shell 'tcsh'" in failed("--install-completion")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
@@ -118,34 +110,28 @@ def test_bash_completes_a_verb_by_the_installed_script(tmp_path: Path) -> None:
     assert found.stdout.split() == ["diagnose"]
 
 
-def test_unknown_shell_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setenv("SHELL", "/bin/tcsh")
-    with pytest.raises(SystemExit) as ended:
-        main(["--install-completion"])
-    assert ended.value.code == 2
-    assert "no completion for shell 'tcsh'" in capsys.readouterr().err
+LOADED = """
+import importlib, sys
+for name in sys.argv[2:]:
+    importlib.import_module(name)
+    print(name, [each for each in sys.argv[1].split() if each in sys.modules])
+"""
 
 
-@pytest.mark.parametrize("verb", LISTED)
-def test_help_and_completion_load_nothing_that_is_slow_to_load(verb: str) -> None:
-    heavy = ("numba", "scipy", "matplotlib", "canopen", "can", "numpy", "mcap", "tomlkit", "rich.console", "starlette")
-    code = (
-        f"import sys, importlib; from tsa_ctrl.cli import module_of; importlib.import_module(module_of({verb!r})); "
-        f"print([name for name in {heavy!r} if name in sys.modules])"
-    )
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+def test_help_and_completion_load_nothing_that_is_slow_to_load() -> None:
+    heavy = "numba scipy matplotlib canopen can numpy mcap tomlkit rich.console starlette"
+    names = [module_of(verb) for verb in LISTED]
+    found = subprocess.run([sys.executable, "-c", LOADED, heavy, *names], capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == [f"{name} []" for name in names]
 
 
-@pytest.mark.parametrize(
-    "module", ["daemon.run", "daemon.monitor_process", "ipc.server", "ipc.client", "log.process", "log.writer"]
-)
-def test_no_process_of_a_run_loads_what_draws_reports_or_fits(module: str) -> None:
+def test_no_process_of_a_run_loads_what_draws_reports_serves_or_fits() -> None:
     """No process imports a library for plots, reports or fits. numba imports the package `scipy` without submodules."""
-    heavy = ("matplotlib", "duckdb", "jinja2", "pyarrow", "rich", "scipy.linalg", "scipy.optimize", "scipy.stats")
-    code = f"import sys, tsa_ctrl.{module}; print([name for name in {heavy!r} if name in sys.modules])"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert found.stdout.strip() == "[]"
+    heavy = "matplotlib duckdb jinja2 pyarrow rich scipy.linalg scipy.optimize scipy.stats starlette uvicorn"
+    modules = ("daemon.run", "daemon.monitor_process", "ipc.server", "ipc.client", "log.process", "log.writer")
+    names = [f"tsa_ctrl.{name}" for name in (*modules, "cli.running")]
+    found = subprocess.run([sys.executable, "-c", LOADED, heavy, *names], capture_output=True, text=True, check=True)
+    assert found.stdout.splitlines() == [f"{name} []" for name in names]
 
 
 @pytest.mark.parametrize(("line", "first"), [([], "Usage: tsa [OPTIONS]"), (["drive"], "Usage: tsa drive [OPTIONS]")])
@@ -158,12 +144,6 @@ def test_a_command_without_its_verb_shows_the_help_as_it_is_formatted(
     assert ended.value.code == 2
     assert said[0].startswith(first)
     assert len(said) > 5
-
-
-def test_a_verb_that_is_nearly_one_is_suggested(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["stat"])
-    assert "did you mean 'status'?" in capsys.readouterr().err
 
 
 def test_ctrl_c_while_the_verbs_are_loaded_is_one_line() -> None:
@@ -188,12 +168,12 @@ def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
     assert {"typing", "tempfile", "shutil", "click", "tsa_ctrl.cli"}.isdisjoint(loaded.stdout.split())
 
 
-@pytest.mark.parametrize("cause", list(Cause), ids=lambda cause: cause.id)
-def test_help_of_a_fault_gives_its_remedy(cause: Cause) -> None:
+def test_help_of_a_fault_gives_its_remedy() -> None:
     """The fault is found by its id in the JSON status and by its title, in any letter case."""
-    for topic in (cause.id, cause.title, cause.title.upper()):
-        result = CliRunner().invoke(cli, ["help", topic], catch_exceptions=False)
-        assert cause.remedy in " ".join(result.output.split())
+    for cause in Cause:
+        for topic in (cause.id, cause.title, cause.title.upper()):
+            result = CliRunner().invoke(cli, ["help", topic], catch_exceptions=False)
+            assert cause.remedy in " ".join(result.output.split())
 
 
 def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.build import LoopPhase
-from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, AxisStatus, Command, General, Mailbox
 from tsa_ctrl.ipc.protocol import Description, Opening, Range
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.system.process_supervisor import READY
@@ -109,3 +111,26 @@ def until(condition: Callable[[], bool]) -> bool:
             return False
         time.sleep(0.005)
     return True
+
+
+@contextlib.contextmanager
+def loop_taking(serving: Serving) -> Iterator[list[Command]]:
+    """Run a thread that takes commands like the loop, and yield the list of commands."""
+    taken: list[Command] = []
+    done = threading.Event()
+
+    def take() -> None:
+        while not done.wait(0.001):
+            command = serving.mailbox.take()
+            if command is not None:
+                taken.append(command)
+                if command.parameter == RECOVER:
+                    serving.publish(LoopPhase.RUNNING)
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    try:
+        yield taken
+    finally:
+        done.set()
+        thread.join()

@@ -11,15 +11,14 @@ import select
 import subprocess
 import termios
 import threading
-from collections.abc import Iterator
+from collections import deque
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 from rich.console import Console
 
-from tests.daemon.serving import PATIENCE, Serving, description
-from tests.daemon.test_server import loop_taking
+from tests.daemon.serving import PATIENCE, Serving, description, loop_taking
 from tsa_ctrl.cli import cli, running
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
@@ -29,25 +28,21 @@ from tsa_ctrl.ipc.protocol import Recover, Set
 from tsa_ctrl.ipc.report import status_report
 from tsa_ctrl.system.process_supervisor import tsa
 
-
-@pytest.fixture
-def serving(tmp_path: Path) -> Iterator[Serving]:
-    running = Serving(tmp_path / "tsa.sock", ["knee"])
-    yield running
-    running.end()
+AXES = ["knee"]
 
 
 def call(serving: Serving, *arguments: str) -> Result:
     return CliRunner().invoke(cli, [*arguments, "--socket", serving.path])
 
 
-def test_status_json_is_one_object(serving: Serving) -> None:
-    """stdout contains one JSON object with the documented keys and nothing else."""
+def test_status_is_one_json_object_or_a_page(serving: Serving) -> None:
+    """The object has the documented keys. The page shows values, parameters and histograms."""
     status = json.loads(call(serving, "status", "--json").output)
-    assert status["schema"] == 1
-    axis = status["axes"][0]
-    assert {"name", "state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(axis)
-    assert status["faults"] == []
+    assert (status["schema"], status["faults"]) == (1, [])
+    assert {"name", "state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(status["axes"][0])
+    output = call(serving, "status").output
+    for words in ("rig: running", "knee: operation_enabled", "tau_j_des", "compensation", "lateness", "p99"):
+        assert words in output
 
 
 def test_status_follows_with_an_object_on_each_line(serving: Serving) -> None:
@@ -61,13 +56,6 @@ def test_status_follows_with_an_object_on_each_line(serving: Serving) -> None:
     assert lines[0]["age"] < lines[2]["age"]
 
 
-def test_status_page_once(serving: Serving) -> None:
-    """Without a terminal, the page with values, parameters and histograms is printed once."""
-    output = call(serving, "status").output
-    for words in ("rig: running", "knee: operation_enabled", "tau_j_des", "compensation", "lateness", "p99"):
-        assert words in output
-
-
 def test_set_says_from_where_to_where(serving: Serving) -> None:
     """The command prints the old and the new value. The loop gets one command."""
     with loop_taking(serving) as taken:
@@ -76,39 +64,29 @@ def test_set_says_from_where_to_where(serving: Serving) -> None:
     assert taken == [Command(0, 0, 0.5)]
 
 
-def test_set_negative_value_is_no_option(serving: Serving) -> None:
-    """A negative value is not parsed as an option, and the bounds check rejects it."""
-    result = call(serving, "set", "compensation", "-0.5")
-    assert isinstance(result.exception, UsageError)
-    assert "out of bounds; allowed is 0 to 1.2" in str(result.exception)
+REJECTED = [  # arguments after the value 0.5, and the reason
+    (("--against", "1.3"), "compensation 1.3 is out of bounds; allowed is 0 to 1.2"),
+    (("--against", "0.5"), "A and B are the same"),
+    (("--against", "0.9", "--with", "compensation=0.1,0.2"), "give each parameter once"),
+    (("--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
+    (("--against", "0.9", "--with", "slew=60,nan"), "write NAME=A,B"),
+    (("--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
+    (("--with", "slew=60,90"), "also give --against"),
+]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("0.5", "--against", "1.3"), "compensation 1.3 is out of bounds; allowed is 0 to 1.2"),
-        (("0.5", "--against", "0.5"), "A and B are the same"),
-        (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "give each parameter once"),
-        (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
-        (("0.5", "--against", "0.9", "--with", "slew=60,nan"), "write NAME=A,B"),
-        (("0.5", "--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
-        (("0.5", "--with", "slew=60,90"), "also give --against"),
-    ],
-)
-def test_a_comparison_that_cannot_be_made_is_refused(serving: Serving, arguments: tuple[str, ...], words: str) -> None:
+def test_a_change_that_cannot_be_made_is_refused(serving: Serving) -> None:
     """The command is rejected with the reason. The only values set are the first one and the original one."""
     with loop_taking(serving) as taken:
-        result = call(serving, "set", "compensation", *arguments)
-    assert isinstance(result.exception, UsageError)
-    assert words in str(result.exception)
+        for arguments, words in REJECTED:
+            result = call(serving, "set", "compensation", "0.5", *arguments)
+            assert isinstance(result.exception, UsageError)
+            assert words in str(result.exception)
+        for given in (("nan",), ("inf",), ("0.5", "--against", "nan")):
+            assert "is not a finite number" in call(serving, "set", "compensation", *given).output
+        negative = call(serving, "set", "compensation", "-0.5")  # a value, not an option
+        assert "out of bounds; allowed is 0 to 1.2" in str(negative.exception)
     assert {command.value for command in taken} <= {0.5, 0.95}  # set, then restored
-
-
-@pytest.mark.parametrize("arguments", [("nan",), ("inf",), ("0.5", "--against", "nan")])
-def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple[str, ...]) -> None:
-    result = call(serving, "set", "compensation", *arguments)
-    assert result.exit_code == 2
-    assert "is not a finite number" in result.output
 
 
 def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,6 +108,12 @@ class Phases:
         self._phases = list(phases)
         self._failed = failed
 
+    def __enter__(self) -> Phases:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
     def ask(self, request: object) -> dict[str, object]:
         if isinstance(request, Recover):
             return {}
@@ -144,33 +128,29 @@ class Phases:
 
 
 @pytest.mark.parametrize(
-    ("phases", "words"),
+    ("phases", "failed", "seconds", "words"),
     [
-        (
-            ("faulted", "starting", "running", "running", "faulted"),
-            "but stopped again, phase faulted: over-speed; remove the cause",
-        ),
-        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; remove the cause"),
+        ("faulted starting running running faulted", 0, 60.0, "but stopped again, phase faulted: over-speed; remove"),
+        ("faulted", 0, 0.3, "not recovered after 0.3 s, phase faulted: over-speed; remove the cause"),
+        ("faulted resetting faulted", 1, 60.0, "the recovery failed, phase faulted: over-speed"),
     ],
 )
-def test_a_recovery_that_does_not_last_is_told(
-    phases: tuple[str, ...], words: str, monkeypatch: pytest.MonkeyPatch
+def test_a_recovery_that_fails_or_does_not_last_is_told(
+    phases: str, failed: int, seconds: float, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A rig with a torn tendon starts, but stops when it moves. The command waits for this and reports an error."""
-    monkeypatch.setattr(running, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
-    with pytest.raises(BusError, match=words):
-        running._recovered(Phases(*phases))  # type: ignore[arg-type]
-
-
-def test_a_recovery_that_fails_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command reports a failed recovery before its time-out."""
-    monkeypatch.setattr(running, "RECOVERY", 60.0)
-    with pytest.raises(BusError, match="the recovery failed, phase faulted: over-speed"):
-        running._recovered(Phases("faulted", "resetting", "faulted", failed=1))  # type: ignore[arg-type]
+    monkeypatch.setattr(running, "RECOVERY", seconds)
+    monkeypatch.setattr(running, "Client", lambda path: Phases(*phases.split(), failed=failed))
+    result = CliRunner().invoke(cli, ["set", "recover", "1"])
+    assert isinstance(result.exception, BusError)
+    assert words in str(result.exception)
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:
-    """The command sets the stop flag, and reports an error if the daemon does not end within the wait."""
+    """A wait that is no time is rejected before the request. A daemon that does not end in time is an error."""
+    for wait in ("nan", "-1", "inf", "soon"):
+        assert call(serving, "stop", "--wait", wait).exit_code == 2
+    assert not serving.mailbox.stop_requested
     result = call(serving, "stop", "--wait", "0.2")
     assert serving.mailbox.stop_requested
     assert isinstance(result.exception, BusError)
@@ -178,20 +158,12 @@ def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None
     assert call(serving, "stop", "--wait", "0").exit_code == 0
 
 
-def test_stop_says_what_a_daemon_that_starts_was_doing(serving: Serving) -> None:
-    serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
-    assert call(serving, "stop", "--wait", "0").output == (
-        "stop requested; it was in startup: waiting for the boot-up of axis 'knee' drive node 1, 60 s at most\n"
-    )
-
-
-def test_status_says_what_a_daemon_that_starts_waits_for(serving: Serving) -> None:
-    """The page shows the current stage of the startup.
-
-    Before the first stage is published, the page shows a wait for the first cycle and not a hang.
-    """
-    serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
-    assert "waiting for the boot-up of axis 'knee'" in " ".join(call(serving, "status").output.split())
+def test_stop_and_status_report_the_stage_of_the_startup(serving: Serving) -> None:
+    """Before the first stage is published, the page shows a wait for the first cycle and not a hang."""
+    stage = "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most"
+    serving.mailbox.publish_stage(0.0, stage)
+    assert stage in " ".join(call(serving, "status").output.split())
+    assert call(serving, "stop", "--wait", "0").output == f"stop requested; it was in startup: {stage}\n"
     fresh = Mailbox(1, 2)
     page = Page()
     page.take(status_report(fresh, description(Path(serving.path), ["knee"]), 1e6))
@@ -201,12 +173,6 @@ def test_status_says_what_a_daemon_that_starts_waits_for(serving: Serving) -> No
     assert "since 0.0 s: the first cycle" in text
     assert "no news" not in text
     fresh.close()
-
-
-@pytest.mark.parametrize("wait", ["nan", "-1", "inf", "soon"])
-def test_a_wait_that_is_no_time_is_refused_before_anybody_is_asked(serving: Serving, wait: str) -> None:
-    assert call(serving, "stop", "--wait", wait).exit_code == 2
-    assert not serving.mailbox.stop_requested
 
 
 @pytest.mark.parametrize("verb", [["status", "--json"], ["set", "compensation", "1"], ["stop"]])
@@ -221,7 +187,8 @@ def test_without_a_daemon_exit_code_1(tmp_path: Path, verb: list[str]) -> None:
 def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
     """The keys + and - change the value by a fiftieth of the range and stop at the bounds.
 
-    Only parameters that can be set are listed.
+    Only parameters that can be set are listed. Where the range spans decades, a key changes the value by a tenth,
+    because a fiftieth of the range would be larger than the value.
     """
     status = json.loads(call(serving, "status", "--json").output)
     page = Page()
@@ -232,19 +199,11 @@ def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
     status["axes"][0]["parameters"]["compensation"]["value"] = 1.2
     page.take(status)
     assert page.key("+") == Set("knee.compensation", 1.2)
-
-
-@pytest.mark.parametrize(("low", "high", "value"), [(1.0, 10_000.0, 120.0), (0.002, 10.0, 0.05)])
-def test_a_key_moves_a_parameter_of_many_decades_by_a_share(
-    serving: Serving, low: float, high: float, value: float
-) -> None:
-    """A key changes the value by a tenth, because a fiftieth of the range would be larger than the value."""
-    status = json.loads(call(serving, "status", "--json").output)
-    status["axes"][0]["parameters"] = {"slew": {"value": value, "low": low, "high": high, "unit": "1"}}
-    page = Page()
-    page.take(status)
-    assert page.key("+") == Set("knee.slew", pytest.approx(1.1 * value))
-    assert page.key("-") == Set("knee.slew", pytest.approx(0.9 * value))
+    for low, high, value in ((1.0, 10_000.0, 120.0), (0.002, 10.0, 0.05)):
+        status["axes"][0]["parameters"] = {"slew": {"value": value, "low": low, "high": high, "unit": "1"}}
+        page.take(status)
+        assert page.key("+") == Set("knee.slew", pytest.approx(1.1 * value))
+        assert page.key("-") == Set("knee.slew", pytest.approx(0.9 * value))
 
 
 def test_the_live_page_takes_keys_and_gives_the_terminal_back(serving: Serving) -> None:
@@ -279,8 +238,6 @@ def _drain(master: int, process: subprocess.Popen[bytes]) -> None:
 
 def test_sparkline_spans_the_extremes() -> None:
     """The lowest and the highest value get the lowest and the highest bar, and a missing value leaves a gap."""
-    from collections import deque
-
     assert sparkline(deque([0.0, 1.0, float("nan"), 0.5])) == "▁█ ▅"
     assert sparkline(deque([float("nan")])) == ""
 

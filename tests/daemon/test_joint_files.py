@@ -30,21 +30,16 @@ def status(*arguments: str) -> object:
     return done.value.code
 
 
-def test_simulated_numbers_are_rejected_on_hardware(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = files(tmp_path, "simulated")
-    assert status("run", "--check", str(path)) == 2
+@pytest.mark.parametrize("command", [("run", "--check"), ("tune", "--yes", "--out", "out")], ids=["run", "tune"])
+def test_simulated_numbers_are_rejected_on_hardware(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert status(*command, str(files(tmp_path, "simulated"))) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "actuator.toml" in line
     assert "the numbers are simulated" in line
     assert "--allow-simulated" in line
-
-
-def test_a_tuning_does_not_start_from_simulated_numbers_on_hardware(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = files(tmp_path, "simulated")
-    assert status("tune", str(path), "--yes", "--out", str(tmp_path / "out")) == 2
-    assert "the numbers are simulated" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

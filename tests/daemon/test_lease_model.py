@@ -17,7 +17,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, Talk
 from tsa_ctrl.ipc.mailbox import RECOVER
-from tsa_ctrl.ipc.server import Lease
 
 SILENT = 0.2  # s for which a value is active if its client has not requested a lease
 WHO = st.sampled_from(["owner", "member", "watcher"])
@@ -136,13 +135,3 @@ def test_the_server_and_its_model_agree() -> None:
         phases=(Phase.generate, Phase.shrink),
     )  # fmt: skip
     run_state_machine_as_test(Model, settings=quick)
-
-
-@pytest.mark.parametrize("method", ["_refuse_others", "check", "end"])
-def test_the_model_sees_a_lease_that_forgets(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
-    monkeypatch.setattr(Lease, method, lambda *arguments: None)
-    quick = settings(  # fixed examples, because random ones would miss the error in some runs
-        max_examples=40, stateful_step_count=15, deadline=None, database=None, derandomize=True, phases=[Phase.generate]
-    )
-    with pytest.raises(AssertionError):
-        run_state_machine_as_test(Model, settings=quick)

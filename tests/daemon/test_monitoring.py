@@ -44,11 +44,11 @@ def machine(tmp_path: Path) -> Machine:
 
 
 def run(machine: Machine, act: Callable[[FakeMonitor], None]) -> FakeMonitor:
-    """Run `act` on the monitor at SYNC 900 and stop the loop at SYNC 1300."""
+    """Run `act` on the monitor at SYNC 400 and stop the loop at SYNC 600."""
     monitor = FakeMonitor()
     machine.loop.attach(SecondChannel(lambda: monitor))
-    machine.drive.at_sync[900] = lambda: act(monitor)
-    machine.drive.at_sync[1300] = lambda: machine.loop.stop("the test")
+    machine.drive.at_sync[400] = lambda: act(monitor)
+    machine.drive.at_sync[600] = lambda: machine.loop.stop("the test")
     machine.run()
     return monitor
 
@@ -56,8 +56,8 @@ def run(machine: Machine, act: Callable[[FakeMonitor], None]) -> FakeMonitor:
 def test_what_the_monitor_stopped_for_is_latched_and_takes_the_torque_at_once(machine: Machine) -> None:
     run(machine, lambda monitor: setattr(monitor, "report", Report(STOP)))
     assert machine.events.faults[0].text == f"stopped by the monitor: {STOP}"
-    assert any(machine.drive.torques[880:900])
-    assert not any(machine.drive.torques[903:])
+    assert any(machine.drive.torques[380:400])
+    assert not any(machine.drive.torques[403:])
 
 
 def test_a_monitor_that_fails_ramps_the_torque_to_zero_and_latches(machine: Machine) -> None:
@@ -65,8 +65,8 @@ def test_a_monitor_that_fails_ramps_the_torque_to_zero_and_latches(machine: Mach
     fault = machine.events.faults[0]
     assert (fault.text, fault.cause_id) == ("monitor ended: x", "monitor_ended")
     sizes = [abs(torque) for torque in machine.drive.torques]
-    assert all(sizes[905:950])
-    assert not any(sizes[1010:])
+    assert all(sizes[405:450])
+    assert not any(sizes[510:])
 
 
 def test_a_monitor_that_fails_before_the_torque_ends_the_start(machine: Machine) -> None:
@@ -100,12 +100,8 @@ def test_a_new_monitor_takes_the_place_of_one_that_stopped_only() -> None:
 
 def test_without_a_monitor_nothing_is_asked() -> None:
     channel = SecondChannel()
-    assert (channel.state, channel.fault(0.0), channel.acted(0.0), channel.news()) == (
-        MonitorState.OFF,
-        None,
-        False,
-        [],
-    )
+    found = (channel.state, channel.fault(0.0), channel.acted(0.0), channel.news())
+    assert found == (MonitorState.OFF, None, False, [])
     assert tuple(state.name.lower() for state in MonitorState) == MONITOR
 
 

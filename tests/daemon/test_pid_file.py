@@ -85,42 +85,38 @@ def test_a_user_who_may_only_watch_keeps_the_rejection(tmp_path: Path) -> None:
 
 
 def test_only_who_wrote_it_takes_it_away(tmp_path: Path) -> None:
+    """A folder that cannot be written costs the file alone."""
     path = str(tmp_path / "tsa.sock")
     server_process.write(path, os.getpid())
     server_process.remove(path, os.getpid() + 1)
     assert server_process.running(path) == os.getpid()
     server_process.remove(path, os.getpid())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_folder_that_cannot_be_written_costs_the_file_alone(tmp_path: Path) -> None:
     server_process.write(str(tmp_path / "none/tsa.sock"), os.getpid())
     assert server_process.running(str(tmp_path / "none/tsa.sock")) is None
 
 
-def test_a_number_that_another_process_got_is_not_the_daemon(tmp_path: Path) -> None:
+def test_neither_another_process_nor_a_file_that_others_may_write_is_the_daemon(tmp_path: Path) -> None:
+    """The process id was reused, so its start time differs. A file that others may write is not trusted."""
     path = str(tmp_path / "tsa.sock")
     server_process.write(path, os.getpid())
-    number, start = server_process.place(path).read_text().split()
-    server_process.place(path).write_text(f"{number} {int(start) - 1}\n")
+    place = server_process.place(path)
+    number, start = place.read_text().split()
+    place.chmod(0o666)
+    assert server_process.running(path) is None
+    place.chmod(0o600)
+    assert server_process.running(path) == os.getpid()
+    place.write_text(f"{number} {int(start) - 1}\n")
     assert server_process.running(path) is None
     assert server_process.terminate(path) is None
 
 
-@pytest.mark.parametrize("text", ["", "7", "x y", "-1 -1", "1 2 3", "99999999999999999999 1"])
-def test_a_file_that_says_nothing_stops_nobody(text: str, tmp_path: Path) -> None:
+def test_a_file_that_says_nothing_stops_nobody(tmp_path: Path) -> None:
     path = str(tmp_path / "tsa.sock")
-    server_process.place(path).write_text(text)
-    assert server_process.running(path) is None
-    result = CliRunner().invoke(cli, ["stop", "--socket", path])
-    assert isinstance(result.exception, BusError)
-
-
-def test_a_file_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
-    path = str(tmp_path / "tsa.sock")
-    server_process.write(path, os.getpid())
-    server_process.place(path).chmod(0o666)
-    assert server_process.running(path) is None
+    for text in ("", "7", "x y", "-1 -1", "1 2 3", "99999999999999999999 1"):
+        server_process.place(path).write_text(text)
+        assert server_process.running(path) is None, text
+    assert isinstance(CliRunner().invoke(cli, ["stop", "--socket", path]).exception, BusError)
 
 
 def test_a_daemon_that_ended_is_not_signalled(tmp_path: Path) -> None:

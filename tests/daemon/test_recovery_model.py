@@ -17,7 +17,6 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from tests.daemon.machine import BARE, CONSTANT, FAULT, Drive, Machine
-from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 START = 500  # cycles until there is torque
@@ -106,14 +105,3 @@ def test_torque_comes_back_by_a_request_after_the_fault_alone(story: list[str]) 
 )
 def test_stories_that_must_be_among_them(story: list[str]) -> None:
     check(story)
-
-
-def test_the_model_sees_a_request_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The model detects an error in which a request from before the fault takes effect after it."""
-
-    def keeps(loop: Loop, planned: int) -> None:
-        loop._recovery_asked = planned * 1e-9
-
-    monkeypatch.setattr(Loop, "_ask_for_recovery", keeps)
-    with pytest.raises(AssertionError):
-        check(["recover", "fail", "mend", "mend", "mend", "mend"])

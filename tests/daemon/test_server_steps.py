@@ -74,18 +74,11 @@ def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
 
 @pytest.mark.parametrize("half", [b"", b'{"verb":'])
 def test_stop_acts_whatever_the_other_clients_do(desk: Desk, half: bytes) -> None:
-    """A stop acts in spite of many idle connections or half lines and a client with a lease."""
+    """A stop acts in spite of many idle connections or half lines, a client with a lease, and a flood of requests."""
     holder = desk.client()
     holder.ask("lease", seconds=10.0)
     for _ in range(4 * CLIENTS):
         desk.client().socket.sendall(half)
-    stopping = desk.client()
-    stopping.say(verb="stop")
-    desk.steps()
-    assert desk.mailbox.stop_requested
-
-
-def test_stop_comes_before_the_requests_of_others(desk: Desk) -> None:
     flooding, stopping = desk.client(), desk.client()
     flooding.socket.sendall(b'{"verb":"status"}\n' * 30)
     stopping.say(verb="stop")
@@ -122,16 +115,16 @@ def status(desk: Desk, general: General, axis: AxisStatus) -> dict[str, Any]:
 
 
 def test_a_value_that_is_not_known_is_null_and_each_has_its_age(desk: Desk) -> None:
-    """A drive that has been silent for 25 s has the state null. Loop and joint encoder still have values."""
+    """A drive that has been silent for 25 s has the state null. Loop and joint encoder still have values.
+
+    A loop that hangs has no values but its parameters.
+    """
     dead = QUARTERS._replace(drive_age=25.0, joint_age=0.125)
     axis = status(desk, General(time=desk.now, phase=3.0), dead)["axes"][0]
     assert (axis["state"], axis["tau_m"], axis["tau_j_stretch"], axis["tau_j_model"]) == (None, None, None, None)
     assert (axis["q_j"], axis["tau_j_des"], axis["limit_reason"]) == (0.25, 0.25, "none")
     ages = axis["ages"]
     assert (ages["state"], ages["q_j"], ages["tau_j_des"], ages["tau_j_stretch"]) == (25.0, 0.125, 0.0, 25.0)
-
-
-def test_a_loop_that_hangs_has_no_values_but_its_parameters(desk: Desk) -> None:
     axis = status(desk, General(time=desk.now - 5.0, phase=2.0), QUARTERS)["axes"][0]
     assert {axis[name] for name in ("state", "tau_m", "q_j", "tau_j_des", "limit_reason")} == {None}
     assert axis["parameters"]["compensation"]["value"] == 0.95
@@ -195,13 +188,18 @@ def test_a_lease_where_no_axis_listens_is_refused(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(("before", "new"), [((), 0), ((0,), 1), ((2, 5), 6)])
-def test_its_holder_hears_from_the_next_event_on(desk: Desk, before: tuple[int, ...], new: int) -> None:
+def test_its_holder_alone_hears_from_the_next_event_on(desk: Desk, before: tuple[int, ...], new: int) -> None:
+    """A client that sends a set-point without a lease hears nothing."""
+
     def publish(*numbers: int) -> None:
         desk.mailbox.publish_text(msgspec.json.encode([{"number": n, "text": "x"} for n in numbers]))
 
     if before:
         publish(*before)
     owner = desk.client()
+    owner.ask(**SET_POINT, value=0.5)
+    desk.now += 0.125
+    assert owner.told() == []
     owner.say(verb="lease", seconds=10.0)
     assert owner.told() == [{"ok": True}]
     desk.now += 1.0
@@ -214,14 +212,3 @@ def test_its_holder_hears_from_the_next_event_on(desk: Desk, before: tuple[int, 
     publish(*before, new, new + 1)
     desk.now += 1.0
     assert owner.told() == [{"event": "told", "number": new + 1, "text": "x"}]
-
-
-def test_who_never_asked_for_a_lease_hears_nothing(desk: Desk) -> None:
-    owner = desk.client()
-    owner.ask(**SET_POINT, value=0.5)
-    desk.mailbox.publish_text(b'[{"number": 0, "text": "x"}]')
-    desk.now += 0.125
-    assert owner.told() == []
-
-
-# Process of the server

@@ -14,9 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Status
@@ -156,27 +154,6 @@ def test_signal_ramps_down_and_disables(rig: Rig) -> None:
     assert np.max(np.abs(np.diff(command[-80:]))) < 0.2
 
 
-def test_status_set_and_stop(rig: Rig) -> None:
-    """The commands `tsa status`, `tsa set` and `tsa stop` control a running daemon.
-
-    The commands run in this process, because a start of Python takes seconds. For errors see tests/daemon/test_cli.py.
-    """
-    rig.plant()
-    daemon = rig.run()
-    until(lambda: rig.phase("running"), STARTED)
-
-    def tsa(*words: str) -> Result:
-        return CliRunner().invoke(cli, [*words, "--socket", rig.socket])
-
-    assert json.loads(tsa("status", "--json").stdout)["axes"][0]["state"] == "operation_enabled"
-    assert tsa("set", "compensation", "0.5").stdout == "knee.compensation: 0.95 -> 0.5\n"
-    until(lambda: rig.status()["axes"][0]["parameters"]["compensation"]["value"] == 0.5)  # type: ignore[index]
-    assert tsa("stop").exit_code == 0
-    summary, err, code = ended(daemon)
-    assert (code, summary["cause"]) == (0, "tsa stop"), err
-    assert isinstance(tsa("status").exception, BusError)
-
-
 def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
     """The loop continues without its log writer and its socket server, and reports both.
 
@@ -234,12 +211,3 @@ def test_a_flooded_socket_leaves_the_loop_alone_and_a_stopped_loop_loses_its_tor
     daemon.terminate()
     _, err, code = ended(daemon)
     assert code == 1, err
-
-
-def test_missing_interface_is_one_line(rig: Rig) -> None:
-    """A missing interface gives exit code 1 and a one-line error."""
-    rig.edit((f'channel = "{rig.interface}"', 'channel = "can7"'))
-    _, err, code = ended(rig.run())
-    assert code == 1
-    assert err.count("\n") == 1
-    assert "no such CAN interface" in err

@@ -161,16 +161,6 @@ def test_the_newest_values_are_shown_without_a_pointer_over_a_chart(page: Page) 
     page.until("document.querySelector('.errors').textContent.includes('while sliding')")
 
 
-def test_at_least_half_of_a_hundred_cycles_a_second_are_points(page: Page) -> None:
-    """The chart gets a point for more than half of the cycles. The count is relative, so slow machines pass as well."""
-    count = "[axes.get('knee').data['joint torque'][0].length, latest.cycles.cycles]"
-    page.until("axes.get('knee').data['joint torque'][0].length > 3")
-    points, cycles = page.evaluate(count)
-    page.until(f"latest.cycles.cycles > {cycles + 200}")
-    more, later = page.evaluate(count)
-    assert more - points > 0.5 * (later - cycles)
-
-
 def test_a_switch_is_a_switch(page: Page, daemon: Played) -> None:
     """A parameter with two values is shown as a switch, which requires a confirmation like a slider."""
     switch = "{value: 1, low: 0, high: 1, unit: '1', switch: true, doc: ''}"
@@ -193,16 +183,6 @@ def test_nothing_is_wider_than_the_screen(page: Page) -> None:
         page.resize(width)
         page.until(f"innerWidth === {width} && document.documentElement.scrollWidth <= {width}")
         assert page.evaluate("document.getElementById('stop').getBoundingClientRect().height") >= 44.0, width
-
-
-def test_every_plot_has_one_unit(page: Page) -> None:
-    """Each plot shows one unit, and its axis has at least two tick labels. The power plot gets values other than 0."""
-    page.until("axes.get('knee').data.power[0].length > 3")
-    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,N·m,N·m,rad/s,rad,W"
-    last = "axes.get('knee').data.{kind}[1].at(-1)"
-    page.until(f"{last.format(kind='power')} !== 0")
-    marked = "Object.values(axes.get('knee').charts).every((chart) => chart.axes[1]._splits.length > 1)"
-    page.until(marked)  # an axis needs two tick labels to be readable
 
 
 def test_the_torque_by_stretch_has_its_band(page: Page) -> None:

@@ -59,17 +59,15 @@ def judged(bus: FakeBus) -> Check:
     return can_interface.judged(bus, can_interface.listen(bus), BusSettings(), [axis], "")
 
 
-@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x27F, 0x301, 0x605, 0x77F])
-def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
-    bus = FakeBus()
-    bus.waiting.extend([(0x181, bytes(8)), (can_id, b"")])
-    check = judged(bus)
-    assert check.result is Result.FAIL
-    assert f"another master sends 0x{can_id:03X}" in check.found
-    assert "tsa stop" in check.fix
-
-
-def test_a_bus_with_answers_alone_passes() -> None:
+def test_somebody_who_sends_what_a_master_sends_fails() -> None:
+    """A bus with answers alone passes."""
+    for can_id in (0x000, 0x080, 0x201, 0x27F, 0x301, 0x605, 0x77F):
+        bus = FakeBus()
+        bus.waiting.extend([(0x181, bytes(8)), (can_id, b"")])
+        check = judged(bus)
+        assert check.result is Result.FAIL
+        assert f"another master sends 0x{can_id:03X}" in check.found
+        assert "tsa stop" in check.fix
     bus = FakeBus()
     bus.waiting.extend([(0x181, bytes(8)), (0x701, b"\x05")])
     assert judged(bus).result is Result.PASS

@@ -56,33 +56,37 @@ def test_a_table_holds_the_log_to_the_last_bit(
         np.testing.assert_array_equal(column, expected[name])
 
 
-def test_several_axes_give_one_file_each(log: Path, tmp_path: Path) -> None:
-    written = convert(log, tmp_path / "out" / "table.csv.gz")
+def test_several_axes_give_one_file_each_and_a_named_axis_the_very_file(log: Path, tmp_path: Path) -> None:
+    shares: list[float] = []
+    written = convert(log, tmp_path / "out" / "table.csv.gz", shares.append)
     assert names(tmp_path / "out") == ["table_hip.csv.gz", "table_knee.csv.gz"]
     assert [file.path.name for file in written] == names(tmp_path / "out")
-
-
-def test_a_folder_gets_one_csv_per_axis(log: Path, tmp_path: Path) -> None:
+    assert (shares, shares[-1]) == (sorted(shares), 1.0)
     convert(log, tmp_path / "tables")
     assert names(tmp_path / "tables") == ["run_hip.csv", "run_knee.csv"]
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    (part,) = convert(f"{cut}:knee", tmp_path / "knee.csv")
+    assert "was cut off" in part.notes[0]
+    found = read_table(tmp_path / "knee.csv").columns["tau_m"].tolist()
+    assert found in ([1.0] * 100, [1.0] * 200)
 
 
-def test_one_named_axis_goes_to_the_very_file(log: Path, tmp_path: Path) -> None:
-    convert(f"{log}:knee", tmp_path / "knee.csv")
-    assert read_table(tmp_path / "knee.csv").columns["tau_m"].tolist() == [1.0] * 400
-
-
-def test_columns_that_were_never_there_are_left_out(log: Path, tmp_path: Path) -> None:
-    convert(f"{log}:hip", tmp_path / "x.csv")
-    assert (tmp_path / "x.csv").read_text().splitlines()[0] == "t,tau_m,omega_j,cycle,state"
-
-
-def test_a_state_is_written_as_its_name(log: Path, tmp_path: Path) -> None:
+def test_a_state_is_written_as_its_name_or_number_and_empty_columns_are_left_out(log: Path, tmp_path: Path) -> None:
+    """A column without numbers is left out where a table of numbers is converted."""
     convert(f"{log}:hip", tmp_path / "x.csv")
     convert(f"{log}:hip", tmp_path / "x.parquet")
-    assert (tmp_path / "x.csv").read_text().splitlines()[1] == "0.0,0.0,1.0,0,operation_enabled"
+    head, first, *_ = (tmp_path / "x.csv").read_text().splitlines()
+    assert (head, first) == ("t,tau_m,omega_j,cycle,state", "0.0,0.0,1.0,0,operation_enabled")
     found = duckdb.connect().execute(f"SELECT state, typeof(tau_m) FROM '{tmp_path / 'x.parquet'}' LIMIT 1").fetchone()
     assert found == ("operation_enabled", "DOUBLE")
+    (written,) = convert(tmp_path / "x.csv", tmp_path / "y.parquet")
+    assert written.notes == ("columns without numbers are left out: state",)
+    file = McapFile(tmp_path / "unknown.mcap", ONE)
+    file.write([records(2, state=5.0)])
+    file.finish()
+    convert(tmp_path / "unknown.mcap", tmp_path / "unknown.csv")
+    assert (tmp_path / "unknown.csv").read_text().splitlines()[1] == "0.0,0,5"
 
 
 def test_a_value_that_is_not_there_is_null_in_parquet(tmp_path: Path) -> None:
@@ -91,55 +95,23 @@ def test_a_value_that_is_not_there_is_null_in_parquet(tmp_path: Path) -> None:
     assert duckdb.connect().execute(f"SELECT tau_m FROM '{tmp_path / 'x.parquet'}'").fetchall() == [(None,), (2.0,)]
 
 
-def test_a_code_without_a_name_stays_a_number(tmp_path: Path) -> None:
-    file = McapFile(tmp_path / "x.mcap", ONE)
-    file.write([records(2, state=5.0)])
-    file.finish()
-    convert(tmp_path / "x.mcap", tmp_path / "x.csv")
-    assert (tmp_path / "x.csv").read_text().splitlines()[1] == "0.0,0,5"
-
-
-def test_a_cut_log_converts_up_to_its_last_chunk(log: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
-    (written,) = convert(f"{cut}:hip", tmp_path / "x.csv")
-    assert "was cut off" in written.notes[0]
-    assert len(read_table(tmp_path / "x.csv")) in (100, 200)
-
-
-def test_progress_ends_at_one(log: Path, tmp_path: Path) -> None:
-    shares: list[float] = []
-    convert(log, tmp_path / "out", shares.append)
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
-
-
-def test_what_a_table_cannot_hold_is_named(log: Path, tmp_path: Path) -> None:
-    convert(f"{log}:hip", tmp_path / "x.csv")
-    (written,) = convert(tmp_path / "x.csv", tmp_path / "y.parquet")
-    assert written.notes == ("columns without numbers are left out: state",)
-
-
-@pytest.mark.parametrize(
-    ("out", "said"),
-    [
-        ("x.txt", "unknown kind of file"),
-        ("file/x.csv", "cannot be written"),
-        ("file/x.parquet", "cannot be written"),
-    ],
-)
-def test_a_place_that_cannot_be_used_is_one_line(log: Path, tmp_path: Path, out: str, said: str) -> None:
+def test_a_place_that_cannot_be_used_is_one_line(log: Path, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match=said):
-        convert(f"{log}:hip", tmp_path / out)
+    places = {"x.txt": "unknown kind of file", "file/x.csv": "cannot be written", "file/x.parquet": "cannot be written"}
+    for out, said in places.items():
+        with pytest.raises(UsageError, match=said):
+            convert(f"{log}:hip", tmp_path / out)
 
 
-def test_a_log_is_not_converted_onto_itself(tmp_path: Path) -> None:
+def test_a_log_without_records_or_onto_itself_is_not_converted(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.write_text("t,tau_m\n0,1\n")
     with pytest.raises(UsageError, match="which is read"):
         convert(path, path)
     assert path.read_text() == "t,tau_m\n0,1\n"
+    McapFile(tmp_path / "x.mcap", ONE).finish()
+    with pytest.raises(UsageError, match="contains no records"):
+        convert(tmp_path / "x.mcap", tmp_path / "y.csv")
 
 
 def test_a_failed_conversion_leaves_what_was_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,12 +126,6 @@ def test_a_failed_conversion_leaves_what_was_there(log: Path, tmp_path: Path, mo
         convert(f"{log}:hip", out)
     assert out.read_text() == "old\n"
     assert names(tmp_path) == ["run.mcap", "x.csv"]
-
-
-def test_a_log_without_records_is_one_line(tmp_path: Path) -> None:
-    McapFile(tmp_path / "x.mcap", ONE).finish()
-    with pytest.raises(UsageError, match="contains no records"):
-        convert(tmp_path / "x.mcap", tmp_path / "x.csv")
 
 
 @pytest.mark.parametrize("missing", [1, 3000])

@@ -25,95 +25,77 @@ def written(tmp_path: Path, content: str | bytes, name: str = "x.csv") -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        PLAIN,
-        PLAIN.rstrip("\n"),
-        PLAIN.replace("\n", "\r\n"),
-        PLAIN.replace(",", ";"),
-        PLAIN.replace(",", "\t"),
-        PLAIN.replace(",", " , "),
-        "\ufeff" + PLAIN,
-        "# recorded on a bench\n#\n" + PLAIN,
-        PLAIN + "\n\n  \n",
-        PLAIN.replace("t,tau_m", '"t","tau_m"').replace("1.5", '"1.5"'),
-        PLAIN.replace("0.001", "1E-3").replace("-2.5", "-25e-1"),
-    ],
-    ids=[
-        "plain",
-        "no last end",
-        "windows",
-        "semicolon",
-        "tab",
-        "spaces",
-        "bom",
-        "comments",
-        "blank end",
-        "quotes",
-        "powers",
-    ],
-)
-def test_every_way_to_write_the_same_table_reads_the_same(tmp_path: Path, content: str) -> None:
-    columns, _, _ = read_csv(written(tmp_path, content))
-    assert {name: values.tolist() for name, values in columns.items()} == {"t": [0.0, 0.001], "tau_m": [1.5, -2.5]}
+SAME = [
+    PLAIN,
+    PLAIN.rstrip("\n"),
+    PLAIN.replace("\n", "\r\n"),
+    PLAIN.replace(",", ";"),
+    PLAIN.replace(",", "\t"),
+    PLAIN.replace(",", " , "),
+    "\ufeff" + PLAIN,
+    "# recorded on a bench\n#\n" + PLAIN,
+    PLAIN + "\n\n  \n",
+    PLAIN.replace("t,tau_m", '"t","tau_m"').replace("1.5", '"1.5"'),
+    PLAIN.replace("0.001", "1E-3").replace("-2.5", "-25e-1"),
+    "t,,tau_m,\n0,,1.5,\n0.001,,-2.5,\n",  # spreadsheets export empty columns without a name
+]
 
 
-def test_compressed_files_read_the_same(tmp_path: Path) -> None:
-    columns, _, _ = read_csv(written(tmp_path, gzip.compress(PLAIN.encode()), "x.csv.gz"))
-    assert columns["tau_m"].tolist() == [1.5, -2.5]
+def test_every_way_to_write_the_same_table_reads_the_same(tmp_path: Path) -> None:
+    """A reader may change the columns."""
+    expected = {"t": [0.0, 0.001], "tau_m": [1.5, -2.5]}
+    paths = [written(tmp_path, content, f"{n}.csv") for n, content in enumerate(SAME)]
+    for path in (*paths, written(tmp_path, gzip.compress(PLAIN.encode()), "x.csv.gz")):
+        columns, _, _ = read_csv(path)
+        assert {name: columns[name].tolist() for name in expected} == expected, path
+        columns["tau_m"] *= 2.0
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (b"", "is empty"),
-        (b" \n\n", "is empty"),
-        (b"\x00\x01\x02", "is not text"),
-        (PLAIN.encode("utf-16"), "is UTF-16"),
-        (PLAIN.replace("\n", "\r").encode(), "lone carriage return"),
-        (b"t,\xe4\xf6\n1,2\n", "line 1 is not UTF-8"),
-        (b"0,1\n2,3\n", "line 1 has numbers where the header is expected"),
-        (b"t,tau_m,t\n0,1,2\n", "column t appears twice"),
-        (b"t,tau_m\n0,1\n2\n", "row 2 (line 3) has 1 field(s) where the header has 2"),
-        (b"t,tau_m\n0,1\n2,3,4\n", "row 2 (line 3) has 3 field(s)"),
-        (b"t,tau_m\n0,1,1,5\n", "a decimal comma"),
-        (b"t;tau_m\n0,5;1,5\n", "found '0,5' where a number is needed (a decimal comma"),
-        (b"t,tau_m\n0,1\n\n2,3\n", "row 2 (line 3) is empty"),
-        (b"# x\nt,tau_m\n0,1\n1,oops\n", "column tau_m, row 2 (line 4): found 'oops'"),
-        (b"t,tau_m\n0,0x10\n", "found '0x10'"),
-        (b"t,tau_m\n0,1d\n", "found '1d'"),
-        (b't,tau_m\n0,"1\n', "row 1 (line 2) has an unclosed quote"),
-        (b"t,tau_m\n0,1\n \n2,3\n", "row 2 (line 3) is empty"),
-        (b"t,tau_m\n\n2,3\n", "row 1 (line 2) is empty"),
-    ],
-)
-def test_what_is_no_table_of_numbers_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
-    path = written(tmp_path, content)
-    with pytest.raises(UsageError) as error:
-        read_csv(path, ("t", "tau_m"))
-    assert said in str(error.value)
-    assert str(path) in str(error.value)
-    assert "\n" not in str(error.value)
+NO_TABLES = [
+    (b"", "is empty"),
+    (b" \n\n", "is empty"),
+    (b"\x00\x01\x02", "is not text"),
+    (PLAIN.encode("utf-16"), "is UTF-16"),
+    (PLAIN.replace("\n", "\r").encode(), "lone carriage return"),
+    (b"t,\xe4\xf6\n1,2\n", "line 1 is not UTF-8"),
+    (b"0,1\n2,3\n", "line 1 has numbers where the header is expected"),
+    (b"t,tau_m,t\n0,1,2\n", "column t appears twice"),
+    (b"t,tau_m\n0,1\n2\n", "row 2 (line 3) has 1 field(s) where the header has 2"),
+    (b"t,tau_m\n0,1\n2,3,4\n", "row 2 (line 3) has 3 field(s)"),
+    (b"t,tau_m\n0,1,1,5\n", "a decimal comma"),
+    (b"t;tau_m\n0,5;1,5\n", "found '0,5' where a number is needed (a decimal comma"),
+    (b"t,tau_m\n0,1\n\n2,3\n", "row 2 (line 3) is empty"),
+    (b"# x\nt,tau_m\n0,1\n1,oops\n", "column tau_m, row 2 (line 4): found 'oops'"),
+    (b"t,tau_m\n0,0x10\n", "found '0x10'"),
+    (b"t,tau_m\n0,1d\n", "found '1d'"),
+    (b't,tau_m\n0,"1\n', "row 1 (line 2) has an unclosed quote"),
+    (b"t,tau_m\n0,1\n \n2,3\n", "row 2 (line 3) is empty"),
+    (b"t,tau_m\n\n2,3\n", "row 1 (line 2) is empty"),
+]
 
 
-@pytest.mark.parametrize("kept", [30, -4], ids=["cut", "without its end"])
-def test_a_damaged_compressed_file_is_one_line(tmp_path: Path, kept: int) -> None:
-    with pytest.raises(UsageError, match="compressed file ends early"):
-        read_csv(written(tmp_path, gzip.compress(PLAIN.encode() * 20)[:kept], "x.csv.gz"))
+def test_what_is_no_table_of_numbers_is_one_line(tmp_path: Path) -> None:
+    for content, said in NO_TABLES:
+        path = written(tmp_path, content)
+        with pytest.raises(UsageError) as error:
+            read_csv(path, ("t", "tau_m"))
+        assert said in str(error.value)
+        assert str(path) in str(error.value)
+        assert "\n" not in str(error.value)
 
 
-def test_plain_text_named_gz_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="compressed file is damaged"):
-        read_csv(written(tmp_path, PLAIN, "x.csv.gz"))
+def test_a_damaged_compressed_file_is_one_line(tmp_path: Path) -> None:
+    packed = gzip.compress(PLAIN.encode() * 20)
+    for content, words in ((packed[:30], "ends early"), (packed[:-4], "ends early"), (PLAIN, "is damaged")):
+        with pytest.raises(UsageError, match=f"compressed file {words}"):
+            read_csv(written(tmp_path, content, "x.csv.gz"))
 
 
-def test_text_in_a_column_that_nobody_asked_for_is_left_out(tmp_path: Path) -> None:
-    columns, left_out, _ = read_csv(written(tmp_path, 't,note\n0,"hello, you"\n1,\n'))
-    assert (list(columns), left_out) == (["t"], ["note"])
-
-
-def test_text_in_a_signal_is_an_error_even_when_all_columns_are_read(tmp_path: Path) -> None:
+def test_text_in_a_column_that_nobody_asked_for_is_left_out_but_is_an_error_in_a_signal(tmp_path: Path) -> None:
+    """An empty field of a signal is NaN."""
+    columns, left_out, _ = read_csv(written(tmp_path, 't,tau_m,note\n0,,"hello, you"\n1,2,\n'))
+    assert (list(columns), left_out) == (["t", "tau_m"], ["note"])
+    assert np.isnan(columns["tau_m"][0])
     with pytest.raises(UsageError, match="column tau_m, row 1"):
         read_csv(written(tmp_path, "t,tau_m\n0,high\n"))
 
@@ -132,23 +114,6 @@ def test_a_blank_line_before_the_last_row_is_found_wherever_a_block_ends(tmp_pat
     assert len(read_csv(written(tmp_path, text + "\n"))[0]["t"]) == rows
     with pytest.raises(UsageError, match=rf"row {rows + 1} \(line {rows + 2}\) is empty"):
         read_csv(written(tmp_path, f"{text}\n2,3{end}"))
-
-
-def test_an_empty_field_is_nan(tmp_path: Path) -> None:
-    columns, _, _ = read_csv(written(tmp_path, "t,tau_m\n0,\n1,2\n"))
-    assert np.isnan(columns["tau_m"][0])
-
-
-def test_more_than_one_column_may_have_no_name(tmp_path: Path) -> None:
-    """Spreadsheets export empty columns without a name."""
-    columns, _, _ = read_csv(written(tmp_path, "t,,tau_m,\n0,,1.5,\n"))
-    assert (columns["t"].tolist(), columns["tau_m"].tolist()) == ([0.0], [1.5])
-
-
-def test_a_column_may_be_changed_by_who_reads_it(tmp_path: Path) -> None:
-    columns, _, _ = read_csv(written(tmp_path, PLAIN))
-    columns["tau_m"] *= 2.0
-    assert columns["tau_m"].tolist() == [3.0, -5.0]
 
 
 def test_a_column_may_turn_from_numbers_to_text_late(tmp_path: Path) -> None:
@@ -172,13 +137,11 @@ def test_every_number_reads_back_as_float_does(
         np.testing.assert_array_equal(columns[name], table[:, i])
 
 
-@pytest.mark.parametrize(
-    "entry", ["9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0", "1_000"]
-)
-def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> None:
+def test_odd_numbers_read_as_float_reads_them(tmp_path: Path) -> None:
     """Examples are halfway between two doubles, subnormal, too large, or lack digits on one side of the point."""
-    columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))
-    assert repr(columns["tau_m"][0].item()) == repr(float(entry))
+    for entry in ("9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0", "1_000"):
+        columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))
+        assert repr(columns["tau_m"][0].item()) == repr(float(entry))
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])

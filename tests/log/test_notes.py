@@ -106,7 +106,14 @@ def test_garbage_is_no_note(data: bytes) -> None:
     assert Note.decoded(data) is None or data.strip().startswith(b"{")
 
 
-def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
+def test_a_loop_that_is_killed_is_named_in_the_log_and_one_that_ends_in_order_is_not(
+    ring: RingWriter, tmp_path: Path
+) -> None:
+    log = LogProcess(tmp_path / "ended.mcap", ring, HEADER)
+    push(ring, 10)
+    ring.note(FAULT.encoded())
+    log.end()
+    assert notes_of(LogFile(tmp_path / "ended.mcap")) == [FAULT]
     path = tmp_path / "x.mcap"
     kill_an_owner(path)
 
@@ -120,12 +127,3 @@ def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
     (note,) = notes_of(LogFile(path))
     assert (note.text, note.fault) == (DEAD, True)
     assert note.t == pytest.approx(0.699)
-
-
-def test_a_loop_that_ends_in_order_is_not_called_dead(ring: RingWriter, tmp_path: Path) -> None:
-    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    log.wait_until_up()
-    push(ring, 10)
-    ring.note(FAULT.encoded())
-    log.end()
-    assert notes_of(LogFile(tmp_path / "x.mcap")) == [FAULT]

@@ -48,12 +48,12 @@ def test_what_is_no_table_of_numbers_is_one_line(name: str, wanted: tuple[str, .
     assert str(error.value) == f"{HERE / name}: {said}"
 
 
-@pytest.mark.parametrize("kept", [0, 3, 700, 2200])
-def test_a_cut_file_is_one_line(tmp_path: Path, kept: int) -> None:
+def test_a_cut_file_is_one_line(tmp_path: Path) -> None:
     cut = tmp_path / "cut.parquet"
-    cut.write_bytes((HERE / "of_pyarrow.parquet").read_bytes()[:kept])
-    with pytest.raises(UsageError) as error:
-        read_table(cut)
-    assert str(error.value).startswith(f"{cut}: is not a readable Parquet file (")
-    assert "\n" not in str(error.value)
-    assert "/dev/fd" not in str(error.value)
+    for kept in (0, 3, 700, 2200):
+        cut.write_bytes((HERE / "of_pyarrow.parquet").read_bytes()[:kept])
+        with pytest.raises(UsageError) as error:
+            read_table(cut)
+        assert str(error.value).startswith(f"{cut}: is not a readable Parquet file (")
+        assert "\n" not in str(error.value)
+        assert "/dev/fd" not in str(error.value)

@@ -45,10 +45,6 @@ def test_all_records_of_an_axis_come_back(log: Path) -> None:
     assert np.isnan(columns["tau_j"]).all()
 
 
-def test_a_table_of_an_axis_has_no_empty_columns(log: Path) -> None:
-    assert list(read_table(f"{log}:hip").columns) == ["t", "tau_m", "omega_j", "cycle", "state"]
-
-
 def content(path: Path) -> tuple[object, ...]:
     file = LogFile(path)
     columns = {axis: file.columns(axis, file.fields) for axis in file.axes}
@@ -84,7 +80,7 @@ def test_a_chunk_that_no_longer_looks_like_one_is_counted(log: Path, tmp_path: P
     assert (file.complete, file.damaged) == (True, 1)
 
 
-@given(kept=st.floats(0.0, 1.0))
+@given(kept=st.floats(0.0, 0.999))
 @settings(max_examples=60)
 def test_a_log_cut_at_any_byte_reads_up_to_its_last_whole_chunk(
     log: Path, tmp_path_factory: pytest.TempPathFactory, kept: float
@@ -93,41 +89,16 @@ def test_a_log_cut_at_any_byte_reads_up_to_its_last_whole_chunk(
     cut = tmp_path_factory.mktemp("cut") / "cut.mcap"
     cut.write_bytes(data[: int(kept * len(data))])
     try:
-        t = LogFile(cut).columns("hip", ["t"])["t"]
+        file = LogFile(cut)
+        t = file.columns("hip", ["t"])["t"]
     except UsageError:
         return  # truncated within its header
     assert len(t) % 100 == 0
     np.testing.assert_array_equal(t, np.arange(len(t)) * 1e-3)
+    assert not file.complete
 
 
-def test_a_cut_log_is_not_complete(log: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(log.read_bytes()[:-200])
-    file = LogFile(cut)
-    file.columns("hip", ["t"])
-    assert file.complete is False
-
-
-@given(where=st.floats(0.5, 0.95), bit=st.integers(0, 7))
-@settings(max_examples=60)
-def test_a_flipped_bit_never_gives_wrong_numbers(
-    log: Path, tmp_path_factory: pytest.TempPathFactory, where: float, bit: int
-) -> None:
-    data = bytearray(log.read_bytes())
-    start = data.index(b"zstd")
-    end = data.rindex(b"zstd", 0, int(0.9 * len(data)))
-    data[start + 12 + int((where - 0.5) / 0.45 * (end - start - 12))] ^= 1 << bit
-    bad = tmp_path_factory.mktemp("bad") / "bad.mcap"
-    bad.write_bytes(data)
-    try:
-        columns = LogFile(bad).columns("knee", ["t", "tau_m"])
-    except UsageError:
-        return
-    assert set(np.rint(columns["t"] * 1e3).astype(int).tolist()) <= set(range(400))
-    assert set(columns["tau_m"].tolist()) <= {1.0}
-
-
-def test_the_library_of_the_format_reads_every_message(log: Path) -> None:
+def test_the_library_of_the_format_reads_every_message_and_finds_a_stretch_by_its_index(log: Path) -> None:
     with log.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
@@ -135,23 +106,14 @@ def test_the_library_of_the_format_reads_every_message(log: Path) -> None:
         assert summary.statistics is not None
         assert summary.statistics.message_count == 800
         messages = [(channel.topic, message) for _, channel, message in reader.iter_messages()]
+        begin, end = (1_700_000_000_000_000_000 + n * 1_000_000 for n in (150, 160))
+        assert len(list(reader.iter_messages(topics="/hip", starting_at=begin, ending_before=end))) == 10
     assert len(messages) == 800
     topic, message = messages[0]
     assert topic in ("/hip", "/knee")
     assert message.data[:4] == b"\x00\x01\x00\x00"
     assert struct.unpack_from("<d", message.data, 4) == (0.0,)
     assert messages[-1][1].log_time == 1_700_000_000_399_000_000
-
-
-def test_the_library_of_the_format_finds_a_stretch_by_its_index(log: Path) -> None:
-    with log.open("rb") as stream:
-        reader = make_reader(stream)
-        found = list(
-            reader.iter_messages(
-                topics="/hip", starting_at=1_700_000_000_150_000_000, ending_before=1_700_000_000_160_000_000
-            )
-        )
-    assert len(found) == 10
 
 
 def test_a_record_without_a_time_is_kept(tmp_path: Path) -> None:
@@ -170,16 +132,12 @@ def test_several_axes_want_a_name(log: Path, axis: str | None, said: str) -> Non
         read_table(f"{log}:{axis}" if axis else log)
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"", "is empty"), (b"t,tau_m\n", "is not an MCAP file")])
-def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+def test_what_is_no_log_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    path.write_bytes(content)
-    with pytest.raises(UsageError, match=said):
-        LogFile(path)
-
-
-def test_a_log_of_another_program_is_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "other.mcap"
+    for content, said in ((b"", "is empty"), (b"t,tau_m\n", "is not an MCAP file")):
+        path.write_bytes(content)
+        with pytest.raises(UsageError, match=said):
+            LogFile(path)
     writer = Writer(str(path), use_chunking=False)
     writer.start()
     schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")

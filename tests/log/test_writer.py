@@ -135,30 +135,19 @@ def test_a_ring_that_ran_over_is_counted(ring: RingWriter, tmp_path: Path) -> No
     assert health.lost >= 2 * (2000 - 1024)
 
 
-def test_the_process_writes_all_and_completes_the_file(ring: RingWriter, tmp_path: Path) -> None:
-    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    push(ring, 500)
-    health = log.end()
-    assert (health.state, health.written, health.lost) == (WriterState.ENDED, 1000, 0)
-    assert times(tmp_path / "x.mcap", "knee") == list(range(500))
-
-
-def test_a_writer_is_waited_for_until_it_looks_at_the_ring(ring: RingWriter, tmp_path: Path) -> None:
-    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    assert log.health().state is WriterState.STARTING
-    log.wait_until_up()
-    assert log.health().state is WriterState.WRITING
-    log.end()
-
-
-def test_a_writer_that_ended_or_hangs_at_once_is_not_waited_for(ring: RingWriter, tmp_path: Path) -> None:
-    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    os.kill(log.pid, signal.SIGSTOP)
-    log.wait_until_up(timeout=0.05)
-    os.kill(log.pid, signal.SIGKILL)
-    log.wait_until_up()
-    assert log.health().state is WriterState.STARTING
-    log.end()
+def test_a_writer_that_ended_or_hangs_is_not_waited_for_and_is_killed(ring: RingWriter, tmp_path: Path) -> None:
+    ended = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    os.kill(ended.pid, signal.SIGSTOP)
+    ended.wait_until_up(timeout=0.05)
+    os.kill(ended.pid, signal.SIGKILL)
+    ended.wait_until_up()
+    assert ended.health().state is WriterState.STARTING
+    ended.end()
+    hangs = LogProcess(tmp_path / "y.mcap", ring, HEADER)
+    hangs.wait_until_up()
+    os.kill(hangs.pid, signal.SIGSTOP)
+    hangs.end(timeout=0.2)
+    assert hangs.alive is False
 
 
 def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, tmp_path: Path) -> None:
@@ -195,21 +184,18 @@ def test_an_owner_killed_in_the_middle_leaves_a_complete_log(tmp_path: Path) -> 
     assert times(path) == list(range(700))
 
 
-def test_interrupt_and_terminate_leave_the_end_to_the_owner(ring: RingWriter, tmp_path: Path) -> None:
+def test_the_process_completes_the_file_and_leaves_the_end_to_its_owner(ring: RingWriter, tmp_path: Path) -> None:
+    """The process is waited for until it reads the ring. An interrupt or a termination signal does not end it."""
     log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    assert wait_for(lambda: log.health().state is WriterState.WRITING)
+    assert log.health().state is WriterState.STARTING
+    log.wait_until_up()
+    assert log.health().state is WriterState.WRITING
     os.kill(log.pid, signal.SIGINT)
     os.kill(log.pid, signal.SIGTERM)
-    push(ring, 100)
-    assert log.end().written == 200
-
-
-def test_a_writer_that_hangs_is_killed(ring: RingWriter, tmp_path: Path) -> None:
-    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
-    assert wait_for(lambda: log.health().state is WriterState.WRITING)
-    os.kill(log.pid, signal.SIGSTOP)
-    log.end(timeout=0.2)
-    assert log.alive is False
+    push(ring, 500)
+    health = log.end()
+    assert (health.state, health.written, health.lost) == (WriterState.ENDED, 1000, 0)
+    assert times(tmp_path / "x.mcap", "knee") == list(range(500))
 
 
 @pytest.mark.slow
@@ -232,19 +218,19 @@ def test_a_writer_in_anothers_place_goes_on_where_that_one_was(ring: RingWriter,
     assert times(tmp_path / "x.mcap") + times(tmp_path / "x-2.mcap") == list(range(700))
 
 
-def test_an_existing_log_is_never_overwritten(ring: RingWriter, tmp_path: Path) -> None:
-    path = tmp_path / "x.mcap"
-    path.write_bytes(b"precious")
-    with pytest.raises(UsageError, match="exists already"):
-        LogProcess(path, ring, HEADER)
-    assert path.read_bytes() == b"precious"
-
-
-@pytest.mark.parametrize("place", ["no/such/folder/x.mcap", "file/x.mcap"])
-def test_a_place_where_no_log_can_be_created_is_one_line(ring: RingWriter, tmp_path: Path, place: str) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match="the log cannot be created"):
-        LogProcess(tmp_path / place, ring, HEADER)
+def test_a_place_where_no_log_can_be_created_is_one_line(ring: RingWriter, tmp_path: Path) -> None:
+    """An existing log is never overwritten."""
+    file = tmp_path / "file"
+    file.write_bytes(b"precious")
+    places = {
+        file: "exists already",
+        tmp_path / "no/such/folder/x.mcap": "the log cannot be created",
+        file / "x.mcap": "the log cannot be created",
+    }
+    for place, words in places.items():
+        with pytest.raises(UsageError, match=words):
+            LogProcess(place, ring, HEADER)
+    assert file.read_bytes() == b"precious"
 
 
 def test_dated_names_are_not_taken(tmp_path: Path) -> None:

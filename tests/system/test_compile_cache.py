@@ -23,12 +23,9 @@ def chosen() -> Path:
     return Path(os.environ[compile_cache.VARIABLE])
 
 
-def test_the_users_cache_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_users_cache_is_taken_unless_the_user_has_set_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     assert chosen() == tmp_path / ".cache/tsa-ctrl/numba"
-
-
-def test_what_the_user_has_set_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
     assert chosen() == tmp_path / "mine"
 

@@ -31,14 +31,24 @@ def content(number: int) -> bytes:
 
 def test_what_was_written_is_read_by_its_number_alone(memory: SharedMemory) -> None:
     places = Places(memory, 0, 4, SIZE)
+    assert [places.read(number) for number in (1, 2, 3, 4)] == [None] * 4
     places.write(6, b"six")
     assert places.read(6) == b"six"
     assert [places.read(number) for number in (2, 5, 7, 10)] == [None, None, None, None]
+    with pytest.raises(ValueError, match="41 bytes, there is room for 40"):
+        places.write(1, bytes(SIZE + 1))
 
 
-def test_memory_that_nobody_wrote_holds_nothing(memory: SharedMemory) -> None:
-    assert [Places(memory, 0, 4, SIZE).read(number) for number in (1, 2, 3, 4)] == [None] * 4
+def test_another_mapping_of_the_descriptor_is_the_same_memory(memory: SharedMemory) -> None:
+    """A writer that follows another continues with its numbers. A larger mapping than the memory is rejected."""
     assert Newest(memory, 0, SIZE).read() == (0, b"")
+    other = SharedMemory(space(4, SIZE), os.dup(memory.descriptor))
+    Newest(memory, 0, SIZE).write(b"first")
+    Newest(other, 0, SIZE).write(b"second")
+    assert Newest(memory, 0, SIZE).read() == (2, b"second")
+    other.close()
+    with pytest.raises(ValueError, match="mmap length is greater"):
+        SharedMemory(1 << 20, memory.descriptor)
 
 
 @given(st.lists(st.booleans(), min_size=WORDS, max_size=WORDS), st.integers(1, 1000))
@@ -80,12 +90,6 @@ def test_a_writer_stopped_in_the_middle_of_a_write_leaves_what_was_before(memory
     assert Newest(memory, 0, SIZE).read() == (number, content(number))
 
 
-def test_a_writer_that_follows_another_goes_on_with_its_numbers(memory: SharedMemory) -> None:
-    Newest(memory, 0, SIZE).write(b"first")
-    Newest(memory, 0, SIZE).write(b"second")
-    assert Newest(memory, 0, SIZE).read() == (2, b"second")
-
-
 def test_what_is_taken_is_the_newest_and_taken_once(memory: SharedMemory) -> None:
     writer, reader = Newest(memory, 0, SIZE), Newest(memory, 0, SIZE)
     assert reader.take() is None
@@ -97,11 +101,6 @@ def test_what_is_taken_is_the_newest_and_taken_once(memory: SharedMemory) -> Non
     assert reader.take() is None
     memory.bytes[0] ^= 0xFF
     assert [reader.take(), reader.take()] == [b"fourth", None]
-
-
-def test_a_content_that_is_too_long_is_refused(memory: SharedMemory) -> None:
-    with pytest.raises(ValueError, match="41 bytes, there is room for 40"):
-        Places(memory, 0, 4, SIZE).write(1, bytes(SIZE + 1))
 
 
 def test_a_reader_sees_whole_contents_only_while_another_process_writes() -> None:
@@ -121,15 +120,3 @@ def test_a_reader_sees_whole_contents_only_while_another_process_writes() -> Non
     assert read[-1][0] > read[0][0]
     assert all(set(values) == {number} for number, values in read)
     memory.close()
-
-
-def test_another_mapping_of_the_descriptor_is_the_same_memory(memory: SharedMemory) -> None:
-    other = SharedMemory(space(4, SIZE), os.dup(memory.descriptor))
-    memory.words[3] = 1 << 63
-    assert other.words[3] == 1 << 63
-    other.close()
-
-
-def test_less_memory_than_asked_for_is_refused(memory: SharedMemory) -> None:
-    with pytest.raises(ValueError, match="mmap length is greater"):
-        SharedMemory(1 << 20, memory.descriptor)

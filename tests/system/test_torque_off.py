@@ -86,34 +86,25 @@ def test_a_gpio_line_is_active_while_torque_is_permitted(monkeypatch: pytest.Mon
     assert calls[1:] == [(17, "off")]
 
 
-def test_without_the_library_a_gpio_output_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torque_off.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"needs the package gpiod; install it: pip install '.\[gpio\]'"):
-        check_output(OutputSettings(gpio="gpiochip0:17"), "[monitor] output")
-
-
 @pytest.mark.parametrize("use", [TorqueOff, check_output])
 def test_a_url_of_an_unknown_kind_is_refused_with_the_remedy(use: Callable[[OutputSettings, str], None]) -> None:
     with pytest.raises(UsageError, match=r'^output: port "relay://1": .*not known; give a device such as /dev/ttyUSB0'):
         use(OutputSettings(serial="relay://1"), "output")
 
 
-def test_a_command_that_is_no_program_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"output: command \"/no/such/program\" is not a program here"):
-        check_output(OutputSettings(command=("/no/such/program",)), "output")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
+def test_an_output_is_exactly_one_of_three_and_can_be_used_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in (
         "{}",
         '{"command": ["a"], "gpio": "gpiochip0:1"}',
         '{"gpio": "17"}',
         '{"serial": ""}',
         '{"serial": "a\\u0000"}',
         '{"relay": 1}',
-    ],
-)
-def test_an_output_is_exactly_one_of_three(text: str) -> None:
-    with pytest.raises(msgspec.ValidationError):
-        msgspec.json.decode(text, type=OutputSettings)
+    ):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.json.decode(text, type=OutputSettings)
+    monkeypatch.setattr(torque_off.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"needs the package gpiod; install it: pip install '.\[gpio\]'"):
+        check_output(OutputSettings(gpio="gpiochip0:17"), "[monitor] output")
+    with pytest.raises(UsageError, match=r"output: command \"/no/such/program\" is not a program here"):
+        check_output(OutputSettings(command=("/no/such/program",)), "output")

@@ -6,14 +6,13 @@ import dataclasses
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.tune import rig
 from tests.tune.test_command import tsa
-from tests.tune.test_in_virtual_time import RATE, tune
+from tests.tune.test_in_virtual_time import RATE
 from tests.virtual.rigs import draw
 from tsa_ctrl.demo.rig import NOMINAL, VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
@@ -24,54 +23,37 @@ from tsa_ctrl.virtual.simulation import simulate_loop
 DRAWN = draw(1, 1)  # bends at the motor, soft tendons, a heavy motor; friction and pretension differ from nominal
 
 
-def write(folder: Path, axis: dict[str, Any]) -> Path:
-    """Write the rig's files and return the controller's file. `axis`: tables of the controller's axis."""
-    plant = {**DRAWN.axis(), "joint": {"load": "limb"}}
-    controller = rig.write(folder, VIRTUAL, RATE, "distributed", plant, axis)
-    save_model(DRAWN.nominal, folder / "actuator.toml")  # the plant's own file: tune writes the controller's model file
-    text = (folder / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
-    (folder / "plant.toml").write_text(text)
-    save_model(DRAWN.nominal, folder / rig.MODEL)
-    return controller
+def played(folder: Path, controller: Path, peak: float, seconds: float) -> None:
+    """Play a waveform (N*m, s) without compensation, tune from its log, and write the model file."""
+    wave = multi_sine((0.2, 0.5, 0.9), peak, seconds)
+    table = np.column_stack([wave.t, wave.tau_j_des])
+    np.savetxt(folder / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
+    simulate_loop(controller, folder / "plant.toml", wave.seconds, out=folder)
+    assert tsa(str(controller), "--from-log", str(folder / "tsa.mcap"), "--yes", "--json") == 0
 
 
-def check(data: dict[str, Any], model: Path) -> None:
-    """Check the friction torque in the JSON output of `tsa tune` and in the written file."""
-    truth = DRAWN.truth
-    half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * math.sinh(truth.friction_angle)
-    found = data["calibration"]["combinations"]["half_loop_torque"]
-    assert found["low"] <= half_loop <= found["high"]
-    assert found["value"] == pytest.approx(half_loop, rel=0.02)
-    assert any("the value from the elongation is used" in note for note in data["notes"])
-    written = load_tendon_sheath(model)
-    assert written.pretension * written.friction_angle == pytest.approx(
-        truth.pretension * truth.friction_angle, rel=0.03
-    )
+PLAYED = {"setpoint": {"kind": "file", "file": "wave.csv"}, "law": {"compensation": 0.0, "fade_in": 0.1}}
 
 
 @pytest.mark.slow
 def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A regression on the moving samples would give an eighth of the true friction torque."""
-    wave = multi_sine((0.2, 0.5, 0.9), 0.8, 8.0)
-    table = np.column_stack([wave.t, wave.tau_j_des])
-    np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
-    played = {"setpoint": {"kind": "file", "file": "wave.csv"}, "law": {"compensation": 0.0, "fade_in": 0.1}}
-    controller = write(tmp_path, played)
-    simulate_loop(controller, tmp_path / "plant.toml", wave.seconds, out=tmp_path)
-    assert tsa(str(controller), "--from-log", str(tmp_path / "tsa.mcap"), "--yes", "--json") == 0
-    check(json.loads(capsys.readouterr().out), tmp_path / rig.MODEL)
-
-
-@pytest.mark.slow
-@pytest.mark.soak  # with each change, one log is tested above and the whole procedure in test_in_virtual_time.py
-def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A regression on the moving samples would give 28 % of the true friction torque."""
-    write(tmp_path, {"law": {"compensation": rig.COMPENSATION, "fade_in": 1.0}})
-    spans = ("--seconds", "10", "--verify-seconds", "4")
-    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *spans) == 0
-    data = json.loads(capsys.readouterr().out)
-    check(data, tmp_path / rig.MODEL)
-    assert data["verification"]["reduction_percent"]["after"] > 80.0
+    plant = {**DRAWN.axis(), "joint": {"load": "limb"}}
+    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", plant, PLAYED)
+    save_model(DRAWN.nominal, tmp_path / "actuator.toml")  # the plant's own file: tune writes the controller's
+    text = (tmp_path / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
+    (tmp_path / "plant.toml").write_text(text)
+    save_model(DRAWN.nominal, tmp_path / rig.MODEL)
+    played(tmp_path, controller, 0.8, 8.0)
+    data, truth = json.loads(capsys.readouterr().out), DRAWN.truth
+    half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * math.sinh(truth.friction_angle)
+    found = data["calibration"]["combinations"]["half_loop_torque"]
+    assert found["low"] <= half_loop <= found["high"]
+    assert found["value"] == pytest.approx(half_loop, rel=0.02)
+    assert any("the value from the elongation is used" in note for note in data["notes"])
+    written = load_tendon_sheath(tmp_path / rig.MODEL)
+    true = truth.pretension * truth.friction_angle
+    assert written.pretension * written.friction_angle == pytest.approx(true, rel=0.03)
 
 
 @pytest.mark.slow
@@ -86,15 +68,10 @@ def test_much_friction_near_the_motor_leaves_the_half_loop_of_the_torque_sensor(
         "axial_stiffness": truth.axial_stiffness / file.axial_stiffness,
     }
     axis = {"perturbation": factors, "tendon": {"kind": "distributed", "curvature": bends}}
-    wave = multi_sine((0.2, 0.5, 0.9), 0.4, 12.0)
-    table = np.column_stack([wave.t, wave.tau_j_des])
-    np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
-    played = {"setpoint": {"kind": "file", "file": "wave.csv"}, "law": {"compensation": 0.0, "fade_in": 0.1}}
-    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", axis, played)
+    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", axis, PLAYED)
     for name in ("nominal.toml", rig.MODEL):
         save_model(dataclasses.replace(file, bending_centre=None), tmp_path / name)
-    simulate_loop(controller, tmp_path / "plant.toml", wave.seconds, out=tmp_path)
-    assert tsa(str(controller), "--from-log", str(tmp_path / "tsa.mcap"), "--yes", "--json") == 0
+    played(tmp_path, controller, 0.4, 12.0)
     written = load_tendon_sheath(tmp_path / rig.MODEL)
     true = truth.with_effects({"elongation_coupling": {"curvature_profile": bends}})
     assert sliding(written).half_loop == pytest.approx(sliding(true).half_loop, rel=0.03)

@@ -13,12 +13,6 @@ from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.tune.comparison import LiveBlocks, alternate, compare, order
 
 
-def test_blocks_alternate_so_that_a_drift_meets_both_alike() -> None:
-    assert order(8) == ("a", "b", "b", "a", "a", "b", "b", "a")
-    places = {name: [n for n, found in enumerate(order(8)) if found == name] for name in "ab"}
-    assert np.mean(places["a"]) == np.mean(places["b"])
-
-
 def blocks(a: float, b: float, noise: float, pairs: int, seed: int) -> list[tuple[str, float]]:
     rng = np.random.default_rng(seed)
     level = {"a": a, "b": b}
@@ -42,22 +36,23 @@ def test_the_interval_covers_the_true_difference() -> None:
 
 
 def test_a_linear_drift_is_no_difference() -> None:
+    assert order(8) == ("a", "b", "b", "a", "a", "b", "b", "a")
     errors = [(name, 0.05 + 0.01 * n) for n, name in enumerate(order(16))]
     found = compare(errors)
     assert found.difference.value == pytest.approx(0.0, abs=1e-12)
     assert "no difference found" in found.verdict
 
 
-def test_every_block_is_applied_measured_and_told() -> None:
+@pytest.mark.parametrize("count", [1, 6])
+def test_every_block_is_applied_measured_and_told(count: int) -> None:
+    """Too few blocks become three pairs."""
     done: list[str] = []
     values = iter(0.05 + 0.001 * n for n in range(100))
-    found = alternate(6, done.append, lambda: next(values), lambda number, name, error: done.append(f"{number}{name}"))
+    found = alternate(
+        count, done.append, lambda: next(values), lambda number, name, error: done.append(f"{number}{name}")
+    )
     assert done == ["a", "0a", "b", "1b", "b", "2b", "a", "3a", "a", "4a", "b", "5b"]
     assert found.pairs == 3
-
-
-def test_too_few_blocks_become_three_pairs() -> None:
-    assert alternate(1, lambda name: None, lambda: 0.05, lambda *told: None).pairs == 3
 
 
 class Daemon:

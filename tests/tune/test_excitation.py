@@ -32,32 +32,25 @@ MOVED = Response(peak_speed=0.5, rms_speed=0.3, angle=(-0.1, 0.1), frequency=0.6
 CARRIED = Response(peak_speed=3.0, rms_speed=1.0, angle=(0.0, 1.1), frequency=0.62, by_torque=0.05)
 
 
-def designed(found: Response, bounds: Bounds = BOUNDS) -> object:
-    return design(found, 0.2, bounds, 20.0, 8.0)
-
-
 def test_a_waveform_begins_and_ends_at_zero_and_reaches_its_peak() -> None:
     wave = multi_sine(FREQUENCIES, 0.7, 20.0)
     assert wave.tau_j_des[0] == wave.tau_j_des[-1] == 0.0
-    assert wave.peak == pytest.approx(0.7)
-    assert wave.seconds == pytest.approx(20.0)
+    assert (wave.peak, wave.seconds) == pytest.approx((0.7, 20.0))
 
 
 def test_a_file_is_played_ramped_and_no_higher_than_the_design_allows(tmp_path: Path) -> None:
+    designed = design(CARRIED, 0.2, BOUNDS, 20.0, 8.0)
     (tmp_path / "experiment.csv").write_text("t,tau_j_des\n0,2\n5,2\n10,-2\n")
     wave = from_file(tmp_path / "experiment.csv")
     assert wave.tau_j_des[0] == wave.tau_j_des[-1] == 0.0
     assert np.interp(3.0, wave.t, wave.tau_j_des) == pytest.approx(2.0)
-    found = playing(design(CARRIED, 0.2, BOUNDS, 20.0, 8.0), wave)
+    found = playing(designed, wave)
     assert found.excitation.peak == pytest.approx(BOUNDS.torque)
     assert found.excitation.seconds == pytest.approx(10.0, abs=0.02)
     assert "50% of its torque" in found.reasons[-1]
-
-
-def test_a_file_within_what_is_allowed_is_played_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "experiment.csv").write_text("t,tau_j_des\n0,0\n5,0.4\n10,0\n")
     wave = from_file(tmp_path / "experiment.csv")
-    assert playing(design(CARRIED, 0.2, BOUNDS, 20.0, 8.0), wave).excitation.peak == wave.peak
+    assert playing(designed, wave).excitation.peak == wave.peak
 
 
 @pytest.mark.parametrize(
@@ -68,13 +61,6 @@ def test_a_file_that_cannot_excite_is_refused(text: str, tmp_path: Path) -> None
     (tmp_path / "experiment.csv").write_text(text)
     with pytest.raises(UsageError, match=r"experiment\.csv"):
         from_file(tmp_path / "experiment.csv")
-
-
-def test_both_tendons_pull_at_the_most_torque_even_if_the_pretension_is_a_fifth_less() -> None:
-    torque = most_torque(ACTUATOR, 100.0)
-    x = ACTUATOR.friction_angle
-    motor = (torque / ACTUATOR.joint_pulley_radius + 2.0 * ACTUATOR.pretension * np.sinh(x)) / np.cosh(x)
-    assert motor < 2.0 * 0.8 * ACTUATOR.pretension
 
 
 @pytest.mark.parametrize("x", [0.05, 0.3, 0.6, 0.9, 1.2])
@@ -97,16 +83,20 @@ def test_a_torque_can_excite_every_friction_angle(x: float, shape: str) -> None:
 
 def test_the_motor_limit_bounds_the_torque() -> None:
     assert most_torque(ACTUATOR, 0.8) < most_torque(ACTUATOR, 1.0) < most_torque(ACTUATOR, 100.0)
-
-
-def test_a_limit_below_the_friction_is_refused() -> None:
     with pytest.raises(UsageError, match=r"hardly overcomes .* up to 0.544 N\*m .*; raise limits.torque, or lower"):
         most_torque(ACTUATOR, 0.1)
 
 
-def test_a_joint_that_stands_is_refused() -> None:
-    with pytest.raises(UsageError, match="hardly moves"):
-        designed(dataclasses.replace(MOVED, rms_speed=0.001))
+@pytest.mark.parametrize(
+    ("found", "bounds", "words"),
+    [
+        (dataclasses.replace(MOVED, rms_speed=0.001), BOUNDS, "hardly moves"),
+        (CARRIED, Bounds(1.0, 2.0), "moved at up to 3"),
+    ],
+)
+def test_a_joint_that_stands_or_is_moved_too_fast_is_refused(found: Response, bounds: Bounds, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        design(found, 0.2, bounds, 20.0, 8.0)
 
 
 def test_a_joint_moved_from_outside_gets_the_full_torque_at_other_frequencies() -> None:
@@ -118,19 +108,13 @@ def test_a_joint_moved_from_outside_gets_the_full_torque_at_other_frequencies() 
     assert "moved from outside" in found.reasons[0]
 
 
-def test_a_joint_moved_too_fast_from_outside_is_refused() -> None:
-    with pytest.raises(UsageError, match="moved at up to 3"):
-        design(CARRIED, 0.2, Bounds(1.0, 2.0), 20.0, 8.0)
-
-
-def test_a_joint_that_the_torque_moves_stays_below_its_speed() -> None:
-    found = design(MOVED, 0.2, Bounds(10.0, 1.0), 20.0, 8.0)
-    assert found.excitation.peak == pytest.approx(0.2 * 0.7 * 1.0 / 0.5)
-
-
-def test_a_joint_that_the_torque_moves_stays_within_its_travel() -> None:
-    found = design(MOVED, 0.2, Bounds(10.0, 100.0, (-0.2, 0.3)), 20.0, 8.0)
-    assert found.excitation.peak == pytest.approx(0.2 * 0.7 * 0.2 / 0.1)
+@pytest.mark.parametrize(
+    ("bounds", "factor"),
+    [(Bounds(10.0, 1.0), 1.0 / 0.5), (Bounds(10.0, 100.0, (-0.2, 0.3)), 0.2 / 0.1)],
+    ids=["speed", "travel"],
+)
+def test_a_joint_that_the_torque_moves_stays_within_its_bounds(bounds: Bounds, factor: float) -> None:
+    assert design(MOVED, 0.2, bounds, 20.0, 8.0).excitation.peak == pytest.approx(0.2 * 0.7 * factor)
 
 
 def test_the_verification_is_gentler_and_another_motion() -> None:

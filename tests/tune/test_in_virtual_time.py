@@ -25,14 +25,20 @@ from tsa_ctrl.tune.run import RigRunner, Run, TrippedError
 RATE = 500.0  # Hz
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
 SHORT = ("--seconds", "12", "--verify-seconds", "6")
+BRIEF = ("--seconds", "8", "--verify-seconds", "4")
+
+
+def status_of(*arguments: str) -> int:
+    """Return the exit status of a command."""
+    with pytest.raises(SystemExit) as done:
+        main(list(arguments))
+    assert isinstance(done.value.code, int)
+    return done.value.code
 
 
 def tune(folder: Path, *options: str) -> int:
     """Return the exit status of `tsa tune --virtual` in a folder with a rig's files."""
-    with pytest.raises(SystemExit) as done:
-        main(["tune", str(folder / rig.CONTROLLER), "--virtual", str(folder / "plant.toml"), *options])
-    assert isinstance(done.value.code, int)
-    return done.value.code
+    return status_of("tune", str(folder / rig.CONTROLLER), "--virtual", str(folder / "plant.toml"), *options)
 
 
 @pytest.mark.slow
@@ -48,10 +54,9 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
 
     monkeypatch.setattr(procedure, "extended", in_vain)
     rig.write(tmp_path, VIRTUAL, RATE)
-    short = ("--seconds", "8", "--verify-seconds", "4")
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
     half_loop = rig.true_half_loop(truth)
-    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *short) == 0
+    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *BRIEF) == 0
     data = json.loads(capsys.readouterr().out)
     assert [note for note in data["notes"] if note.startswith("not used: gravity_load, which the diagnosis identified")]
     found = data["calibration"]["combinations"]["half_loop_torque"]
@@ -86,8 +91,7 @@ def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
     monkeypatch.setattr(RigRunner, "play", tripping)
     monkeypatch.setattr(procedure, "extended", same)
     rig.write(tmp_path, VIRTUAL, RATE)
-    short = ("--seconds", "8", "--verify-seconds", "4")
-    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *short) == 0
+    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *BRIEF) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["verification"]["rms"]["before"] is None
     assert data["verification"]["reduction_percent"]["after"] > 85.0
@@ -98,7 +102,7 @@ def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
 @pytest.mark.slow
 def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The file of the knee does not contain the hip, whose gain is 0.8 rad/rad."""
-    assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
+    assert status_of("init", "--leg", str(tmp_path / "leg")) == 0
     files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
     knee = tmp_path / "leg" / "knee.toml"
     save_model(load_tendon_sheath(knee), tmp_path / "leg" / "true.toml", template=knee)
@@ -108,18 +112,12 @@ def test_the_routing_of_a_leg_is_found_by_moving_its_joints(tmp_path: Path, caps
     Path(files[1]).write_text(tomlkit.dumps(plant))
     capsys.readouterr()
     short = ("--seconds", "10", "--verify-seconds", "4", "--yes", "--json", "--out", str(tmp_path / "out"))
-    assert main_status("tune", files[0], "--axis", "knee", "--joint", "hip", "--virtual", files[1], *short) == 0
+    assert status_of("tune", files[0], "--axis", "knee", "--joint", "hip", "--virtual", files[1], *short) == 0
     data = json.loads(capsys.readouterr().out)
     gain = data["calibration"]["routing"]["gain.hip"]
     assert gain["low"] < 0.8 < gain["high"]
     assert gain["value"] == pytest.approx(0.8, rel=0.1)
     assert data["verification"]["reduction_percent"]["after"] > 90.0
-
-
-def test_a_joint_that_is_no_other_axis_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rig.write(tmp_path, VIRTUAL, RATE)
-    assert tune(tmp_path, "--joint", "hip", "--dry-run") == 2
-    assert "--joint hip is not the name of another axis; the other axes are none" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -139,8 +137,7 @@ def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     (tmp_path / "plant.toml").write_text(plant)
     save_model(drawn.nominal, tmp_path / rig.MODEL)
     before = {path: path.read_bytes() for path in (controller, tmp_path / rig.MODEL)}
-    short = ("--seconds", "8", "--verify-seconds", "4")
-    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *short) == 0
+    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *BRIEF) == 0
     data = json.loads(capsys.readouterr().out)
     quantities = data["law"]["quantities"]
     true = {"motor_inertia": drawn.inertia, "delay": (drawn.delay + 0.5) / RATE + TORQUE_LOOP}
@@ -159,7 +156,7 @@ def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     assert axis.law.motor_inertia == pytest.approx(drawn.inertia, rel=0.03)
     assert axis.law.damping == data["law"]["keys"]["damping"] > 0.0
     assert "# tsa tune: gain margin" in (tmp_path / "out" / controller.name).read_text()
-    assert main_status("tune", str(controller), "--undo") == 2
+    assert status_of("tune", str(controller), "--undo") == 2
 
 
 @pytest.mark.slow
@@ -167,8 +164,7 @@ def test_a_new_rig_is_verified_with_compensation_although_its_file_has_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rig.write(tmp_path, VIRTUAL, RATE, controller_axis={"law": {"compensation": 0.0}})
-    short = ("--seconds", "8", "--verify-seconds", "4")
-    assert tune(tmp_path, "--yes", "--out", str(tmp_path / "out"), *short) == 0
+    assert tune(tmp_path, "--yes", "--out", str(tmp_path / "out"), *BRIEF) == 0
     said = " ".join(capsys.readouterr().out.split())
     reduction = re.search(r"by ([\d.]+) % with the new one", said)
     assert reduction is not None
@@ -187,11 +183,11 @@ def test_a_joint_of_a_leg_is_tuned_while_the_hip_bends_its_sheath(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The PDOs are lean, so the motor velocity is derived."""
-    assert main_status("init", "--leg", str(tmp_path / "leg")) == 0
+    assert status_of("init", "--leg", str(tmp_path / "leg")) == 0
     files = [str(tmp_path / "leg" / name) for name in ("controller.toml", "plant.toml")]
     capsys.readouterr()
     short = ("--seconds", "8", "--verify-seconds", "4", "--yes", "--json", "--out", str(tmp_path / "out"))
-    assert main_status("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
+    assert status_of("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["verification"]["reduction_percent"]["after"] > 92.0
     given = load_tendon_sheath(tmp_path / "leg" / "knee.toml")
@@ -216,7 +212,7 @@ def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_a
 ) -> None:
     """The torque from the elongation contains the model's friction, so it cannot separate x and T_p."""
     leg = tmp_path / "leg"
-    assert main_status("init", "--leg", str(leg)) == 0
+    assert status_of("init", "--leg", str(leg)) == 0
     controller = tomlkit.parse((leg / "controller.toml").read_text())
     for axis in controller["axis"]:  # type: ignore[union-attr]
         del axis["torque_sensor"]
@@ -224,7 +220,7 @@ def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_a
     capsys.readouterr()
     short = ("--seconds", "12", "--verify-seconds", "6", "--json", "--out", str(tmp_path / "out"))
     files = [str(leg / name) for name in ("controller.toml", "plant.toml")]
-    assert main_status("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
+    assert status_of("tune", files[0], "--axis", "knee", "--virtual", files[1], *short) == 0
     data = json.loads(capsys.readouterr().out)
     factors = tomllib.loads((leg / "plant.toml").read_text())["axis"][1]["perturbation"]
     given = load_tendon_sheath(leg / "knee.toml")
@@ -235,16 +231,11 @@ def test_without_torque_sensors_the_friction_of_a_leg_is_that_of_the_mean_wrap_a
     assert found["value"] == pytest.approx(half_loop, rel=0.05)
 
 
-def main_status(*arguments: str) -> object:
-    with pytest.raises(SystemExit) as done:
-        main(list(arguments))
-    return done.value.code
-
-
-def test_a_plant_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plant_or_a_joint_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     controller = rig.write(tmp_path, VIRTUAL, RATE)
-    with pytest.raises(SystemExit) as done:
-        main(["tune", str(controller), "--virtual", str(tmp_path / "nowhere.toml"), "--out", str(tmp_path / "out")])
-    assert done.value.code == 2
+    out = tmp_path / "out"
+    assert status_of("tune", str(controller), "--virtual", str(tmp_path / "nowhere.toml"), "--out", str(out)) == 2
     assert "nowhere.toml: no such file" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
+    assert tune(tmp_path, "--joint", "hip", "--dry-run") == 2
+    assert "--joint hip is not the name of another axis; the other axes are none" in capsys.readouterr().err

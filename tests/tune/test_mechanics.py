@@ -40,8 +40,6 @@ from tsa_ctrl.tune.swing import Swing
 
 SECONDS = 4.0
 RIGS = [draw(1, number) for number in (1, 13, 16)]  # all centres of curvature, with delays of 1 and 3 periods
-MORE = [draw(1, number) for number in (3, 9)]  # another profile with one of these centres, and a light motor
-AND_SOAK = [*RIGS, *(pytest.param(drawn, marks=pytest.mark.soak) for drawn in MORE)]
 CENTRES = {"motor_end": 0.0, "uniform": 0.5, "s_bent": 0.5, "joint_end": 1.0}
 
 
@@ -51,7 +49,7 @@ def shake(folder: Path, drawn: Drawn, peak: float = 0.035) -> Dataset:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drawn", AND_SOAK, ids=str)
+@pytest.mark.parametrize("drawn", RIGS, ids=str)
 def test_delay_inertia_and_stiffness_lie_in_their_intervals(tmp_path: Path, drawn: Drawn) -> None:
     found = measured([shake(tmp_path, drawn)], drawn.nominal)
     assert found.delay is not None
@@ -84,7 +82,7 @@ def test_a_velocity_that_the_drive_filters_changes_nothing(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("drawn", AND_SOAK, ids=str)
+@pytest.mark.parametrize("drawn", RIGS, ids=str)
 def test_the_centre_of_the_bending_lies_in_its_interval(tmp_path: Path, drawn: Drawn) -> None:
     load = multi_sine((0.31, 0.53, 0.87), 0.5, 8.0)
     t = PERIOD * np.arange(round(load.seconds / PERIOD))
@@ -117,8 +115,7 @@ def test_a_course_has_its_centre(centre: float) -> None:
     assert 1.0 - np.trapezoid(bending, places) == pytest.approx(centre, abs=1e-3)
 
 
-@pytest.mark.parametrize("transport", [0.6, 1.0, 2.37, 6.0])
-@pytest.mark.parametrize("lag", [0.1e-3, 1.2e-3])
+@pytest.mark.parametrize(("transport", "lag"), [(0.6, 1.2e-3), (1.0, 0.1e-3), (2.37, 0.1e-3), (6.0, 1.2e-3)])
 def test_a_delay_of_any_size_is_found(transport: float, lag: float) -> None:
     """The reference is a torque loop in steps of a fiftieth of a period, without code of the package."""
     rng = np.random.default_rng(5)
@@ -208,6 +205,7 @@ def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
 def test_the_damping_keeps_its_margin_at_the_latest_delay(tmp_path: Path, delay: float) -> None:
     made = tuned(tmp_path, delay)
     stiffness = 1e-4 * (2.0 * math.pi * 150.0) ** 2
+    assert made.values["compensation"] == pytest.approx(0.98)  # the share of the friction torque that is certain
     assert made.margin is not None
     assert made.margin >= 2.0
     assert gain_margin(made.values["damping"], 1e-4, stiffness, 1.02 * delay, PERIOD) >= 2.0
@@ -221,10 +219,6 @@ def test_a_delay_without_margin_gets_no_damping_and_that_is_said(tmp_path: Path)
     assert made.values["damping"] == 0.0
     assert any("leaves no gain margin of 2" in note and "is not damped" in note for note in made.notes)
     assert "no gain margin of 2" in made.keys["damping"].comment
-
-
-def test_the_compensation_is_what_the_half_loop_surely_has(tmp_path: Path) -> None:
-    assert tuned(tmp_path, 2e-3).values["compensation"] == pytest.approx(0.98)
 
 
 @pytest.mark.parametrize(("share", "tried"), [(1.2, 0.95), (1.0, 0.95), (0.9, 0.88), (0.5, 0.49)])

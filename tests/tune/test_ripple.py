@@ -30,9 +30,9 @@ def with_wave(log: Dataset, amplitude: float, cycles: float, phase: float) -> Da
 
 
 @pytest.mark.parametrize("profile", ["joint_end", "uniform"])
-@pytest.mark.parametrize("cycles", [12, 36, 84])
+@pytest.mark.parametrize("cycles", [12, 84])
 def test_the_wave_of_a_motor_is_found(profile: str, cycles: int) -> None:
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(cycles)
     _, model, log = rig_and_log(profile)
     log = geared(log, model)
     amplitude, phase = float(rng.uniform(0.02, 0.05)), float(rng.uniform(-math.pi, math.pi))
@@ -50,12 +50,13 @@ def test_the_wave_of_a_motor_is_found(profile: str, cycles: int) -> None:
     assert found.calibration.model is found.model
 
 
-@pytest.mark.parametrize("profile", ["joint_end", "uniform", "motor_end"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("profile", "seed"), [("joint_end", 0), ("uniform", 1), ("motor_end", 2), ("uniform", 3)])
 def test_a_motor_without_a_wave_keeps_its_model(profile: str, seed: int) -> None:
-    _, model, log = rig_and_log(profile, seed)
-    log = geared(log, model)
-    assert with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log]) is None
+    _, model, bare = rig_and_log(profile, seed)
+    log = geared(bare, model)
+    found = estimate([log], model, certified_gain=False, forms=True)
+    assert with_torque_ripple(found, [log]) is None
+    assert with_torque_ripple(found, [bare]) is None  # a log without the motor's angle shows no wave
 
 
 def test_a_motion_of_less_than_two_cycles_shows_no_wave() -> None:
@@ -66,9 +67,3 @@ def test_a_motion_of_less_than_two_cycles_shows_no_wave() -> None:
     found = with_torque_ripple(estimate([log], model, certified_gain=False, forms=True), [log])
     if found is not None:  # a ripple faster than the remaining error of the slow one
         assert found.model.effects["torque_ripple"]["cycles_per_revolution"] * span >= 2.0 * 2.0 * math.pi
-
-
-def test_a_log_without_the_motor_angle_shows_no_wave() -> None:
-    _, model, log = rig_and_log("uniform")
-    found = estimate([log], model, certified_gain=False, forms=True)
-    assert with_torque_ripple(found, [log]) is None

@@ -54,21 +54,6 @@ def test_what_the_stretch_needs_is_said(tmp_path: Path, capsys: pytest.CaptureFi
     assert said.count("\n") == 1
 
 
-@pytest.mark.slow
-@pytest.mark.soak  # with each change: the test with a person below uses such a log; the next test covers the message
-def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The free joint oscillates too fast for its friction to show. If it is moved from outside (above), it is tuned."""
-    rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": "free"}})
-    rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
-    before = (tmp_path / rig.MODEL).read_bytes()
-    assert tune(tmp_path, "--yes", "--json", "--seconds", "8", "--verify-seconds", "4") == 2
-    said = capsys.readouterr().err
-    assert "steady" in said
-    assert "move the joint by hand" in said
-    assert said.count("\n") == 1
-    assert (tmp_path / rig.MODEL).read_bytes() == before
-
-
 class Person(io.StringIO):
     """A person at a terminal who moves the joint when the first line is read and confirms at the second."""
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import math
 from pathlib import Path
 
-import numpy as np
 import tomlkit
 
 from tests.virtual import joints
@@ -27,14 +25,13 @@ def files(
     frequency: float,
     *,
     follows: bool = True,
-    table: bool = False,
     bending: Tables | None = None,
     travel: bool = False,
 ) -> tuple[Path, Path]:
     """Write controller and plant of a knee, while the hip swings at `frequency` Hz (0: it rests).
 
-    With `follows` the controller's actuator file has the routing. With `table` the plant's sheath is bent by a table
-    over time instead of the hip's angle. `bending` is [axis.bending] of the knee. With `travel` the hip has a travel.
+    With `follows` the controller's actuator file has the routing. `bending` is [axis.bending] of the knee. With
+    `travel` the hip has a travel.
     """
     setpoint = joints.GAIT if load == "imposed" else joints.sine(0.5, 0.5)
     paths = joints.files(folder, load, setpoint)
@@ -47,7 +44,6 @@ def files(
     for node, number in (("drive", 2), ("encoder", 33), ("torque_sensor", 65)):
         hip[node]["node_id"] = number
     hip["drive"]["serial_number"] = 2
-    theta = joints.NOMINAL.bending_angle
     routing = Routing(*[Route({"hip": GAIN}, {})] * 2)
     if travel:
         hip["limits"]["travel"] = [-1.2 * SWING, 1.2 * SWING]
@@ -66,14 +62,8 @@ def files(
         copy.deepcopy(machine)
         | {"name": "hip", "joint": {"load": "imposed"}, "motion": motion if frequency > 0.0 else still}
     )
-    if table:
-        times = np.arange(0.0, SECONDS + 1.0, 2e-3)
-        bent = 1.0 + GAIN * SWING * np.sin(2.0 * math.pi * frequency * times) / theta
-        machine["environment"] = {"bending": np.column_stack([times, bent]).tolist()}
-    else:
-        machine["actuator"] = "routed.toml"
-        routed = dataclasses.replace(joints.NOMINAL, routing=routing)
-        save_model(routed, folder / "routed.toml")
+    machine["actuator"] = "routed.toml"
+    save_model(dataclasses.replace(joints.NOMINAL, routing=routing), folder / "routed.toml")
     for path, tables in zip(paths, (controller, plant), strict=True):
         path.write_text(tomlkit.dumps(tables), encoding="utf-8")
     return paths

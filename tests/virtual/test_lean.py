@@ -12,6 +12,7 @@ from tests.virtual.test_two_axes import pair
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.readiness import missing
 
 LEAN: Tables = {"pdo": "lean", "serial_number": 1}
 
@@ -51,10 +52,9 @@ def test_one_lean_axis_follows_as_a_standard_one_with_the_same_filter_does(tmp_p
 
 
 @pytest.mark.parametrize("fault", ["repeated_tpdo", "missing_tpdo", "stuck_tpdo"])
-@pytest.mark.parametrize("pdo", ["standard", "lean"])
-def test_repeated_missing_and_stuck_frames_end_the_torque(tmp_path: Path, fault: str, pdo: str) -> None:
+def test_repeated_missing_and_stuck_frames_end_the_torque(tmp_path: Path, fault: str) -> None:
     """Each of them causes a fault within 0.1 s, and the drive is off 0.4 s later."""
-    files = write(tmp_path, controller(drive={"pdo": pdo}), plant())
+    files = write(tmp_path, controller(drive={"pdo": "lean"}), plant())
     result = simulate_loop(*files, 1.5, faults=[f"{fault} duration=0.4@0.8"])
     first = next(event.t for event in result.summary.events if event.fault)
     assert 0.8 <= first < 0.9
@@ -63,14 +63,9 @@ def test_repeated_missing_and_stuck_frames_end_the_torque(tmp_path: Path, fault:
     assert axis.truth["enabled"][(start > first + 0.4) & (start < 1.5)].max() == 0.0
 
 
-def test_class_worn_rejects_lean_drives(tmp_path: Path) -> None:
-    from tsa_ctrl.readiness import missing
-
-    path, _ = write(tmp_path, controller(drive={"pdo": "lean"}, file={"safety": {"class": "worn"}}))
-    assert any("0x606C with 0x6064" in line for line in missing(load_configuration(path)))
-
-
-def test_without_lean_drives_two_axes_at_1_khz_are_refused_with_that_remedy(tmp_path: Path) -> None:
+def test_two_axes_at_1_khz_need_lean_drives_which_class_worn_rejects(tmp_path: Path) -> None:
     path, _ = write(tmp_path, two(False, drive={"pdo": None}))
     with pytest.raises(UsageError, match='choose pdo = "lean"'):
         load_configuration(path)
+    path, _ = write(tmp_path, controller(drive={"pdo": "lean"}, file={"safety": {"class": "worn"}}))
+    assert any("0x606C with 0x6064" in line for line in missing(load_configuration(path)))

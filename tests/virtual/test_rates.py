@@ -13,8 +13,19 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.rig import BusChoice, gait
 
 
-@pytest.mark.parametrize("load", ["imposed", "held", "wearer"])
-@pytest.mark.parametrize("rate", [100.0, 125.0, 200.0, 250.0, 400.0, 500.0])
+@pytest.mark.parametrize(
+    ("rate", "load"),
+    [
+        (100.0, "imposed"),
+        (100.0, "wearer"),
+        (125.0, "held"),
+        (200.0, "imposed"),
+        (250.0, "wearer"),
+        (400.0, "held"),
+        (500.0, "imposed"),
+        (500.0, "wearer"),
+    ],
+)
 def test_no_healthy_rig_latches(tmp_path: Path, rate: float, load: str) -> None:
     bus = BusChoice("virtual", "rates")
     plant = rig.plant(bus, "full")

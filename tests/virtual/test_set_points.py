@@ -51,14 +51,6 @@ def test_a_burst_of_a_client_that_dies_plays_no_longer_than_its_connection(run: 
     assert not np.any(tau_j_des[t > DIES + 0.01])
 
 
-def test_a_later_zero_waits_behind_nothing(run: ServedRun) -> None:
-    run.at(DIES - 0.1, run.connected(lines([WANTED])))
-    run.at(DIES, lambda now: run.again(lines([WANTED] * BURST + [0.0])))
-    t, tau_j_des = wanted(run)
-    assert tau_j_des[np.searchsorted(t, DIES - 0.01)] == pytest.approx(WANTED)
-    assert not np.any(tau_j_des[t > DIES + WANTED / RATE + 3e-3])
-
-
 def test_a_value_is_as_old_as_its_client_says(run: ServedRun) -> None:
     """The timestamp is 0.15 s old, so the value acts for the remaining 0.05 s of its time-out of 0.2 s."""
     run.at(DIES, lambda now: run.send(lines([WANTED], time=now - 0.15)))
@@ -66,20 +58,6 @@ def test_a_value_is_as_old_as_its_client_says(run: ServedRun) -> None:
     acting = t[np.isclose(tau_j_des, WANTED)]
     assert acting[0] - DIES == pytest.approx(WANTED / RATE, abs=4e-3)
     assert acting[-1] - DIES == pytest.approx(0.05, abs=4e-3)
-
-
-def test_one_that_is_too_old_never_acts(run: ServedRun) -> None:
-    run.at(DIES, lambda now: run.send(lines([WANTED], time=now - 0.21)))
-    _, tau_j_des = wanted(run)
-    assert not np.any(tau_j_des)
-
-
-def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) -> None:
-    """The client stays connected but sends nothing."""
-    run.at(DIES, run.connected(lines([WANTED] * BURST)))
-    t, tau_j_des = wanted(run)
-    assert t[np.isclose(tau_j_des, WANTED)][-1] - DIES == pytest.approx(0.2, abs=4e-3)
-    assert not np.any(tau_j_des[t > DIES + 0.2 + WANTED / RATE + 4e-3])
 
 
 def test_a_value_is_in_the_command_of_the_next_cycle_at_the_latest(tmp_path: Path) -> None:

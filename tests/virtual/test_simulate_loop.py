@@ -20,7 +20,7 @@ from tsa_ctrl.daemon.torque_error import ELONGATION, SENSOR
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.safety.limiter import Reason
-from tsa_ctrl.virtual.script import Change, Fault, parse_fault_option, parse_set_option
+from tsa_ctrl.virtual.script import Change, Fault
 
 
 def test_the_whole_run_from_bring_up_to_shut_down(tmp_path: Path) -> None:
@@ -33,28 +33,42 @@ def test_the_whole_run_from_bring_up_to_shut_down(tmp_path: Path) -> None:
     assert set(result.truth["enabled"]) == {0.0, 1.0}
 
 
-def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
-    files = write(tmp_path)
-    for name in "ab":
-        simulate_loop(*files, 0.5, out=tmp_path / name, record=tmp_path / f"{name}.csv")
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert (tmp_path / "a" / "tsa.mcap").read_bytes() == (tmp_path / "b" / "tsa.mcap").read_bytes()
+def test_the_same_run_gives_the_same_bytes_and_another_seed_gives_other_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the files of a log, no thread starts, and in no case does any part of the program sleep."""
 
-
-def test_another_seed_gives_other_noise(tmp_path: Path) -> None:
-    files = write(tmp_path)
-    first, second = (simulate_loop(*files, 0.3, seed=seed).log["tau_j"] for seed in (1, 2))
-    assert not np.array_equal(first, second)
-
-
-def test_nobody_sleeps_and_no_thread_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*arguments: object) -> None:
         raise AssertionError("in virtual time nobody waits")
 
     files = write(tmp_path)
     monkeypatch.setattr(time, "sleep", never)
+    results = [simulate_loop(*files, 0.5, out=tmp_path / name, record=tmp_path / f"{name}.csv") for name in "ab"]
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert (tmp_path / "a" / "tsa.mcap").read_bytes() == (tmp_path / "b" / "tsa.mcap").read_bytes()
+    table = read_table(tmp_path / "a" / "tsa.mcap").columns
+    for name in ("t", "tau_j_des", "tau_m_cmd", "tau_j", "q_j", "sigma"):
+        assert np.array_equal(table[name], results[0].log[name], equal_nan=True), name
     monkeypatch.setattr(threading.Thread, "start", never)
-    assert simulate_loop(*files, 0.3).summary.sent > 300
+    assert not np.array_equal(*(simulate_loop(*files, 0.3, seed=seed).log["tau_j"] for seed in (1, 2)))
+
+
+def test_files_of_before_are_kept(tmp_path: Path) -> None:
+    """A log of before is kept beside, a file that is read is not written over, and a run that fails leaves no file."""
+    files = write(tmp_path)
+    simulate_loop(*files, 0.3, out=tmp_path, seed=1)
+    before = (tmp_path / "tsa.mcap").read_bytes()
+    simulate_loop(*files, 0.3, out=tmp_path, seed=2)
+    assert (tmp_path / "tsa.mcap.~1~").read_bytes() == before
+    read = files[1].read_bytes()
+    with pytest.raises(UsageError, match=r"--record .*plant.toml: is .*which is read"):
+        simulate_loop(*files, 0.3, record=files[1])
+    assert files[1].read_bytes() == read
+    write(tmp_path, plant_tables=plant(drive={"node_id": 5}))
+    present = set(tmp_path.rglob("*"))
+    with pytest.raises(BusError, match="no answer from axis 'knee' drive node 1"):
+        simulate_loop(*files, 0.5, out=tmp_path, record=tmp_path / "truth.csv")
+    assert set(tmp_path.rglob("*")) == present
 
 
 def test_a_run_closes_and_deletes_what_it_opened(tmp_path: Path) -> None:
@@ -73,58 +87,41 @@ def test_a_run_closes_and_deletes_what_it_opened(tmp_path: Path) -> None:
     assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
-def test_the_log_file_holds_what_is_returned(tmp_path: Path) -> None:
-    result = simulate_loop(*write(tmp_path), 0.5, out=tmp_path / "out")
-    table = read_table(tmp_path / "out" / "tsa.mcap").columns
-    for name in ("t", "tau_j_des", "tau_m_cmd", "tau_j", "q_j", "sigma"):
-        assert np.array_equal(table[name], result.log[name], equal_nan=True), name
-
-
-def test_a_log_of_before_is_kept_beside(tmp_path: Path) -> None:
-    files = write(tmp_path)
-    simulate_loop(*files, 0.3, out=tmp_path, seed=1)
-    before = (tmp_path / "tsa.mcap").read_bytes()
-    simulate_loop(*files, 0.3, out=tmp_path, seed=2)
-    assert (tmp_path / "tsa.mcap.~1~").read_bytes() == before
-
-
-@pytest.mark.parametrize(("rpdo", "delay"), [("sync", 0), ("sync", 2), ("arrival", 1)])
-def test_a_command_acts_at_the_next_sync_or_whole_periods_later(tmp_path: Path, rpdo: str, delay: int) -> None:
+@pytest.mark.parametrize(("rpdo", "delay"), [("sync", 0), ("sync", 2), ("arrival", 0), ("arrival", 1)])
+def test_a_command_acts_at_the_next_sync_or_on_arrival_or_whole_periods_later(
+    tmp_path: Path, rpdo: str, delay: int
+) -> None:
     tables = controller(
         setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0}, file={"bus": {"rpdo": rpdo}}
     )
     late = plant(motion={"kind": "still"}, drive={"delay_periods": delay})
     result = simulate_loop(*write(tmp_path, tables, late), 0.6)
     sent = result.log["t"][np.argmax(np.abs(result.log["tau_m_cmd"]) > 0.1)] + result.axes[0].start
-    acted = result.truth["clock"][np.argmax(np.abs(result.truth["command"]) > 0.1)]
     periods = delay + (rpdo == "sync")
-    assert 1e-3 * periods < acted - sent < 1e-3 * periods + 1e-4
+    if periods:
+        acted = result.truth["clock"][np.argmax(np.abs(result.truth["command"]) > 0.1)]
+        assert 1e-3 * periods < acted - sent < 1e-3 * periods + 1e-4
+    else:  # the current loop has had half a period
+        after = result.truth["clock"] > sent + 0.9e-3
+        assert abs(result.truth["tau_m"][np.argmax(after)]) > 0.1
 
 
-def test_a_command_on_arrival_acts_within_the_period(tmp_path: Path) -> None:
-    tables = controller(
-        setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0}, file={"bus": {"rpdo": "arrival"}}
-    )
-    result = simulate_loop(*write(tmp_path, tables, plant(motion={"kind": "still"})), 0.6)
-    row = np.argmax(np.abs(result.log["tau_m_cmd"]) > 0.1)
-    after = result.truth["clock"] > result.axes[0].start + result.log["t"][row] + 0.9e-3
-    assert abs(result.truth["tau_m"][np.argmax(after)]) > 0.1  # the current loop has had half a period
-
-
-def test_a_parameter_changes_at_its_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("faults", "changes"),
+    [(["fault@0.8"], ["setpoint_gain=0.9@0.5"]), ([Fault("fault", 0.8)], [Change("setpoint_gain", 0.9, 0.5)])],
+    ids=["lines", "objects"],
+)
+def test_a_change_and_a_fault_begin_at_their_time_and_are_told(
+    tmp_path: Path, faults: list[Any], changes: list[Any]
+) -> None:
     tables = controller(setpoint={"kind": "constant", "offset": 0.5})
-    result = simulate_loop(*write(tmp_path, tables), 1.5, changes=[Change("setpoint_gain", 0.9, 1.0)])
+    result = simulate_loop(*write(tmp_path, tables), 1.0, faults=faults, changes=changes)
     t, wanted = result.log["t"], result.log["tau_j_des"]
-    assert wanted[(t > 0.5) & (t < 1.0)] == pytest.approx(0.5)
-    assert wanted[(t > 1.3) & (t < 1.4)] == pytest.approx(0.45)
-
-
-def test_a_fault_begins_at_its_time_and_is_told(tmp_path: Path) -> None:
-    result = simulate_loop(*write(tmp_path), 1.0, faults=[Fault("fault", 0.7)])
-    (axis,) = result.axes
-    assert axis.faults[0].startswith("emergency: drive node 1")
+    assert wanted[(t > 0.4) & (t < 0.5)] == pytest.approx(0.5)
+    assert wanted[(t > 0.75) & (t < 0.8)] == pytest.approx(0.45)
+    assert result.axes[0].faults[0].startswith("emergency: drive node 1")
     first = next(event for event in result.summary.events if event.fault)
-    assert 0.7 <= first.t < 0.71
+    assert 0.8 <= first.t < 0.81
 
 
 @pytest.mark.parametrize(
@@ -144,15 +141,10 @@ def test_a_push_moves_a_joint_that_can(tmp_path: Path) -> None:
     assert truth["omega_j"].max() > 1.0
 
 
-def test_nodes_that_do_not_answer_are_a_bus_error(tmp_path: Path) -> None:
-    files = write(tmp_path, plant_tables=plant(drive={"node_id": 5}))
-    with pytest.raises(BusError, match="no answer from axis 'knee' drive node 1"):
-        simulate_loop(*files, 0.5)
-
-
 @pytest.mark.parametrize(
     ("option", "text", "found"),
     [
+        ("--seconds", "nan", "nan is not a finite number"),
         ("--set", "compensation=0.5", "is not NAME=VALUE@T"),
         ("--set", "compensation@2", "is not NAME=VALUE@T"),
         ("--set", "compensation=nan@2", "is not NAME=VALUE@T"),
@@ -177,28 +169,6 @@ def test_a_wrong_option_is_one_line(
     assert out == ""
 
 
-def test_what_is_read_is_not_written_over(tmp_path: Path) -> None:
-    controller_file, plant_file = write(tmp_path)
-    before = plant_file.read_bytes()
-    with pytest.raises(UsageError, match=r"--record .*plant.toml: is .*which is read"):
-        simulate_loop(controller_file, plant_file, 0.3, record=plant_file)
-    assert plant_file.read_bytes() == before
-
-
-def test_a_run_that_fails_leaves_no_file(tmp_path: Path) -> None:
-    files = write(tmp_path, plant_tables=plant(drive={"node_id": 5}))
-    before = set(tmp_path.rglob("*"))
-    with pytest.raises(BusError):
-        simulate_loop(*files, 0.5, out=tmp_path, record=tmp_path / "truth.csv")
-    assert set(tmp_path.rglob("*")) == before
-
-
-def test_faults_and_changes_may_be_written_as_on_the_command_line(tmp_path: Path) -> None:
-    result = simulate_loop(*write(tmp_path), 0.8, faults=["fault@0.7"], changes=["setpoint_gain=0.5@0.3"])
-    assert result.axes[0].faults
-    assert next(event.t for event in result.summary.events if event.fault) == pytest.approx(0.7, abs=0.01)
-
-
 @pytest.mark.slow
 def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(tmp_path: Path) -> None:
     """Frames on the bus are lost. The torque returns only after a request."""
@@ -214,16 +184,6 @@ def test_nothing_of_a_flood_is_believed(tmp_path: Path) -> None:
     result = simulate_loop(*write(tmp_path), 1.0, faults=["flood value=3000@0.5"])
     assert not result.summary.failed
     assert result.summary.missed_pdo == 0  # identifiers of low priority are sent after the answers
-
-
-def test_options_are_read() -> None:
-    assert parse_fault_option("torn_tendon axis=joint@2.5") == Fault("torn_tendon axis=joint", 2.5)
-    assert parse_set_option("knee.slew=60@1") == Change("knee.slew", 60.0, 1.0)
-
-
-def test_seconds_that_make_no_sense_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="seconds nan: allowed is above 0"):
-        simulate_loop(*write(tmp_path), float("nan"))
 
 
 def test_the_verb_prints_its_json_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

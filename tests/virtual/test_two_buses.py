@@ -133,20 +133,20 @@ def test_what_cannot_run_in_one_cycle_is_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_axes_name_their_bus_if_there_are_several_and_nodes_are_unique(tmp_path: Path) -> None:
-    tables = on_buses(controller(), TWO)
-    del tables["axis"][1]["bus"]
-    with pytest.raises(UsageError, match="axis 'hip': bus is missing; set it to one of left, right"):
-        load_configuration(write(tmp_path, tables)[0])
-    tables = on_buses(controller(), TWO)
-    tables["axis"][1]["encoder"]["node_id"] = 32
-    with pytest.raises(
-        UsageError, match="axis 'hip' on bus 'right': node_id 32 is also used by axis 'knee' on bus 'left'"
-    ):
-        load_configuration(write(tmp_path, tables)[0])
-    tables = controller()
-    tables["axis"][0]["bus"] = "left"
-    with pytest.raises(UsageError, match=r"axis 'knee': bus 'left', but \[bus\] has no name"):
+@pytest.mark.parametrize(
+    ("axes", "changes", "line"),
+    [
+        (TWO, {"bus": None}, "axis 'hip': bus is missing; set it to one of left, right"),
+        (TWO, {"encoder": {"node_id": 32}}, "axis 'hip' on bus 'right': node_id 32 is also used by axis 'knee' on bus"),
+        ({}, {"bus": "left"}, r"axis 'knee': bus 'left', but \[bus\] has no name"),
+    ],
+)
+def test_axes_name_their_bus_if_there_are_several_and_nodes_are_unique(
+    tmp_path: Path, axes: dict[str, str], changes: dict[str, Any], line: str
+) -> None:
+    tables = on_buses(controller(), axes) if axes else controller()
+    tables["axis"][-1] = merged(tables["axis"][-1], changes)
+    with pytest.raises(UsageError, match=line):
         load_configuration(write(tmp_path, tables)[0])
 
 
