@@ -140,11 +140,11 @@ def test_a_step_becomes_a_ramp_in_either_direction(sign: float) -> None:
         assert torques == pytest.approx([way * 0.1 * n for n in range(1, 11)] + [way])
         assert set(reasons[:9]) == {Reason.RATE}
         assert reasons[10] is Reason.NONE
-    limiter.update(sign, **{**CALM, "fresh": False})
-    assert limiter.update(sign, **CALM) == (pytest.approx(0.1 * sign), Reason.RATE)
-    ramp(limiter, sign, 5)
+    limiter.update(-sign, **{**CALM, "fresh": False})
+    assert limiter.update(-sign, **CALM) == (pytest.approx(-0.1 * sign), Reason.RATE)
+    ramp(limiter, -sign, 5)
     limiter.reset()
-    assert limiter.update(sign, **CALM) == (pytest.approx(0.1 * sign), Reason.RATE)
+    assert limiter.update(-sign, **CALM) == (pytest.approx(-0.1 * sign), Reason.RATE)
 
 
 @pytest.mark.parametrize(
