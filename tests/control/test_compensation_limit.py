@@ -74,7 +74,7 @@ def test_random_motions_never_get_more_than_their_fills() -> None:
     random = np.random.default_rng(5)
     chosen = limit(Proof(), 0.1)
     given, fills = 0.0, 1
-    for _ in range(2000):
+    for _ in range(1000):
         before = chosen.credit.withdrawn
         given += move(chosen, float(random.uniform(-0.05, 0.05)), speed=float(random.uniform(1.0, 3.0)))
         fills += before and not chosen.credit.withdrawn
@@ -274,7 +274,7 @@ def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
     proof = Proof()
     proof.low, proof.high = 0.9 * FRICTION, 1.1 * FRICTION
     chosen = limit(proof)
-    move(chosen, 100.0)
+    move(chosen, 40.0)
     assert 0.9 <= chosen.share <= 0.95
     assert chosen.count == 0
 

@@ -76,7 +76,7 @@ def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_
     assert (found.turn > light.turn) is longer
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     x=st.floats(0.05, 1.2),
     place=st.floats(0.0, 0.95),

@@ -60,19 +60,19 @@ def last(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(strokes))))
 
 
-@pytest.mark.parametrize("true", [0.85, 0.93, 1.04, 1.08])
-@pytest.mark.parametrize("offset", [-0.01, 0.0, 0.01])
+@pytest.mark.parametrize("true", [0.85, 1.08])
+@pytest.mark.parametrize("offset", [-0.01, 0.01])
 def test_a_small_signal_arrives_at_a_locked_joint(true: float, offset: float) -> None:
     """For a small set-point of 0.02 N*m, the correction reduces the error to less than half or below 7 mN*m."""
-    without = last(Rig(true, offset, bandwidth=0.0).run(12.0, 0.02, False))
-    assert last(Rig(true, offset).run(12.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
+    without = last(Rig(true, offset, bandwidth=0.0).run(8.0, 0.02, False))
+    assert last(Rig(true, offset).run(8.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
 
 
 @pytest.mark.parametrize("true", [0.8, 1.09])
 @pytest.mark.parametrize("moving", [True, False])
 def test_wrong_friction_is_corrected_on_a_large_signal(true: float, moving: bool) -> None:
-    without = last(Rig(true, bandwidth=0.0).run(12.0, 0.5, moving))
-    assert last(Rig(true).run(12.0, 0.5, moving, noise=0.005)) < 0.4 * without
+    without = last(Rig(true, bandwidth=0.0).run(8.0, 0.5, moving))
+    assert last(Rig(true).run(8.0, 0.5, moving, noise=0.005)) < 0.4 * without
 
 
 def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
