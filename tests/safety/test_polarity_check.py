@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.debounce import Debounce
-from tsa_ctrl.safety.polarity_check import PATIENCE, SMALL, TURN, PolarityCheck
+from tsa_ctrl.safety.polarity_check import PATIENCE, SMALL, PolarityCheck
 
 PERIOD = 1e-3  # s
 GEARED = 1.25  # r_J/r_M
@@ -267,76 +267,6 @@ def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a
     assert WRONG in str(run(check_of(0.02), sign=-1.0, seconds=0.5, omega_j=0.5))
 
 
-@pytest.mark.parametrize(("seconds", "found"), [(0.2, False), (0.5, True)])
-def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_else(seconds: float, found: bool) -> None:
-    """No torque acts yet, so a reversal does not make its motion the motor's."""
-
-    def course(t: float) -> Row:
-        torque = max(0.0, t - 0.1)
-        return torque, 3.0 - torque / STIFFNESS, UNKNOWN, 1.0 if t < 0.1 else -1.0, 0.5 if t < 0.1 else 0.0
-
-    assert (told(check_of(), 0.2 + seconds, course) is not None) is found
-
-
-@pytest.mark.parametrize(("wound", "found"), [(0.0, True), (0.02, False)])
-def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: float, found: bool) -> None:
-    """The joint is moved by 0.04 rad in half a second, and friction elongates the tendon against the torque."""
-
-    def course(t: float) -> Row:
-        travel = GEARED * (0.06 * min(t, 0.6) + 0.3 * max(0.0, t - 0.6))
-        return 0.6 * t, 0.6 * t / STIFFNESS - 2.5 * min(travel, 0.025), UNKNOWN, 1.0, 0.06 if t < 0.6 else 0.3
-
-    assert (told(check_of(wound), 1.2, course) is not None) is found
-
-
-def falls(itself: float, yields: float) -> Finding | None:
-    """Return the finding while the torque falls after a reversal of the tendon, with a polarity shown before.
-
-    The torque falls by 0.5 N*m within 0.5 s, in a sheath whose friction holds it. `itself` and `yields` are the motion
-    of motor and joint meanwhile (rad at the motor).
-    """
-
-    def course(t: float) -> Row:
-        fallen = min(max(t - 0.5, 0.0) / 0.5, 1.0)
-        apart = min(t, 0.5) / STIFFNESS + (itself - yields) * fallen
-        omega_j = yields / 0.5 / GEARED if 0.0 < fallen < 1.0 else 0.0
-        return min(t, 0.5) - 0.5 * fallen, apart, UNKNOWN, 1.0 if t < 0.4 else -1.0, omega_j
-
-    return told(check_of(0.033), 1.4, course)
-
-
-@pytest.mark.parametrize("yields", [-0.0005, -0.001, -0.004])
-def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_motor(yields: float) -> None:
-    """A wearer lets the joint move back a little.
-
-    The motor is at rest while its torque changes within its friction.
-    """
-    assert falls(0.0, yields) is None
-    assert falls(0.2 * -yields, 0.8 * yields) is None  # the sheath gives a little
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-@pytest.mark.parametrize(("itself", "found"), [(0.0, False), (0.02, True)])
-def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor_that_is_held_fast(
-    itself: float, found: bool, way: float
-) -> None:
-    """The joint moves at 0.045 rad/s, which does not count as motion.
-
-    A motor that moves against it by `itself` rad/s is reversed.
-    """
-
-    def course(t: float) -> Row:
-        wound = max(-0.033, -GEARED * 0.045 * t)  # until the tendons slide
-        return 0.5 * way * t, way * (wound - itself * t), UNKNOWN, way, way * 0.045
-
-    assert (told(check_of(0.033), 1.5, course) is not None) is found
-
-
-@pytest.mark.parametrize("yields", [-0.001, 0.0, 0.001, 0.004])
-def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yields(yields: float) -> None:
-    assert WRONG in str(falls(max(0.002, 1.5 * yields), yields))
-
-
 @pytest.mark.parametrize("sign", [UNKNOWN, 0.0], ids=["no encoder", "a rig that is too stiff for its encoders"])
 def test_without_a_seen_elongation_the_joint_s_torque_shows_it(sign: float) -> None:
     assert isinstance(run(check_of(), sign, 0.5), float)
@@ -407,38 +337,6 @@ def test_friction_that_holds_the_motor_fast_does_not_keep_the_torque_small(rises
         travel += GEARED * 0.2 * PERIOD
         assert sense.update(n * PERIOD, torque, -travel, UNKNOWN, 1.0, 0.2) is None
     assert sense.ceiling > 1.0
-
-
-@pytest.mark.parametrize(("changes", "wrong"), [(1, False), (3, True)])
-def test_a_count_that_changes_against_the_torque_is_no_answer_but_several_are(changes: int, wrong: bool) -> None:
-    count = 2.0 * math.pi / 4096  # rad
-
-    def course(t: float) -> Row:
-        flipped = sum(t > 0.1005 + 0.04 * each for each in range(changes))
-        return t, -flipped * count, UNKNOWN, 0.0, 0.0
-
-    assert (told(check_of(counts=count), 0.3, course) is not None) is wrong
-
-
-def test_a_joint_torque_that_only_fluctuates_is_no_answer() -> None:
-    """A locked joint without encoder receives no torque at first.
-
-    The reading of its sensor is noise (N*m), which falls while the torque rises.
-    """
-    assert told(check_of(), 0.4, lambda t: (t, UNKNOWN, -0.005 * math.sin(t / 0.06), 0.0, 0.0)) is None
-
-
-def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_held() -> None:
-    """A joint that comes to rest takes up the torque that friction took before.
-
-    Its torque jumps by more than the motor's.
-    """
-
-    def course(t: float) -> Row:
-        torque, moves = 0.3 + 0.5 * t, t < 0.4
-        return torque, torque / STIFFNESS, GEARED * (torque - 0.2 * moves), 1.0, 0.4 * moves
-
-    assert told(check_of(), 1.0, course) is None
 
 
 def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
@@ -522,21 +420,6 @@ def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: s
     assert free > 2
 
 
-@pytest.mark.parametrize(("share", "found"), [(0.095, True), (0.105, False)])
-def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(share: float, found: bool) -> None:
-    """The joint moves by this share and stays there.
-
-    The travel is one and a half times the elongation by friction.
-    """
-    wound = 0.1
-
-    def course(t: float) -> Row:
-        omega_j = share * 1.5 * wound / GEARED / 0.02 if t < 0.0195 else 0.0
-        return t, -t / STIFFNESS, UNKNOWN, 0.0, omega_j
-
-    assert (told(check_of(wound), 1.0, course) is not None) is found
-
-
 def cycles_until_told(
     sense: PolarityCheck, begin: float, sign: float, gain: float, omega_j: float, most: int = 2000
 ) -> int:
@@ -610,18 +493,6 @@ def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() ->
         when = when or (t if said else 0.0)
     assert "give" in str(said)
     assert 1.0 < when < 1.35
-
-
-@pytest.mark.parametrize(("seconds", "wrong"), [(0.2, False), (0.38, True)])
-def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: float, wrong: bool) -> None:
-    """A limb swings on its tendons, and a torque that rises meanwhile does not cause the elongation."""
-    sense, turn = check_of(), 170  # the torque has begun, but it has shown nothing yet
-    found = None
-    for n in range(turn + round((seconds + TURN) / PERIOD)):
-        since = max(n - turn, 0) * PERIOD
-        torque = n * PERIOD - 2.0 * since
-        found = found or sense.update(n * PERIOD, torque, since / STIFFNESS, UNKNOWN, -1.0 if since else 1.0, 0.0)
-    assert (found is not None) is wrong
 
 
 def swung(error: float, elongation: float, frequency: float) -> list[str | None]:
