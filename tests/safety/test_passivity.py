@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
 from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity
-from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings
 
 PERIOD = 1e-3
 HALF_LOOP = 0.5  # N*m at the joint
@@ -292,23 +289,6 @@ def test_a_term_that_brakes_takes_nothing_back_and_friction_does() -> None:
 def test_no_torque_is_a_million() -> None:
     assert seen(observer(), ONE_WAY, 0.9e6, 0.0, 0.0, HALF_LOOP) < math.inf
     assert seen(observer(), ONE_WAY, 1.1e6, 0.0, 0.0, HALF_LOOP) == math.inf
-
-
-def test_settings_have_defaults_and_bounds_and_keys_of_earlier_versions_are_read() -> None:
-    assert msgspec.to_builtins(PassivitySettings()) == {"energy": 3e-3, "buzz": 0.03}
-    bounds: list[tuple[Any, str, float, float]] = [  # section, key, an allowed small value, largest value
-        (PassivitySettings, "energy", 1e-6, 100.0),
-        (PassivitySettings, "buzz", 1e-6, 100.0),
-        (OscillationSettings, "speed", 0.5, 100.0),
-        (OscillationSettings, "duration", 1.0, 60.0),
-        (OscillationSettings, "share", 0.5, 0.99),
-    ]
-    for section, key, least, most in bounds:
-        for value in (least, most):
-            assert getattr(msgspec.convert({key: value}, section), key) == value
-        for value in (-1e-9, 1.02 * most, *([0.0] if section is PassivitySettings else [])):
-            with pytest.raises(msgspec.ValidationError):
-                msgspec.convert({key: value}, section)
 
 
 def test_energy_of_periods_without_a_cycle_counts() -> None:
