@@ -166,8 +166,8 @@ def test_the_lead_is_half_the_turn_and_all_delays() -> None:
     assert plan(lagging, inertia=INERTIA).lead == pytest.approx(found.lead + 0.003)
 
 
-@pytest.mark.parametrize("delay", [2e-3, 3e-3, 4e-3])
-@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+@pytest.mark.parametrize("delay", [2e-3, 4e-3])
+@pytest.mark.parametrize("inertia", [3e-5, 6e-4])
 def test_the_damping_keeps_its_margin(inertia: float, delay: float) -> None:
     found = plan(bent("uniform"), inertia=inertia, delay=delay)
     assert found.ringing == pytest.approx(math.sqrt(motor_stiffness(ACTUATOR) / inertia))
