@@ -46,19 +46,6 @@ def test_nothing_slips_before_anything_has_moved() -> None:
     assert {joint.step(0.3, 0.9 * DirectionSettings().play / REACH) for _ in range(1000)} == {0.0}
 
 
-@pytest.mark.parametrize(("give", "turned_at"), [(0.0, 0.5), (REACH, 0.516)])
-def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bends(
-    give: float, turned_at: float
-) -> None:
-    """The joint reverses slowly at 0.5 s while the torque grows by 10 N*m/s.
-
-    The torque elongates the tendon like a joint speed of 80 mrad/s, which delays the reversal by 16 ms.
-    """
-    joint = Joint(give=give)
-    sigmas = [joint.step(2.5 * (0.25 - (n * PERIOD - 0.5) ** 2), 0.01 * n, 10.0) for n in range(1000)]
-    assert PERIOD * sigmas.index(-1.0) == pytest.approx(turned_at - LEAD, abs=2.5e-3)
-
-
 @pytest.mark.parametrize("way", [0.0, 0.02])
 def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None:
     """At first a sudden stop looks like a reversal. If the reversal travel is known, sigma returns."""
@@ -95,20 +82,6 @@ def test_a_reversal_is_led() -> None:
     assert 0.0 <= age <= 1.0
 
 
-@pytest.mark.parametrize(("frequency", "amplitude"), [(2.0, 0.05), (0.5, 0.5), (0.005, 0.05)])
-def test_a_held_joint_turns_with_the_torque_however_slow_and_small(frequency: float, amplitude: float) -> None:
-    """The direction of a locked joint reverses within `play` after each extreme of the desired torque, at any rate."""
-    joint = Joint()
-    steps = round(2.0 / frequency / PERIOD)
-    play = DirectionSettings().play / (REACH * amplitude)
-    for n in range(0, steps, max(1, steps // 4000)):
-        wanted = math.sin(2.0 * math.pi * n / (0.5 * steps))
-        sigma = joint.step(0.0, amplitude * wanted)
-        rising = math.cos(2.0 * math.pi * n / (0.5 * steps)) > 0.0
-        if abs(wanted) < 1.0 - 2.0 * play - 0.01 and n > 0.1 * steps:
-            assert sigma == (1.0 if rising else -1.0)
-
-
 @pytest.mark.parametrize("bits", [12, 14, 17, 20, 22])
 def test_no_chatter_at_standstill_for_any_encoder(bits: int) -> None:
     """A joint that trembles about the edge of a count causes no reversal, with or without torque."""
@@ -143,17 +116,6 @@ def test_without_torque_the_direction_stays_and_the_next_torque_starts_anew() ->
     joint.direction.forget()
     assert joint.step(0.0, -0.4) == -1.0  # counted from zero and not from the previous 0.5
     assert joint.step(0.0, -0.3) == 1.0
-
-
-def test_is_odd() -> None:
-    """The mirrored motion and torque result in the mirrored direction."""
-    one, other = Joint(), Joint()
-    random = np.random.default_rng(3)
-    for angle, wanted in zip(random.normal(0.0, 0.01, 500), random.normal(0.0, 0.1, 500), strict=True):
-        angle = COUNT * round(float(angle) / COUNT)
-        one.motion.update(angle)
-        other.motion.update(-angle)
-        assert one.direction.update(float(wanted), 0.0) == -other.direction.update(-float(wanted), 0.0)
 
 
 class Told(Motion):
