@@ -41,17 +41,7 @@ class Friction:
         self.resets = 0
         self.limit = 5.0, 5.0  # N*m, limits below and above 0
 
-    def update(
-        self,
-        tau_j_des: float,
-        sigma: float,
-        omega_j: float,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-        temperature: float = math.nan,
-        theta: float = math.nan,
-        t: float = math.nan,
-    ) -> float:
+    def update(self, tau_j_des: float, sigma: float, *others: float, t: float = math.nan) -> float:
         return tau_j_des * RATIO + self.size * sigma
 
     def half_loop(self) -> float:

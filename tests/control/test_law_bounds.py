@@ -41,10 +41,11 @@ class Told(Motion):
 class Way(Direction):
     """A prescribed direction that records its inputs."""
 
+    forgot = 0  # calls
+
     def __init__(self, motion: Motion) -> None:
         super().__init__(DirectionSettings(), motion, 0.0, 1.0, RADII[1], PERIOD)
         self.asked: list[tuple[float, float]] = []
-        self.forgot = 0
         self.next = 0.0
 
     @property
@@ -57,7 +58,7 @@ class Way(Direction):
         return self.sigma
 
     def forget(self) -> None:
-        self.forgot = getattr(self, "forgot", 0) + 1
+        self.forgot += 1
 
 
 class Turned(Turn):
@@ -74,19 +75,20 @@ class Turned(Turn):
 class Fronts(Slip):
     """Prescribed slip fronts. The elongation equals the one of sliding tendons."""
 
+    resets = slides = 0  # calls
+
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
         self.said = 0.0
         self.asked: list[tuple[float, ...]] = []
-        self.resets = self.slides = 0
 
     def reset(self, sigma: float) -> None:
         super().reset(sigma)
-        self.resets = getattr(self, "resets", 0) + 1
+        self.resets += 1
 
     def slide(self, sigma: float) -> None:
         super().slide(sigma)
-        self.slides = getattr(self, "slides", 0) + 1
+        self.slides += 1
 
     def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
         self.asked.append((sigma, tau_m, x, pretension))
@@ -100,11 +102,12 @@ class Fronts(Slip):
 class Damper(Damping):
     """A prescribed damping torque that records its inputs."""
 
+    resets = passed = 0  # calls
+
     def __init__(self, gives: float = 0.0) -> None:
         super().__init__(0.0, 0.0, 0.0, 1.25, PERIOD)
         self.gives = gives
         self.asked: list[tuple[float, ...]] = []
-        self.resets = self.passed = 0
 
     def update(self, planned: float, q_m: float, omega_m: float, q_j: float, omega_j: float) -> float:
         self.asked.append((planned, q_m, omega_m, q_j, omega_j))
@@ -112,7 +115,7 @@ class Damper(Damping):
 
     def reset(self) -> None:
         super().reset()
-        self.resets = getattr(self, "resets", 0) + 1
+        self.resets += 1
 
     def pass_over(self) -> None:
         self.passed += 1
@@ -127,19 +130,9 @@ class Inverse(Friction):
         self.sets: list[tuple[float | None, float | None]] = []
         self.notes = ("an inverse's",)
 
-    def update(
-        self,
-        tau_j_des: float,
-        sigma: float,
-        omega_j: float,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-        temperature: float = math.nan,
-        theta: float = math.nan,
-        t: float = math.nan,
-    ) -> float:
-        self.asked.append((tau_j_des, sigma, omega_j, q_j, q_m, t))
-        return tau_j_des * RATIO + self.size * sigma
+    def update(self, *asked: float, t: float = math.nan) -> float:
+        self.asked.append((*asked[:5], t))  # without the temperature
+        return super().update(*asked)
 
     def set(self, friction_angle: float | None = None, pretension: float | None = None, imbalance: float = 0.0) -> None:
         self.sets.append((friction_angle, pretension))
