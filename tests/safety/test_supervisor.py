@@ -475,68 +475,48 @@ def test_one_drop_or_miss_more_than_tolerated_stops(name: str, cause: Cause, lim
     assert (bench.permitted, bench.cause) == (False, cause)
 
 
-def lose(bench: Bench, every: int, seconds: float, commands: bool = False) -> float | None:
-    """Lose the answers, or the commands, of one cycle in `every`.
+def lose(bench: Bench, seconds: float, answers: int = 0, commands: int = 0, skips: int = 0) -> float | None:
+    """Lose answers or commands, or skip a period before a cycle, in every n-th cycle (0: never).
 
     Return the time until the fault (s), or None.
     """
-    begin = bench.now
-    for n in range(round(1000 * seconds)):
-        lost = n % every == 0
-        if lost and commands:
-            bench.image.dropped += 1
-        elif lost:
-            bench.image.nodes[1].missed += 1
-            bench.image.missed += 1
+    begin, cycle, image = bench.now, 0, bench.image
+    while bench.now < begin + seconds:
+        cycle += 1
+        if skips and cycle % skips == 0:
+            bench.now += 0.001
+            image.skipped += 1
+            image.overruns.add(bench.now, 1, 1.5 * 0.001)
+        elif answers and cycle % answers == 0:
+            image.nodes[1].missed += 1
+            image.missed += 1
+        elif commands and cycle % commands == 0:
+            image.dropped += 1
         bench.step(Request.ENABLE)
         if not bench.permitted:
             return bench.now - begin
     return None
 
 
-@pytest.mark.parametrize("commands", [False, True])
-@pytest.mark.parametrize(("every", "seconds"), [(6, None), (5, 0.996), (2, 0.399), (1, 0.2)])
+@pytest.mark.parametrize(("what", "node"), [("answers", "joint encoder node 32"), ("commands", "commands")])
+@pytest.mark.parametrize(("every", "seconds"), [(6, None), (5, 1.0), (2, 0.4), (1, 0.2)])
 def test_a_fifth_of_a_second_s_cycles_lost_is_a_fault_in_a_row_or_not(
-    every: int, seconds: float | None, commands: bool
+    every: int, seconds: float | None, what: str, node: str
 ) -> None:
     bench = enabled()
-    found = lose(bench, every, 5.0, commands)
+    found = lose(bench, 3.0, **{what: every})
     if seconds is None:
         assert found is None
         return
     assert found == pytest.approx(seconds, abs=1e-6)
     assert bench.cause is Cause.STALE_PDO
-    assert re.search(
-        "200 cycles within a second lost .*(commands|joint encoder node 32) 200", str(bench.supervisor.fault)
-    )
-
-
-def skip(bench: Bench, every: int, seconds: float, lost: int = 0) -> float | None:
-    """Skip one period after every `every` cycles, and lose the answers of every `lost`-th cycle in between.
-
-    Return the time until the fault (s), or None.
-    """
-    begin = bench.now
-    cycle = 0
-    while bench.now < begin + seconds:
-        cycle += 1
-        if cycle % every == 0:
-            bench.now += 0.001
-            bench.image.skipped += 1
-            bench.image.overruns.add(bench.now, 1, 1.5 * 0.001)
-        elif lost and cycle % lost == 0:
-            bench.image.nodes[1].missed += 1
-            bench.image.missed += 1
-        bench.step(Request.ENABLE)
-        if not bench.permitted:
-            return bench.now - begin
-    return None
+    assert re.search(f"200 cycles within a second lost .*{node} 200", str(bench.supervisor.fault))
 
 
 @pytest.mark.parametrize(("every", "seconds"), [(5, None), (4, 0.999), (1, 0.4)])
 def test_a_fifth_of_a_second_s_periods_skipped_is_a_fault_of_the_loop(every: int, seconds: float | None) -> None:
     bench = enabled()
-    found = skip(bench, every, 5.0)
+    found = lose(bench, 3.0, skips=every)
     if seconds is None:
         assert found is None
         return
@@ -545,11 +525,13 @@ def test_a_fifth_of_a_second_s_periods_skipped_is_a_fault_of_the_loop(every: int
     assert "200 of 1000 periods had no cycle: a cycle takes 1.5 ms; set rate = 500 in" in str(bench.supervisor.fault)
 
 
-@pytest.mark.parametrize(("every", "lost", "cause"), [(6, 8, Cause.SKIPPED), (10, 6, Cause.STALE_PDO), (12, 12, None)])
-def test_skipped_periods_and_lost_answers_count_together(every: int, lost: int, cause: Cause | None) -> None:
+@pytest.mark.parametrize(
+    ("skips", "answers", "cause"), [(6, 8, Cause.SKIPPED), (10, 6, Cause.STALE_PDO), (12, 12, None)]
+)
+def test_skipped_periods_and_lost_answers_count_together(skips: int, answers: int, cause: Cause | None) -> None:
     """Neither reaches a fifth of a second alone. The cause is the one that lost more."""
     bench = enabled()
-    assert (skip(bench, every, 3.0, lost) is None) is (cause is None)
+    assert (lose(bench, 3.0, answers, skips=skips) is None) is (cause is None)
     assert bench.cause is cause
     if cause is Cause.STALE_PDO:
         assert "skipped periods" in str(bench.supervisor.fault)
@@ -569,7 +551,7 @@ def test_a_loop_that_stood_still_is_the_cause_of_what_the_nodes_did_meanwhile() 
 
 def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_in_a_row() -> None:
     for settings, most in ((SupervisionSettings(), 20), (SupervisionSettings(tolerated_misses=50), 51)):
-        assert lose(enabled(settings, rate=100.0), 1, 1.0) == pytest.approx(1e-3 * most)
+        assert lose(enabled(settings, rate=100.0), 1.0, answers=1) == pytest.approx(1e-3 * most)
 
 
 @pytest.mark.parametrize("node", [0, 1])
@@ -606,10 +588,10 @@ def test_answers_that_are_late_by_a_period_are_no_second_drive() -> None:
 
 def test_a_new_enable_forgets_what_was_lost_before() -> None:
     bench = enabled()
-    assert lose(bench, 1, 0.19) is None
+    assert lose(bench, 0.19, answers=1) is None
     bench.step(Request.DISABLE, 5)
     bench.step(Request.ENABLE, 10)
-    assert lose(bench, 1, 0.19) is None
+    assert lose(bench, 0.19, answers=1) is None
 
 
 @pytest.mark.parametrize(
