@@ -64,6 +64,7 @@ def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> 
                 assert parameter.value == value, parameter.name
 
 
+@pytest.mark.parametrize("parameters", ["fixed"], indirect=True)
 def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
     """The torque limit falls to zero in small steps that take between 0.2 and 0.26 s."""
     index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
@@ -178,6 +179,7 @@ def test_damping_can_be_lowered_from_what_the_motor_bears(tmp_path: Path) -> Non
     machine.close()
 
 
+@pytest.mark.parametrize("parameters", ["fixed"], indirect=True)
 def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Parameter, ...]) -> None:
     index, gain = next((n, p) for n, p in enumerate(parameters) if p.name == "setpoint_gain")
     tuner = Tuner(parameters, 1e-3)

@@ -82,35 +82,31 @@ def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
         assert max(rig.raised) == pytest.approx(most * LOOP)
 
 
+def fed(error: float, cycles: int = 1000, feedback: TorqueFeedback | None = None) -> TorqueFeedback:
+    """Return the feedback after cycles in which the sensor of a moving joint shows `error` (N*m)."""
+    found = feedback or TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(cycles):
+        found.update(error, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    return found
+
+
 def test_a_sensor_that_shows_too_much_takes_back_a_part_only() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(20_000):
-        feedback.update(0.05, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert feedback.torque(1.0, LOOP, MORE * LOOP) == pytest.approx(-LESS * LOOP)
+    assert fed(0.05, 20_000).torque(1.0, LOOP, MORE * LOOP) == pytest.approx(-LESS * LOOP)
 
 
 def test_an_error_too_large_for_friction_does_not_count() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-1.0, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert feedback.torque(1.0, LOOP, MORE * LOOP) == 0.0
+    assert fed(-1.0).torque(1.0, LOOP, MORE * LOOP) == 0.0
 
 
 def test_without_its_sensor_the_correction_fades() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-0.05, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    feedback = fed(-0.05)
     before = feedback.torque(1.0, LOOP, MORE * LOOP)
     assert before > 0.02
-    for _ in range(2000):
-        feedback.update(math.nan, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert abs(feedback.torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
+    assert abs(fed(math.nan, 2000, feedback).torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
 
 
 def test_a_correction_belongs_to_its_direction() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-0.02, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    feedback = fed(-0.02)
     assert feedback.torque(1.0, LOOP, MORE * LOOP) > 0.01
     assert feedback.torque(-1.0, LOOP, MORE * LOOP) == 0.0
 
