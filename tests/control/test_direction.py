@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.control.laws import Told
 from tsa_ctrl.control.direction import NOISE, QUICK, TREMOR, UNSURE, Direction
 from tsa_ctrl.control.motion_filter import Motion
 from tsa_ctrl.control.settings import DirectionSettings
@@ -116,14 +117,6 @@ def test_without_torque_the_direction_stays_and_the_next_torque_starts_anew() ->
     joint.direction.forget()
     assert joint.step(0.0, -0.4) == -1.0  # counted from zero and not from the previous 0.5
     assert joint.step(0.0, -0.3) == 1.0
-
-
-class Told(Motion):
-    """A prescribed motion instead of a measured one."""
-
-    def __init__(self, noise: float = 0.0) -> None:
-        self.angle = self.velocity = self.acceleration = 0.0
-        self.noise = noise
 
 
 PLAY = 2.0**-20  # m; all of these are powers of two, so that calculations are exact

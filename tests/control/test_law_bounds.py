@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.control.laws import plan
+from tests.control.laws import Told, plan
 from tests.control.sliding import actuator
 from tests.control.test_law import Friction
 from tsa_ctrl.control import law as module
@@ -24,18 +24,6 @@ RADII = (0.02, 0.025)  # m
 RATIO = 0.8
 FRONT = Front(((0.0, 0.0), (1.0, 1.0)))  # even curvature: s_c 0.5
 PLAN = replace(plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",))
-
-
-class Told(Motion):
-    """A prescribed motion that records its inputs."""
-
-    def __init__(self) -> None:
-        self.angle = self.velocity = self.acceleration = self.noise = 0.0
-        self.memory = 0.005
-        self.given: list[tuple[float, bool]] = []
-
-    def update(self, angle: float, fresh: bool = True) -> None:
-        self.given.append((angle, fresh))
 
 
 class Way(Direction):
