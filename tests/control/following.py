@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -35,6 +36,7 @@ class Change:
         return THETA * (1.0 + self.share * min(1.0, max(0.0, (t - self.at) / self.within)))
 
 
+@cache
 def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return time (s), joint torque error (N*m) and estimated friction angle of each cycle, (n,) each.
 

@@ -17,6 +17,19 @@ PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad, one count of a joint encoder
 
 
+class Told(Motion):
+    """A prescribed motion that records its inputs."""
+
+    def __init__(self, noise: float = 0.0) -> None:
+        self.angle = self.velocity = self.acceleration = 0.0
+        self.noise = noise
+        self.memory = 0.005
+        self.given: list[tuple[float, bool]] = []
+
+    def update(self, angle: float, fresh: bool = True) -> None:
+        self.given.append((angle, fresh))
+
+
 def plan(model: TendonSheath, **changes: Any) -> Plan:
     """Return the plan at 1 kHz with rpdo = "sync" and limits that are never reached."""
     limits = Limits(rate=1e4, torque=10.0)

@@ -37,8 +37,8 @@ def swing(gain: float, inertia: float, delay: int, foretold: bool = True, stiffn
     return np.array(found)
 
 
-@pytest.mark.parametrize("delay", [1, 2, 3])
-@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("inertia", [3e-5, 6e-4])
 def test_a_swing_dies(inertia: float, delay: int) -> None:
     """With the largest allowed gain, less than a tenth remains after eight periods. A free oscillation persists."""
     gain = largest_gain(inertia, K, (delay + 0.5) * PERIOD + LAG, PERIOD)
@@ -57,8 +57,8 @@ def test_not_foretold_the_same_gain_drives_it() -> None:
     assert np.abs(foretold[-50:]).max() < 0.05 * np.abs(foretold[:20]).max()
 
 
-@pytest.mark.parametrize("delay", [1, 2, 3])
-@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+@pytest.mark.parametrize("delay", [1, 3])
+@pytest.mark.parametrize("inertia", [3e-5, 6e-4])
 def test_margin_is_where_the_swing_begins_to_grow(inertia: float, delay: int) -> None:
     """At 0.9 times the margin, all three stiffnesses are stable. At 1.1 times the margin, at least one is unstable."""
     total = (delay + 0.5) * PERIOD + LAG

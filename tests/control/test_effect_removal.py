@@ -17,7 +17,7 @@ EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"
 
 def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
     """The result is independent of the number of calls per cycle and of the history before the last reset."""
-    tendons = 0.6 * np.sin(7.0 * PERIOD * np.arange(800)) + 0.1
+    tendons = 0.6 * np.sin(7.0 * PERIOD * np.arange(400)) + 0.1
     taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2)) + 0.03 * bristle(tendons, 0.3, 0.0)
     removal = EffectRemoval(ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}}), PERIOD)
     assert removal.remembers
@@ -41,8 +41,8 @@ def test_the_memory_of_a_formula_counts_skipped_cycles() -> None:
 
 
 def sliding() -> tuple[np.ndarray, ...]:
-    """Return t, omega, sigma, tau_m and the torque of the nominal tendons for 12 s of motion in both directions."""
-    t = PERIOD * np.arange(12000)
+    """Return t, omega, sigma, tau_m and the torque of the nominal tendons for 8 s of motion in both directions."""
+    t = PERIOD * np.arange(8000)
     omega = 0.8 * np.sign(np.sin(2.0 * t)) * np.minimum(1.0, 20.0 * np.abs(np.sin(2.0 * t)))
     sigma = np.sign(omega)
     tau_m = 0.4 * np.sin(3.0 * t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ def feed(estimator: KalmanEstimator, data: Sliding) -> None:
         estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True))
 
 
-@pytest.mark.parametrize("change", [0.7, 0.9, 1.1, 1.4])
+@pytest.mark.parametrize("change", [0.7, 1.4])
 @pytest.mark.parametrize("kind", ["sensor", "motor"])
 def test_follows_a_change_of_bending(kind: str, change: float) -> None:
     """Within ten seconds of motion, x and T_p are within 4 % of their values at 70 to 140 % of the wrap angle."""
@@ -108,7 +109,7 @@ def locked_joint(friction: float, amplitude: float, spread: float, seconds: floa
         spread: relative deviation of the plays from their mean
         seconds: duration, s
     """
-    rng = np.random.default_rng()
+    rng = np.random.default_rng(4)
     slope = R_J / R_M * math.cosh(X)
     plays = [friction * (1.0 + spread * k) for k in (-1.0, -0.5, 0.0, 0.5, 1.0)]
     held = [0.0] * len(plays)
@@ -122,8 +123,8 @@ def locked_joint(friction: float, amplitude: float, spread: float, seconds: floa
     return samples
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.3, 0.9])
-@pytest.mark.parametrize("change", [0.6, 0.8, 1.0, 1.3])
+@pytest.mark.parametrize("spread", [0.0, 0.9])
+@pytest.mark.parametrize("change", [0.6, 1.3])
 def test_a_torque_sensor_shows_the_friction_of_a_locked_joint(change: float, spread: float) -> None:
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     friction = 2.0 * PRETENSION * R_J * math.sinh(X)
@@ -133,7 +134,7 @@ def test_a_torque_sensor_shows_the_friction_of_a_locked_joint(change: float, spr
     assert estimator.half_loop == pytest.approx(change * friction, rel=0.04)
 
 
-@pytest.mark.parametrize("spread", [0.0, 0.3, 0.9])
+@pytest.mark.parametrize("spread", [0.0, 0.9])
 def test_a_torque_that_never_slides_all_of_the_sheath_shows_no_friction(spread: float) -> None:
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     friction = 2.0 * PRETENSION * R_J * math.sinh(X)
@@ -293,46 +294,43 @@ def test_split_says_when_the_bounds_do_not_reach(half_loop: float) -> None:
 FRICTION, COULOMB, WEIGHT = 0.12, 0.05, 0.6  # N*m*s/rad, N*m, N*m
 
 
-def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, float, float, float]]]:
-    """Return a model with these effects, and samples (sigma, omega_j, tau_m, tau_j, q_j) measured with them."""
+def with_effect(name: str, load: float) -> tuple[TendonSheath, list[tuple[float, float, float, float, float]]]:
+    """Return a model with this effect, and samples (sigma, omega_j, tau_m, tau_j, q_j) measured with it."""
     effects = {
         "viscous_friction": {"coefficient": FRICTION},
         "motor_side_friction": {"coulomb": COULOMB},
         "gravity_load": {"amplitude": WEIGHT, "phase": 0.3},
     }
-    model = dataclasses.replace(MODEL, effects={name: effects[name] for name in names})
     samples, angle = [], 0.0
-    for sigma, omega, tau_m, tau_j in Sliding(1.2 * X, PRETENSION, seconds=14.0).samples():
+    for sigma, omega, tau_m, tau_j in Sliding(1.2 * X, PRETENSION, seconds=14.0, load=load).samples():
         angle += omega * PERIOD
-        if "motor_side_friction" in names:
+        if name == "motor_side_friction":
             tau_m += COULOMB * sigma
-        if "viscous_friction" in names:
+        if name == "viscous_friction":
             tau_j -= FRICTION * omega
-        if "gravity_load" in names:
+        if name == "gravity_load":
             tau_j -= WEIGHT * math.sin(angle + 0.3)
         samples.append((sigma, omega, tau_m, tau_j, angle))
-    return model, samples
+    return dataclasses.replace(MODEL, effects={name: effects[name]}), samples
 
 
-@pytest.mark.parametrize("names", [("viscous_friction",), ("motor_side_friction",), ("gravity_load",)])
-def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("sensor", "viscous_friction"),
+        ("sensor", "motor_side_friction"),
+        ("sensor", "gravity_load"),
+        ("motor", "viscous_friction"),
+    ],
+)
+def test_what_the_effects_take_is_not_taken_for_the_sheaths(kind: Any, name: str) -> None:
     """With friction or a load outside the sheath that the model contains, x of the sheath is recovered."""
-    model, samples = with_effects(*names)
-    estimator = KalmanEstimator(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
+    model, samples = with_effect(name, 0.0 if kind == "motor" else 0.8)
+    estimator = KalmanEstimator(model, EstimatorSettings(kind=kind, attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
+        if kind == "motor":  # the joint's friction is what the motor moves it against
+            tau_m, tau_j = tau_m + R_M / R_J * FRICTION * omega / math.cosh(1.2 * X), math.nan
         estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True, angle))
-    assert estimator.state is EstimateState.ESTIMATED
-    assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
-
-
-def test_kind_motor_knows_what_the_joint_takes() -> None:
-    """With the kind "motor", the viscous friction of the joint does not change the estimated x of the sheath."""
-    model = dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": FRICTION}})
-    settings = EstimatorSettings(kind="motor", attribute=Attribution.FRICTION)
-    estimator = KalmanEstimator(model, settings, PERIOD)
-    for sigma, omega, tau_m, _ in Sliding(1.2 * X, PRETENSION, seconds=14.0, load=0.0).samples():
-        tau_m += R_M / R_J * FRICTION * omega / math.cosh(1.2 * X)
-        estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan, True))
     assert estimator.state is EstimateState.ESTIMATED
     assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
 

@@ -6,8 +6,8 @@ import pytest
 
 from tests.control.following import MU, THETA, Change, rms, run
 
-CHANGE = Change(share=0.4, at=8.0, within=4.0)
-SECONDS = 26.0
+CHANGE = Change(share=0.4, at=5.0, within=4.0)
+SECONDS = 20.0
 
 
 def test_the_friction_angle_follows_the_bending() -> None:
@@ -20,12 +20,12 @@ def test_the_torque_error_stays_small_with_the_estimate_and_grows_without() -> N
     t, with_estimate, _ = run(CHANGE, SECONDS, use=True)
     _, without, _ = run(CHANGE, SECONDS, use=False)
     after = (SECONDS - 6.0, SECONDS)
-    assert rms(t, without, *after) > 3.0 * rms(t, without, 3.0, 8.0)
+    assert rms(t, without, *after) > 3.0 * rms(t, without, 3.0, 5.0)
     assert rms(t, with_estimate, *after) < 0.35 * rms(t, without, *after)
 
 
 def test_without_a_change_the_estimate_does_no_harm() -> None:
     still = Change(share=0.0)
-    t, with_estimate, _ = run(still, 16.0, use=True)
-    _, without, _ = run(still, 16.0, use=False)
-    assert rms(t, with_estimate, 6.0, 16.0) < 1.15 * rms(t, without, 6.0, 16.0)
+    t, with_estimate, _ = run(still, 12.0, use=True)
+    _, without, _ = run(still, 12.0, use=False)
+    assert rms(t, with_estimate, 6.0, 12.0) < 1.15 * rms(t, without, 6.0, 12.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,11 +39,42 @@ def test_a_turn_takes_eight_periods_and_less_towards_the_joint() -> None:
     assert turns == pytest.approx([8e-3, 8e-3, 5e-3])
 
 
-def test_without_an_inertia_it_is_slow_and_said() -> None:
-    blind = plan(bent("uniform"))
-    assert blind.turn == BLIND
-    assert blind.damping == blind.inertia == 0.0
-    assert any("law.motor_inertia is not given" in note for note in blind.notes)
+@pytest.mark.parametrize(
+    ("profile", "settings", "values", "note"),
+    [
+        ("uniform", {}, {"turn": BLIND, "damping": 0.0, "inertia": 0.0}, "law.motor_inertia is not given"),
+        (
+            "joint_end",
+            {"inertia": INERTIA, "speed": 0.5, "speed_key": "drive.max_speed"},
+            {},
+            "because drive.max_speed allows a motor speed of 0.5 rad/s",
+        ),
+        (
+            "uniform",
+            {"inertia": INERTIA, "torque": 0.4},
+            {},
+            "limits.torque 0.4 N*m does not exceed the friction torque of 0.468 N*m",
+        ),
+        ("uniform", {"inertia": INERTIA, "delay": 30e-3}, {"damping": 0.0}, "leaves no gain margin of 2"),
+        (
+            "uniform",
+            {"inertia": INERTIA, "has_encoder": False},
+            {"lead": 0.0, "damping": 0.0},
+            "without a joint encoder",
+        ),
+        ("late", {"inertia": INERTIA}, {"lead": MOST_LEAD}, "turns late"),
+    ],
+    ids=["no inertia", "slow", "weak", "no margin", "no encoder", "late velocity"],
+)
+def test_what_a_plan_cannot_do_is_reported(
+    profile: str, settings: dict[str, Any], values: dict[str, float], note: str
+) -> None:
+    model = bent("uniform" if profile == "late" else profile)
+    if profile == "late":
+        model = model.with_effects({**model.effects, "velocity_lag": {"time_constant": 0.5}})
+    found = plan(model, **settings)
+    assert {name: getattr(found, name) for name in values} == values
+    assert any(note in each for each in found.notes)
 
 
 def test_the_limits_of_the_drive_make_it_longer() -> None:
@@ -76,7 +108,7 @@ def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_
     assert (found.turn > light.turn) is longer
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     x=st.floats(0.05, 1.2),
     place=st.floats(0.0, 0.95),
@@ -118,14 +150,6 @@ def test_the_least_speed_limit_counts_and_without_a_joint_encoder_those_of_the_j
     assert Limits.of(settings_of, 30.0, ACTUATOR, False)[3:] == (pytest.approx(7.5), "limits.joint_speed")
 
 
-def test_a_slow_turn_and_a_torque_below_the_friction_are_reported() -> None:
-    slow = plan(bent("joint_end"), inertia=INERTIA, speed=0.5, speed_key="drive.max_speed")
-    assert slow.turn > 0.06
-    assert any("because drive.max_speed allows a motor speed of 0.5 rad/s" in note for note in slow.notes)
-    weak = plan(bent("uniform"), inertia=INERTIA, torque=0.4)
-    assert any("limits.torque 0.4 N*m does not exceed the friction torque of 0.468 N*m" in note for note in weak.notes)
-
-
 def test_a_command_never_runs_farther_ahead_of_the_measured_torque_than_allowed() -> None:
     model = bent("uniform")
     close = plan(model, inertia=INERTIA, distance=0.1)
@@ -142,27 +166,14 @@ def test_the_lead_is_half_the_turn_and_all_delays() -> None:
     assert plan(lagging, inertia=INERTIA).lead == pytest.approx(found.lead + 0.003)
 
 
-def test_a_reversal_that_is_too_far_away_is_not_guessed_and_that_is_said() -> None:
-    model = bent("uniform").with_effects({"velocity_lag": {"time_constant": 0.5}})
-    found = plan(model, inertia=INERTIA)
-    assert found.lead == MOST_LEAD
-    assert any("turns late" in note for note in found.notes)
-
-
-@pytest.mark.parametrize("delay", [2e-3, 3e-3, 4e-3])
-@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+@pytest.mark.parametrize("delay", [2e-3, 4e-3])
+@pytest.mark.parametrize("inertia", [3e-5, 6e-4])
 def test_the_damping_keeps_its_margin(inertia: float, delay: float) -> None:
     found = plan(bent("uniform"), inertia=inertia, delay=delay)
     assert found.ringing == pytest.approx(math.sqrt(motor_stiffness(ACTUATOR) / inertia))
     assert found.damping > 0.0
     assert found.margin >= 0.999 * LEAST
     assert gain_margin(found.damping, inertia, motor_stiffness(ACTUATOR), delay, PERIOD) == found.margin
-
-
-def test_no_margin_no_damping_and_that_is_said() -> None:
-    found = plan(bent("uniform"), inertia=INERTIA, delay=30e-3)
-    assert found.damping == 0.0
-    assert any("leaves no gain margin of 2" in note for note in found.notes)
 
 
 def test_a_velocity_that_is_late_costs_margin() -> None:
@@ -180,12 +191,6 @@ def test_a_damping_without_margin_is_refused_in_one_line() -> None:
 
 def test_a_measured_ringing_takes_the_place_of_the_models() -> None:
     assert plan(bent("uniform"), inertia=INERTIA, ringing=80.0).ringing == pytest.approx(2.0 * math.pi * 80.0)
-
-
-def test_without_a_joint_encoder_nothing_is_foretold_or_damped() -> None:
-    found = plan(bent("uniform"), inertia=INERTIA, has_encoder=False)
-    assert found.lead == found.damping == 0.0
-    assert any("without a joint encoder" in note for note in found.notes)
 
 
 def test_reach_is_half_of_a_tendons_compliance_where_nothing_else_is_known() -> None:

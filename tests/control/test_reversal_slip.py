@@ -105,8 +105,8 @@ class Reversed:
 
 
 @pytest.mark.parametrize("shape", ["uniform", "motor_end", "S"])
-@pytest.mark.parametrize("tau_j", [-0.8, -0.3, 0.2, 0.5, 0.8])
-@pytest.mark.parametrize("further", [1e-3, 0.02, 0.05])
+@pytest.mark.parametrize("tau_j", [-0.8, 0.2, 0.8])
+@pytest.mark.parametrize("further", [1e-3, 0.05])
 def test_torque_is_that_of_the_tendons(shape: str, tau_j: float, further: float) -> None:
     """The torque of the slip fronts agrees with the reference, relative to sliding tendons, within 3 mN*m."""
     held, found = Held(SHAPES[shape], tau_j), Reversed(SHAPES[shape], tau_j)

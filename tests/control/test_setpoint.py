@@ -10,36 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
-from tsa_ctrl.control.setpoint import SetPoint, Source, largest, read_file, waveform
+from tsa_ctrl.control.setpoint import SetPoint, largest, read_file, waveform
 from tsa_ctrl.control.settings import Component, SetPointSettings
 from tsa_ctrl.errors import UsageError
 
 PERIOD = 1e-3
-
-
-@pytest.mark.parametrize(
-    ("settings", "t", "value"),
-    [
-        ({"kind": "constant", "offset": 0.4}, 3.0, 0.4),
-        ({"kind": "sine", "offset": 0.1, "amplitude": 2.0, "frequency": 0.5}, 0.5, 2.1),
-        ({"kind": "step", "amplitude": 1.0, "at": 1.0}, 0.999, 0.0),
-        ({"kind": "step", "amplitude": 1.0, "at": 1.0}, 1.0, 1.0),
-        ({"kind": "multi_sine", "components": (Component(amplitude=1.0, frequency=1.0, phase=math.pi / 2),)}, 1.0, 1.0),
-        ({"kind": "chirp", "amplitude": 1.0, "frequency": 1.0, "end_frequency": 3.0, "duration": 2.0}, 0.0, 0.0),
-    ],
-)
-def test_waveform(settings: dict[str, Any], t: float, value: float) -> None:
-    """Each kind of waveform has the value of its formula."""
-    assert waveform(SetPointSettings(**settings))(t) == pytest.approx(value)
-
-
-def test_chirp_ends_at_its_end_frequency() -> None:
-    """A chirp from 1 to 5 Hz has 30 periods in 10 s, its mean frequency times its duration."""
-    chirp = waveform(SetPointSettings(kind="chirp", amplitude=1.0, frequency=1.0, end_frequency=5.0, duration=10.0))
-    crossings = sum(chirp(0.001 * n) < 0.0 <= chirp(0.001 * (n + 1)) for n in range(9999))
-    assert crossings == pytest.approx(30, abs=1)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.4])
@@ -57,20 +35,12 @@ def test_the_largest_value_is_never_below_the_peak(offset: float, frequencies: t
     phases = [math.pi / 2.0 * (-1) ** n for n in range(len(frequencies))]
     parts = tuple(Component(amplitude=0.5, frequency=f, phase=p) for f, p in zip(frequencies, phases, strict=True))
     settings = SetPointSettings(kind="multi_sine", offset=offset, components=parts)
-    source, fastest = waveform(settings), max(frequencies)
-    times = [k / (37.0 * fastest) for k in range(round(37.0 * fastest * 60.0))]
-    peak = max(abs(source(t)) for t in times)
+    t = np.arange(round(37.0 * max(frequencies) * 60.0)) / (37.0 * max(frequencies))
+    sines = (0.5 * np.sin(2.0 * math.pi * f * t + p) for f, p in zip(frequencies, phases, strict=True))
+    peak = np.abs(offset + sum(sines)).max()
     found = largest(settings)
     assert peak <= found
     assert found <= 1.012 * peak or found == offset + 0.5 * len(parts)
-
-
-def test_starts_at_zero_and_keeps_to_its_rate() -> None:
-    """The first values ramp from 0 at `rate`."""
-    set_point = SetPoint(SetPointSettings(kind="constant", offset=1.0, rate=10.0), PERIOD)
-    values = [set_point.update(PERIOD * n) for n in range(200)]
-    assert values[:3] == pytest.approx([0.01, 0.02, 0.03])
-    assert values[-1] == 1.0
 
 
 def test_gain_scales_the_source() -> None:
@@ -86,13 +56,13 @@ class TestTheFuture:
     SINE = SetPointSettings(kind="sine", amplitude=0.5, frequency=2.0, rate=1e4)
 
     def test_acting_and_ahead_are_what_will_be_wanted(self) -> None:
-        set_point = SetPoint(self.SINE, PERIOD, delay=2.5e-3, lead=6e-3, horizon=10e-3)
+        set_point = SetPoint(self.SINE, PERIOD, delay=2.5e-3, lead=6e-3, horizon=10.5e-3)
         source = waveform(self.SINE)
         for n in range(300):
             t = n * PERIOD
             assert set_point.update(t) == pytest.approx(source(t), abs=1e-12)
             assert set_point.acting == pytest.approx(source(t + 2.5e-3), abs=1e-4)
-            assert set_point.ahead == pytest.approx(source(t + 10e-3), abs=1e-9)
+            assert set_point.ahead == pytest.approx(source(t + 10.5e-3), abs=1e-4)
             assert set_point.rate == pytest.approx(source(t + 6e-3) / PERIOD - source(t + 5e-3) / PERIOD, abs=0.2)
 
     def test_a_step_is_ramped_when_it_comes_and_not_before(self) -> None:
@@ -103,19 +73,11 @@ class TestTheFuture:
         assert values[101] == pytest.approx((0.1, 0.2))
         assert values[-1] == (1.0, 1.0)
 
-    def test_lost_cycles_are_skipped(self) -> None:
-        """After a gap, the set-point is the one for the current time, even if the gap exceeds the known future."""
-        set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
-        source = waveform(self.SINE)
-        for t in (0.0, 0.001, 0.004, 0.0052, 0.006, 0.05, 0.051):
-            found = set_point.update(t)
-            assert found == pytest.approx(source(t), abs=5e-3)
-
     def test_late_and_early_cycles_keep_the_pace(self) -> None:
         """With a jitter of 0.3 periods, each cycle gets the value for its nominal time."""
         set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
         source = waveform(self.SINE)
-        for n in range(2000):
+        for n in range(500):
             t = (n + 0.3 * math.sin(7.0 * n)) * PERIOD
             assert set_point.update(t) == pytest.approx(source(n * PERIOD), abs=8e-3)
 
@@ -139,22 +101,6 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
-def test_file_is_interpolated(tmp_path: Path) -> None:
-    """Values are interpolated between rows. Other columns are ignored, and the time starts at the first row."""
-    write(tmp_path / "gait.csv", "t,x,tau_j_des\n5.0,a,0.0\n5.5,b,1.0\n6.0,c,0.0\n")
-    source = waveform(SetPointSettings(kind="file", file="gait.csv"), tmp_path)
-    assert [source(t) for t in (0.0, 0.25, 0.5, 0.75)] == pytest.approx([0.0, 0.5, 1.0, 0.5])
-
-
-def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
-    """After the last row the torque is 0, or the file is repeated if `loop` is set."""
-    write(tmp_path / "a.csv", "t,tau_j_des\n0,0.5\n1,0.7\n")
-    once = waveform(SetPointSettings(kind="file", file="a.csv"), tmp_path)
-    loop = waveform(SetPointSettings(kind="file", file="a.csv", loop=True), tmp_path)
-    assert once(1.01) == 0.0
-    assert loop(1.5) == pytest.approx(0.6)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -165,7 +111,7 @@ def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
         ("t,tau_j_des\n0,1\n1\n", "line 3"),
         ("t,tau_j_des\n0,1\n1,nan\n", "line 3.*finite"),
         ("t,tau_j_des\n0,1\n0,2\n", "line 3.*does not increase"),
-        ("t,tau_j_des\n0,1\n1,5000\n", "line 3.*beyond 1000"),
+        ("t,tau_j_des\n0,0\n1,-1000.1\n2,1001\n", r"row 2 \(line 3\): -1000.1 N\*m is beyond 1000; give"),
     ],
 )
 def test_bad_file_is_one_line(tmp_path: Path, text: str, words: str) -> None:
@@ -180,17 +126,6 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
     """The error occurs when the set-point is constructed, and it contains the file name."""
     with pytest.raises(UsageError, match=r"none\.csv"):
         SetPoint(SetPointSettings(kind="file", file="none.csv"), PERIOD, tmp_path)
-
-
-def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
-    """A received value is active for `timeout` and then ramps to 0 at `rate`."""
-    set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.1, rate=100.0), PERIOD)
-    set_point.receive(1.0, 0.0)
-    values = [set_point.update(PERIOD * n) for n in range(200)]
-    assert values[50] == pytest.approx(1.0)
-    assert values[99] == pytest.approx(1.0)
-    assert values[105] == pytest.approx(0.5)
-    assert values[-1] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -216,15 +151,6 @@ def test_the_time_of_a_socket_value_is_its_clients() -> None:
     assert set_point.update(0.301) == 0.0
 
 
-def test_reset_forgets_what_was_received() -> None:
-    """A received value is discarded by a reset."""
-    set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD)
-    set_point.receive(1.0, 0.0)
-    set_point.update(0.0)
-    set_point.reset()
-    assert set_point.update(0.0) == 0.0
-
-
 @pytest.mark.parametrize(
     "data",
     [
@@ -240,57 +166,9 @@ def test_contradictions_are_refused(data: dict[str, Any]) -> None:
         msgspec.convert(data, SetPointSettings)
 
 
-def test_settings_where_nothing_is_said() -> None:
-    given = SetPointSettings()
-    assert msgspec.structs.asdict(given) == {
-        "kind": "constant", "offset": 0.0, "amplitude": 0.0, "frequency": 0.5, "end_frequency": 5.0, "duration": 20.0,
-        "at": 1.0, "components": (), "file": "", "loop": False, "timeout": 0.2, "rate": 50.0,
-    }  # fmt: skip
-    assert Component(amplitude=1.0, frequency=1.0).phase == 0.0
-
-
-@pytest.mark.parametrize(
-    ("name", "lowest", "highest", "below", "above"),
-    [
-        ("offset", -1000.0, 1000.0, -1000.1, 1000.1),
-        ("amplitude", -1000.0, 1000.0, -1000.1, 1000.1),
-        ("frequency", 1e-6, 200.0, 0.0, 200.1),
-        ("end_frequency", 1e-6, 200.0, 0.0, 200.1),
-        ("duration", 1e-6, 86_400.0, 0.0, 86_401.0),
-        ("at", 0.0, 86_400.0, -1e-6, 86_401.0),
-        ("timeout", 1e-6, 60.0, 0.0, 60.1),
-        ("rate", 1e-6, 10_000.0, 0.0, 10_001.0),
-    ],
-)
-def test_bounds_of_settings(name: str, lowest: float, highest: float, below: float, above: float) -> None:
-    for good in (lowest, highest):
-        assert getattr(msgspec.convert({name: good}, SetPointSettings), name) == good
-    for bad in (below, above):
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.convert({name: bad}, SetPointSettings)
-
-
-def test_bounds_of_a_component() -> None:
-    for phase in (-7.0, 7.0):
-        msgspec.convert({"amplitude": 1.0, "frequency": 1.0, "phase": phase}, Component)
-    for bad in ({"phase": -7.1}, {"phase": 7.1}, {"frequency": 0.0}, {"amplitude": 1001.0}, {"of": 1.0}):
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.convert({"amplitude": 1.0, "frequency": 1.0} | bad, Component)
-    with pytest.raises(msgspec.ValidationError):
-        msgspec.convert({"of": 1.0}, SetPointSettings)
-    settings = SetPointSettings()
-    with pytest.raises(AttributeError):
-        settings.offset = 1.0  # type: ignore[misc]
-    with pytest.raises(TypeError):
-        SetPointSettings("sine")  # type: ignore[misc]
-    with pytest.raises(AttributeError):
-        Component(amplitude=1.0, frequency=1.0).phase = 1.0  # type: ignore[misc]
-    with pytest.raises(TypeError):
-        Component(1.0, frequency=1.0)  # type: ignore[misc]
-
-
 def test_every_waveform_is_what_its_settings_say_at_any_time() -> None:
     times = [0.013 * n for n in range(400)]
+    assert waveform(SetPointSettings(kind="constant", offset=0.4))(3.0) == 0.4
     sine = waveform(SetPointSettings(kind="sine", offset=0.1, amplitude=0.7, frequency=1.3))
     assert [sine(t) for t in times] == pytest.approx([0.1 + 0.7 * math.sin(2.0 * math.pi * 1.3 * t) for t in times])
     both = (Component(amplitude=0.4, frequency=0.9, phase=0.3), Component(amplitude=0.2, frequency=2.1, phase=-1.0))
@@ -310,7 +188,7 @@ def test_every_waveform_is_what_its_settings_say_at_any_time() -> None:
 
 
 def test_a_file_at_its_rows_before_and_after_them(tmp_path: Path) -> None:
-    write(tmp_path / "a.csv", "t,tau_j_des\n2,0.5\n3,0.7\n5,-0.3\n")
+    write(tmp_path / "a.csv", "t,x,tau_j_des\n2,a,0.5\n3,b,0.7\n5,c,-0.3\n")  # other columns are ignored
     once = waveform(SetPointSettings(kind="file", file="a.csv", offset=0.1), tmp_path)
     loop = waveform(SetPointSettings(kind="file", file="a.csv", offset=0.1, loop=True), tmp_path)
     for source in (once, loop):
@@ -322,8 +200,6 @@ def test_a_file_at_its_rows_before_and_after_them(tmp_path: Path) -> None:
 
 def test_a_file_may_say_as_much_as_a_setting(tmp_path: Path) -> None:
     assert read_file(write(tmp_path / "a.csv", "t,tau_j_des\n0,1000\n1,-1000\n")) == ([0.0, 1.0], [1000.0, -1000.0])
-    with pytest.raises(UsageError, match=re.escape("row 2 (line 3): -1000.1 N*m is beyond 1000; give")):
-        read_file(write(tmp_path / "a.csv", "t,tau_j_des\n0,0\n1,-1000.1\n2,1001\n"))
 
 
 def test_a_socket_value_counts_for_its_timeout_to_the_last_bit_and_the_rate_is_its_slope() -> None:
@@ -349,55 +225,33 @@ def test_a_rate_that_is_reached_exactly_is_no_jump() -> None:
         assert [set_point.update(0.125 * n) for n in range(4)] == [way * 0.5, way, way, way]
 
 
-def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() -> None:
-    """The known future covers the longest of delay, lead and horizon.
-
-    The source is a ramp of 1 N*m/s, and the period is an eighth of a second.
-    """
-    for times in ({"delay": 0.5}, {"lead": 0.5}, {"horizon": 0.5}):
-        set_point = SetPoint(SetPointSettings(kind="chirp", offset=0.0, rate=1.0), 0.125, **times)
-        set_point._source = lambda t: t  # type: ignore[assignment]
-        for n in range(1, 20):
-            assert set_point.update(0.125 * n) == pytest.approx(0.125 * n)
-            assert set_point.ahead == pytest.approx(0.125 * n + 0.5)
-            assert set_point.acting == pytest.approx(0.125 * n + times.get("delay", 0.0))
-            assert set_point.rate == pytest.approx(1.0)
-        assert len(set_point._known) == 6
-
-
-def ramp(**times: float) -> SetPoint:
+def ramp(folder: Path, **times: float) -> SetPoint:
     """Return a set-point that is a ramp of 1 N*m/s with a period of an eighth of a second."""
-    source: Source = lambda t: t  # noqa: E731
-    set_point = SetPoint(SetPointSettings(rate=1.0), 0.125, **times)
-    set_point._source = source
-    return set_point
+    write(folder / "ramp.csv", "t,tau_j_des\n0,0\n100,100\n")
+    return SetPoint(SetPointSettings(kind="file", file="ramp.csv", rate=1.0), 0.125, folder, **times)
 
 
-def test_between_two_periods_the_future_is_on_the_line_between() -> None:
-    set_point = ramp(delay=0.125 * 1.25, horizon=0.125 * 2.5)
-    for n in range(1, 5):
-        set_point.update(0.125 * n)
-        assert set_point.acting == pytest.approx(0.125 * (n + 1.25))
-        assert set_point.ahead == pytest.approx(0.125 * (n + 2.5))
+@pytest.mark.parametrize("time", ["delay", "lead", "horizon"])
+def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times(time: str, tmp_path: Path) -> None:
+    set_point = ramp(tmp_path, **{time: 0.5})
+    for n in range(1, 20):
+        assert set_point.update(0.125 * n) == pytest.approx(0.125 * n)
+        assert set_point.ahead == pytest.approx(0.125 * n + 0.5)
+        assert set_point.acting == pytest.approx(0.125 * n + (0.5 if time == "delay" else 0.0))
+        assert set_point.rate == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(("late", "periods"), [(0.45, 1), (0.5, 1), (0.55, 2), (4.3, 5), (5.3, 6), (5.55, 6.55)])
-def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(late: float, periods: float) -> None:
+def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(
+    late: float, periods: float, tmp_path: Path
+) -> None:
     """A cycle gets its own value if it is late by up to half a period, and otherwise the value of the next period.
 
     Lateness beyond the known future restarts the set-point at the current time.
     """
-    set_point = ramp(delay=0.5)
+    set_point = ramp(tmp_path, delay=0.5)
     set_point.update(0.125)
     assert set_point.update(0.125 * (1.0 + late)) == pytest.approx(0.125 * periods)
-
-
-def test_a_reset_says_nothing_of_a_socket() -> None:
-    set_point = SetPoint(SetPointSettings(kind="socket"), PERIOD)
-    set_point.update(1.0)
-    assert set_point.silent
-    set_point.reset()
-    assert not set_point.silent
 
 
 @pytest.mark.parametrize("gap", [1, 2, 5, 6, 7, 20])

@@ -60,19 +60,19 @@ def last(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(strokes))))
 
 
-@pytest.mark.parametrize("true", [0.85, 0.93, 1.04, 1.08])
-@pytest.mark.parametrize("offset", [-0.01, 0.0, 0.01])
+@pytest.mark.parametrize("true", [0.85, 1.08])
+@pytest.mark.parametrize("offset", [-0.01, 0.01])
 def test_a_small_signal_arrives_at_a_locked_joint(true: float, offset: float) -> None:
     """For a small set-point of 0.02 N*m, the correction reduces the error to less than half or below 7 mN*m."""
-    without = last(Rig(true, offset, bandwidth=0.0).run(12.0, 0.02, False))
-    assert last(Rig(true, offset).run(12.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
+    without = last(Rig(true, offset, bandwidth=0.0).run(8.0, 0.02, False))
+    assert last(Rig(true, offset).run(8.0, 0.02, False, noise=0.005)) < 0.5 * max(without, 0.014)
 
 
 @pytest.mark.parametrize("true", [0.8, 1.09])
 @pytest.mark.parametrize("moving", [True, False])
 def test_wrong_friction_is_corrected_on_a_large_signal(true: float, moving: bool) -> None:
-    without = last(Rig(true, bandwidth=0.0).run(12.0, 0.5, moving))
-    assert last(Rig(true).run(12.0, 0.5, moving, noise=0.005)) < 0.4 * without
+    without = last(Rig(true, bandwidth=0.0).run(8.0, 0.5, moving))
+    assert last(Rig(true).run(8.0, 0.5, moving, noise=0.005)) < 0.4 * without
 
 
 def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
@@ -82,35 +82,31 @@ def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
         assert max(rig.raised) == pytest.approx(most * LOOP)
 
 
+def fed(error: float, cycles: int = 1000, feedback: TorqueFeedback | None = None) -> TorqueFeedback:
+    """Return the feedback after cycles in which the sensor of a moving joint shows `error` (N*m)."""
+    found = feedback or TorqueFeedback(3.0, RATIO, PERIOD)
+    for _ in range(cycles):
+        found.update(error, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    return found
+
+
 def test_a_sensor_that_shows_too_much_takes_back_a_part_only() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(20_000):
-        feedback.update(0.05, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert feedback.torque(1.0, LOOP, MORE * LOOP) == pytest.approx(-LESS * LOOP)
+    assert fed(0.05, 20_000).torque(1.0, LOOP, MORE * LOOP) == pytest.approx(-LESS * LOOP)
 
 
 def test_an_error_too_large_for_friction_does_not_count() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-1.0, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert feedback.torque(1.0, LOOP, MORE * LOOP) == 0.0
+    assert fed(-1.0).torque(1.0, LOOP, MORE * LOOP) == 0.0
 
 
 def test_without_its_sensor_the_correction_fades() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-0.05, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    feedback = fed(-0.05)
     before = feedback.torque(1.0, LOOP, MORE * LOOP)
     assert before > 0.02
-    for _ in range(2000):
-        feedback.update(math.nan, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
-    assert abs(feedback.torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
+    assert abs(fed(math.nan, 2000, feedback).torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
 
 
 def test_a_correction_belongs_to_its_direction() -> None:
-    feedback = TorqueFeedback(3.0, RATIO, PERIOD)
-    for _ in range(1000):
-        feedback.update(-0.02, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+    feedback = fed(-0.02)
     assert feedback.torque(1.0, LOOP, MORE * LOOP) > 0.01
     assert feedback.torque(-1.0, LOOP, MORE * LOOP) == 0.0
 

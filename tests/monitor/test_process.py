@@ -43,7 +43,7 @@ def given(output: OutputSettings | None = None, interface: str = "udp_multicast"
 class Bus:
     """The other end of the bus. The test sends the frames of a loop and a drive."""
 
-    def __init__(self, interface: str = "udp_multicast", channel: str = GROUP) -> None:
+    def __init__(self, interface: str, channel: str) -> None:
         self._bus = open_bus(BusSettings(interface=interface, channel=channel))
         self.heard: list[Frame] = []
 
@@ -67,15 +67,21 @@ class Bus:
 
 
 @pytest.fixture
-def bus() -> Iterator[Bus]:
-    made = Bus()
+def place(request: pytest.FixtureRequest) -> tuple[str, str]:
+    """Return interface and channel of the bus."""
+    return getattr(request, "param", ("udp_multicast", GROUP))
+
+
+@pytest.fixture
+def bus(place: tuple[str, str]) -> Iterator[Bus]:
+    made = Bus(*place)
     yield made
     made.close()
 
 
 @pytest.fixture
-def monitor(tmp_path: Path) -> Iterator[MonitorProcess]:
-    made = MonitorProcess(given(OutputSettings(command=("touch", str(tmp_path / "off")))))
+def monitor(place: tuple[str, str], tmp_path: Path) -> Iterator[MonitorProcess]:
+    made = MonitorProcess(given(OutputSettings(command=("touch", str(tmp_path / "off"))), *place))
     yield made
     with contextlib.suppress(ProcessLookupError):
         os.kill(made.pid, signal.SIGCONT)
@@ -86,6 +92,9 @@ def faulty(monitor: MonitorProcess) -> Callable[[], bool]:
     return lambda: monitor.fault(time.monotonic()) is not None
 
 
+@pytest.mark.parametrize(
+    "place", [("udp_multicast", GROUP), ("datagram", f"monitor-{os.getpid()}")], ids=["network", "local"], indirect=True
+)
 def test_a_wrong_command_is_answered_until_the_drive_confirms(
     bus: Bus, monitor: MonitorProcess, tmp_path: Path
 ) -> None:
@@ -100,18 +109,6 @@ def test_a_wrong_command_is_answered_until_the_drive_confirms(
     bus.until(lambda: faulty(monitor)() and monitor.report.confirmed)
     assert bus.heard[0] == STOP
     assert (tmp_path / "off").exists()
-
-
-def test_it_watches_a_bus_of_local_sockets() -> None:
-    place = ("datagram", f"monitor-{os.getpid()}")
-    bus, monitor = Bus(*place), MonitorProcess(given(None, *place))
-    bus.enable()
-    bus.send((RPDO, b"\x0f\x00\x00\x0f"))
-    bus.until(lambda: bus.heard.count(STOP) >= 2 and ASK in bus.heard)
-    bus.send((0x581, bytes.fromhex("4b41600031120000")))
-    bus.until(lambda: faulty(monitor)() and monitor.report.confirmed)
-    monitor.close()
-    bus.close()
 
 
 def test_it_outlives_a_daemon_that_dies_until_the_torque_is_gone(bus: Bus, monitor: MonitorProcess) -> None:

@@ -28,6 +28,7 @@ from tsa_ctrl.monitor.watch import FINDINGS, Frame, Monitor
 
 AT = 1.0  # s, start of the fault
 ONCE = {"last": AT}
+SOUND: Edit = lambda t, frames: frames  # noqa: E731
 
 
 def motion(torque: int | None = None, velocity: float = 1.0) -> Edit:
@@ -95,36 +96,26 @@ def test_a_sound_axis_is_left_alone(sign: int) -> None:
     assert play(Monitor(watched(**digits)), Sound(sign=sign), 5.0) is None
 
 
-@pytest.mark.parametrize("limit", ["over_speed", "motor_over_speed"])
-def test_over_speed_is_found_within_the_window_of_the_positions(limit: str) -> None:
-    stop = play(Monitor(watched(**{limit: 2.5})), Sound(amplitude=0.5), 2.0)
+@pytest.mark.parametrize(
+    ("settings", "sound", "edit", "finding"),
+    [
+        ({"over_speed": 2.5}, {}, SOUND, "joint_speed"),
+        ({"motor_over_speed": 2.5}, {}, SOUND, "motor_speed"),
+        ({"encoder_id": None, "over_speed": 2.5, "velocity_digit": 0.0}, {}, SOUND, "joint_speed"),
+        ({"travel": (-1.5, 0.4)}, {}, SOUND, "travel"),
+        ({"velocity_digit": 0.0}, {"torque": 1.9}, held((POSITION, JOINT), AT, 4), "stuck"),
+        ({}, {"amplitude": 0.0}, held((POSITION, MOTION), AT), "frozen"),
+    ],
+    ids=["joint", "motor", "joint by the motor", "travel", "position stuck without 0x606C", "feedback frozen at rest"],
+)
+def test_what_is_wrong_with_these_limits_is_found(
+    settings: dict[str, object], sound: dict[str, float], edit: Edit, finding: str
+) -> None:
+    stop = play(Monitor(watched(**settings)), Sound(**sound), 2.0, edit)
     assert stop is not None
-    assert stop.id == {"over_speed": "joint_speed", "motor_over_speed": "motor_speed"}[limit]
-
-
-def test_a_joint_without_encoder_is_watched_by_the_motor() -> None:
-    stop = play(Monitor(watched(encoder_id=None, over_speed=2.5, velocity_digit=0.0)), Sound(), 2.0)
-    assert stop is not None
-    assert stop.id == "joint_speed"
-
-
-def test_a_joint_beyond_its_travel_is_found() -> None:
-    stop = play(Monitor(watched(travel=(-1.5, 0.4))), Sound(amplitude=0.5), 2.0)
-    assert stop is not None
-    assert stop.id == "travel"
-    assert stop.detail == "axis 'knee': 0.40 rad, the limits are -1.5 and 0.4 rad"
-
-
-def test_a_position_that_does_not_move_by_one_bit_is_found_without_0x606c() -> None:
-    stop = play(Monitor(watched(velocity_digit=0.0)), Sound(torque=1.9), 2.0, held((POSITION, JOINT), AT, 4))
-    assert stop is not None
-    assert stop.id == "stuck"
-
-
-def test_a_drive_whose_feedback_is_frozen_is_found_at_rest() -> None:
-    stop = play(Monitor(watched()), Sound(amplitude=0.0), 2.0, held((POSITION, MOTION), AT))
-    assert stop is not None
-    assert stop.id == "frozen"
+    assert stop.id == finding
+    if finding == "travel":
+        assert stop.detail == "axis 'knee': 0.40 rad, the limits are -1.5 and 0.4 rad"
 
 
 @pytest.mark.parametrize("trial", [name for name in TRIALS if name != "two SYNCs"])

@@ -15,6 +15,7 @@ import pytest
 from tests.control.sliding import actuator
 from tests.virtual.joints import GAIT, play, play_case, sine
 from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.observer import tendons
 from tsa_ctrl.observer.stretch import (
@@ -73,11 +74,16 @@ def gait(tmp_path_factory: pytest.TempPathFactory) -> Simulation:
     return play_case(tmp_path_factory.mktemp("gait"), "gait", plant=OFF)
 
 
-@pytest.mark.slow
-def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(gait: Simulation) -> None:
-    error, slides, size = errors(gait)
+def assert_known(result: Simulation, by: TendonSheath | None = None, since: float = SETTLED) -> None:
+    """Assert an RMS error of at most 3 % of the torque while sliding, and of at most 8 % over the whole log."""
+    error, slides, size = errors(result, by, since)
     assert rms(error[slides]) <= 0.03 * size
     assert rms(error) <= 0.08 * size
+
+
+@pytest.mark.slow
+def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(gait: Simulation) -> None:
+    assert_known(gait)
 
 
 @pytest.mark.slow
@@ -92,11 +98,7 @@ def test_the_torque_of_a_walk_is_known_though_friction_and_pretension_are_not(ga
     ],
 )
 def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Path, case: str, curvature: str) -> None:
-    """The RMS error is at most 3 % of the torque while sliding, and at most 8 % over the whole log."""
-    result = play_case(tmp_path, case, curvature=curvature, plant=OFF)
-    error, slides, size = errors(result)
-    assert rms(error[slides]) <= 0.03 * size
-    assert rms(error) <= 0.08 * size
+    assert_known(play_case(tmp_path, case, curvature=curvature, plant=OFF))
 
 
 @pytest.mark.slow
@@ -108,9 +110,7 @@ def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
     """
     off = {"perturbation": {**OFF["perturbation"], "axial_stiffness": 0.83}}
     result = play_case(tmp_path, case, plant=off)
-    error, slides, size = errors(result, by=dataclasses.replace(NOMINAL, axial_stiffness_uncertainty=0.25))
-    assert rms(error[slides]) <= 0.03 * size
-    assert rms(error) <= 0.08 * size
+    assert_known(result, by=dataclasses.replace(NOMINAL, axial_stiffness_uncertainty=0.25))
 
 
 # Known limitation: without motor torque the observer learns a wrong stiffness. The error is 5 to 220 % of the torque at
@@ -122,9 +122,9 @@ UNLOADED = "the observer learns from a walk without motor torque"
 @pytest.mark.parametrize(
     ("friction", "rate"),
     [
-        pytest.param(0.8, 250, marks=pytest.mark.xfail(reason=UNLOADED)),
         pytest.param(1.3, 250, marks=pytest.mark.xfail(reason=UNLOADED)),
-        pytest.param(1.3, 1000, marks=pytest.mark.xfail(reason=UNLOADED)),
+        pytest.param(0.8, 250, marks=[pytest.mark.soak, pytest.mark.xfail(reason=UNLOADED)]),
+        pytest.param(1.3, 1000, marks=[pytest.mark.soak, pytest.mark.xfail(reason=UNLOADED)]),
         pytest.param(0.8, 1000, marks=pytest.mark.soak),
         pytest.param(1.08, 250, marks=pytest.mark.soak),
         pytest.param(1.08, 1000, marks=pytest.mark.soak),
@@ -143,9 +143,7 @@ def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, ra
     )
     shutil.copy(SHIPPED / "actuator.toml", tmp_path)
     result = simulate_loop(tmp_path / "controller.toml", tmp_path / "plant.toml", 5.0)
-    error, slides, size = errors(result, since=2.5)  # a friction error of 24 % is learned by the third reversal
-    assert rms(error[slides]) <= 0.03 * size
-    assert rms(error) <= 0.08 * size
+    assert_known(result, since=2.5)  # a friction error of 24 % is learned by the third reversal
     assert not any("differs from the tendons' stretch" in str(event) for event in result.summary.events)
 
 
@@ -199,20 +197,6 @@ def test_a_long_time_without_a_cycle_is_one_without_measurements() -> None:
     assert math.isfinite(seen.torque)
     seen.skip_cycles(round(0.2 * LONGEST_GAP / 1e-3))
     assert math.isnan(seen.torque)
-
-
-@pytest.mark.slow
-def test_the_line_alone_is_far_off_on_a_held_joint(tmp_path: Path) -> None:
-    """On a locked joint, the line without slip fronts has more than three times the error of the observer."""
-    from tsa_ctrl.model.stretch import stretch_line
-
-    result = play_case(tmp_path, "held")
-    line, log, axis = stretch_line(NOMINAL), result.log, result.axes[0]
-    stretch = line.stretch(log["q_m"], log["q_j"])
-    by_line = line.torque(stretch, log["tau_m"])[axis.counted & (log["t"] > SETTLED)]
-    truth = axis.delivered[axis.counted & (log["t"] > SETTLED)]
-    error, _, size = errors(result)
-    assert rms(by_line - truth) > 0.08 * size > 3.0 * rms(error)
 
 
 @pytest.mark.slow
@@ -338,10 +322,7 @@ def test_a_tendon_that_the_filter_leaves_without_tension_is_slack(monkeypatch: p
 
 
 def test_a_model_without_friction_or_pretension_is_refused() -> None:
-    from tsa_ctrl.errors import UsageError
-
-    models: list[TendonSheath] = [actuator().recalibrated(0.0), actuator().recalibrated(pretension=0.0)]
-    for model in models:
+    for model in (actuator().recalibrated(0.0), actuator().recalibrated(pretension=0.0)):
         with pytest.raises(UsageError, match="both must be above 0"):
             StretchObserver(model, 1e-3, COUNTS)
 

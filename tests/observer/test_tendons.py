@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -16,8 +18,6 @@ R_M, R_J, X, TENSION = 0.020, 0.025, 0.26, 45.0
 
 def pair() -> np.ndarray:
     """Return two evenly bent tendons with EA = 60 kN at their pretension."""
-    import dataclasses
-
     chain = pairs_of(dataclasses.replace(actuator(), axial_stiffness=60e3))[0].copy()
     tendons.grip(chain, X)
     return chain

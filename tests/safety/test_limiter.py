@@ -35,41 +35,39 @@ CALM: dict[str, Any] = {
     "omega_j": 0.0,
 }
 LOOSE = LimiterSettings(
-    over_speed=20.0, motor_over_speed=40.0, torque=2.0, rate=1e5, distance=100.0, travel=(-1.0, 1.5)
+    over_speed=20.0,
+    motor_over_speed=40.0,
+    torque=2.0,
+    rate=1e5,
+    distance=100.0,
+    travel=(-1.0, 1.5),
+    travel_margin=0.125,
 )
-
-
-def test_passes_what_breaks_no_limit() -> None:
-    """Inside all limits, the output is exactly the desired torque."""
-    assert Limiter(LOOSE, PERIOD).update(0.3, **CALM) == (0.3, Reason.NONE)
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("wanted", "change", "reason"),
     [
-        ({"enabled": False}, Reason.DISABLED),
-        ({"fresh": False}, Reason.STALE),
-        ({"tau_m": math.nan}, Reason.NOT_FINITE),
-        ({"omega_m": math.inf}, Reason.NOT_FINITE),
-        ({"q_j": math.nan}, Reason.NOT_FINITE),
-        ({"omega_j": -math.inf}, Reason.NOT_FINITE),
-        ({"omega_j": 20.0}, Reason.OVER_SPEED),
-        ({"omega_j": -20.0}, Reason.OVER_SPEED),
-        ({"omega_m": 40.0}, Reason.OVER_SPEED),
-        ({"omega_m": -40.0}, Reason.OVER_SPEED),
+        (1.5, {"enabled": False}, Reason.DISABLED),
+        (1.5, {"fresh": False}, Reason.STALE),
+        (math.nan, {}, Reason.NOT_FINITE),
+        (math.inf, {}, Reason.NOT_FINITE),
+        (-math.inf, {}, Reason.NOT_FINITE),
+        (1.5, {"tau_m": math.nan}, Reason.NOT_FINITE),
+        (1.5, {"omega_m": math.inf}, Reason.NOT_FINITE),
+        (1.5, {"q_j": math.nan}, Reason.NOT_FINITE),
+        (1.5, {"omega_j": -math.inf}, Reason.NOT_FINITE),
+        (1.5, {"omega_j": 20.0}, Reason.OVER_SPEED),
+        (1.5, {"omega_j": -20.0}, Reason.OVER_SPEED),
+        (1.5, {"omega_m": 40.0}, Reason.OVER_SPEED),
+        (1.5, {"omega_m": -40.0}, Reason.OVER_SPEED),
     ],
 )
-def test_fault_gives_zero_in_the_same_cycle(change: dict[str, Any], reason: Reason) -> None:
+def test_fault_gives_zero_in_the_same_cycle(wanted: float, change: dict[str, Any], reason: Reason) -> None:
     """After a fault the torque is exactly 0 at once, and the fault is the reason."""
     limiter = Limiter(LOOSE, PERIOD)
     limiter.update(1.5, **CALM)
-    assert limiter.update(1.5, **{**CALM, **change}) == (0.0, reason)
-
-
-@pytest.mark.parametrize("wanted", [math.nan, math.inf, -math.inf])
-def test_wanted_torque_must_be_finite(wanted: float) -> None:
-    """A torque of the law that is not finite is never sent."""
-    assert Limiter(LOOSE, PERIOD).update(wanted, **CALM) == (0.0, Reason.NOT_FINITE)
+    assert limiter.update(wanted, **{**CALM, **change}) == (0.0, reason)
 
 
 def test_over_speed_latches_until_reset() -> None:
@@ -90,62 +88,63 @@ def test_over_speed_boundary(speed: float) -> None:
     assert not limiter.over_speed
 
 
-@pytest.mark.parametrize(("omega", "share"), [(7.9, 1.0), (8.0, 1.0), (9.0, 0.5), (10.0, 0.0), (15.0, 0.0)])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_driving_torque_fades_towards_joint_speed(omega: float, share: float, sign: float) -> None:
-    """Torque along the motion fades to 0 between 80 % and 100 % of the joint speed limit. Braking torque does not."""
-    driving, _ = Limiter(LOOSE, PERIOD).update(sign, **{**CALM, "omega_j": sign * omega})
-    braking, _ = Limiter(LOOSE, PERIOD).update(sign, **{**CALM, "omega_j": -sign * omega})
-    assert driving == pytest.approx(sign * share)
-    assert braking == sign
-
-
 @pytest.mark.parametrize(
-    ("q", "outward", "share"),
-    [(1.39, 1.0, 1.0), (1.45, 1.0, 0.5), (1.5, 1.0, 0.0), (2.0, 1.0, 0.0), (-0.95, -1.0, 0.5), (-1.2, -1.0, 0.0)],
+    ("wanted", "change", "torque", "reason"),
+    [
+        (0.3, {}, 0.3, Reason.NONE),
+        (0.5, {"omega_j": 8.0}, 0.5, Reason.NONE),  # 80 % of the joint speed is still unlimited
+        (-0.5, {"omega_j": -8.0}, -0.5, Reason.NONE),
+        (1e-3, {"omega_j": math.nextafter(8.0, 10.0)}, 1e-3, Reason.SPEED),  # the size of the power does not matter
+        (1e-3, {"omega_j": 9.0}, 0.5e-3, Reason.SPEED),
+        (1.0, {"omega_j": 10.0}, 0.0, Reason.SPEED),
+        (-1.0, {"omega_j": -15.0}, 0.0, Reason.SPEED),
+        (1.0, {"omega_j": -15.0}, 1.0, Reason.NONE),  # a braking torque
+        (1.0, {"q_j": 1.375}, 1.0, Reason.NONE),  # exactly a margin away from the end
+        (-1.0, {"q_j": -0.875}, -1.0, Reason.NONE),
+        (1.0, {"q_j": 1.4375}, 0.5, Reason.TRAVEL),
+        (-1.0, {"q_j": -0.9375}, -0.5, Reason.TRAVEL),
+        (1.0, {"q_j": 1.5}, 0.0, Reason.TRAVEL),
+        (-1.0, {"q_j": -1.2}, 0.0, Reason.TRAVEL),
+        (1.0, {"q_j": -1.2}, 1.0, Reason.NONE),  # an inward torque
+        (0.0, {"q_j": 1.4375}, 0.0, Reason.NONE),  # no torque does not count as limited
+        (0.0, {"q_j": 3.0, "omega_j": 15.0}, 0.0, Reason.NONE),
+        (0.0, {"tau_m": 500.0}, 0.0, Reason.NONE),
+        (0.0, {"tau_m": -500.0}, 0.0, Reason.NONE),
+        (2.0, {}, 2.0, Reason.NONE),
+        (-2.0, {}, -2.0, Reason.NONE),
+        (2.0000001, {}, 2.0, Reason.ABSOLUTE),
+        (-1e9, {}, -2.0, Reason.ABSOLUTE),
+    ],
 )
-def test_outward_torque_fades_at_the_ends_of_travel(q: float, outward: float, share: float) -> None:
-    """Within the margin, outward torque fades to 0. Beyond the travel it is 0. Inward torque passes."""
-    pushed, _ = Limiter(LOOSE, PERIOD).update(outward, **{**CALM, "q_j": q})
-    back, _ = Limiter(LOOSE, PERIOD).update(-outward, **{**CALM, "q_j": q})
-    assert pushed == pytest.approx(outward * share)
-    assert back == -outward
-
-
-def test_command_stays_near_the_measured_torque() -> None:
-    """The command exceeds the measured torque by at most `distance`."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.5), PERIOD)
-    assert limiter.update(1.5, **{**CALM, "tau_m": 0.2}) == (0.7, Reason.DISTANCE)
-    assert limiter.update(-1.5, **{**CALM, "tau_m": -0.2}) == (-0.7, Reason.DISTANCE)
-
-
-@pytest.mark.parametrize("measured", [5.0, -5.0])
-def test_a_lying_torque_cannot_pull_the_command_along(measured: float) -> None:
-    """A distant measured torque reduces the command at most to 0. It never reverses or increases it."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.5), PERIOD)
-    torque, _ = limiter.update(0.3, **{**CALM, "tau_m": measured})
-    assert torque in (0.0, 0.3)
-
-
-def test_rate_limit() -> None:
-    """A step of the desired torque becomes a ramp of `rate`."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
-    torques = [limiter.update(1.0, **{**CALM, "tau_m": 1.0}) for _ in range(11)]
-    assert [torque for torque, _ in torques[:10]] == pytest.approx([0.1 * n for n in range(1, 11)])
-    assert torques[4][1] is Reason.RATE
-    assert torques[10] == (1.0, Reason.NONE)
+def test_each_limit_begins_at_its_edge(wanted: float, change: dict[str, Any], torque: float, reason: Reason) -> None:
+    assert Limiter(LOOSE, PERIOD).update(wanted, **{**CALM, **change}) == (pytest.approx(torque), reason)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_rate_limit_holds_in_either_direction(sign: float) -> None:
-    """From a torque that was reached, the opposite torque grows from 0 by the same ramp, with the rate as reason."""
+def test_on_the_limit_of_rate_or_distance_nothing_is_limited(sign: float) -> None:
+    """Exactly one step and exactly the distance pass unchanged."""
+    settings = LimiterSettings(torque=2.0, rate=4.0, distance=1.0)
+    assert Limiter(settings, 0.25).update(sign, **CALM) == (sign, Reason.NONE)
+
+
+def ramp(limiter: Limiter, wanted: float, cycles: int) -> list[tuple[float, Reason]]:
+    return [limiter.update(wanted, **CALM) for _ in range(cycles)]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_step_becomes_a_ramp_in_either_direction(sign: float) -> None:
+    """The opposite torque grows from 0 by the same ramp, and so does the torque after a fault or a reset."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
-    for _ in range(10):
-        limiter.update(sign, **CALM)
-    ramp = [limiter.update(-sign, **CALM) for _ in range(11)]
-    assert [torque for torque, _ in ramp] == pytest.approx([-sign * 0.1 * n for n in range(1, 11)] + [-sign])
-    assert {reason for _, reason in ramp[:9]} == {Reason.RATE}
-    assert ramp[10][1] is Reason.NONE
+    for way in (sign, -sign):
+        torques, reasons = zip(*ramp(limiter, way, 11), strict=True)
+        assert torques == pytest.approx([way * 0.1 * n for n in range(1, 11)] + [way])
+        assert set(reasons[:9]) == {Reason.RATE}
+        assert reasons[10] is Reason.NONE
+    limiter.update(-sign, **{**CALM, "fresh": False})
+    assert limiter.update(-sign, **CALM) == (pytest.approx(-0.1 * sign), Reason.RATE)
+    ramp(limiter, -sign, 5)
+    limiter.reset()
+    assert limiter.update(-sign, **CALM) == (pytest.approx(-0.1 * sign), Reason.RATE)
 
 
 @pytest.mark.parametrize(
@@ -153,14 +152,11 @@ def test_rate_limit_holds_in_either_direction(sign: float) -> None:
     [({"q_j": 2.0}, 0.0), ({"omega_j": 10.0}, 0.0), ({"q_j": 1.45}, 0.5), ({"tau_m": -1.7}, 0.3)],
     ids=["beyond the travel", "at the speed limit", "within the travel's margin", "far from the measured torque"],
 )
-@pytest.mark.parametrize("rate", [1.0, 100.0])
-def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(
-    rate: float, change: dict[str, Any], torque: float
-) -> None:
+def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(change: dict[str, Any], torque: float) -> None:
     """After `set rate_limit 1`, outward torque must not persist for seconds beyond the travel."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=2.0, travel=(-1.0, 1.5)), PERIOD)
     limiter.update(1.0, **CALM)
-    limiter.rate = rate
+    limiter.rate = 1.0
     assert limiter.update(1.0, **{**CALM, **change})[0] == pytest.approx(torque)
 
 
@@ -171,29 +167,6 @@ def test_a_torque_falls_as_fast_as_it_is_wanted_to(wanted: float) -> None:
     limiter.update(1.0, **CALM)
     limiter.rate = 0.1
     assert limiter.update(wanted, **CALM) == (wanted, Reason.NONE)
-
-
-@pytest.mark.parametrize(("q_j", "wanted", "torque"), [(1.45, 1.0, 0.5), (-0.95, -1.0, -0.5)])
-def test_outward_torque_fades_before_the_end_of_travel(q_j: float, wanted: float, torque: float) -> None:
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=100.0, travel=(-1.0, 1.5)), PERIOD)
-    assert limiter.update(wanted, **{**CALM, "q_j": q_j}) == (pytest.approx(torque), Reason.TRAVEL)
-    assert limiter.update(-wanted, **{**CALM, "q_j": q_j}) == (-wanted, Reason.NONE)
-    assert limiter.update(0.0, **{**CALM, "q_j": q_j}) == (0.0, Reason.NONE)
-
-
-def test_ramps_from_zero_after_a_fault() -> None:
-    """After a fault the torque starts from 0, not from its previous value."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
-    for _ in range(20):
-        limiter.update(1.0, **CALM)
-    limiter.update(1.0, **{**CALM, "fresh": False})
-    assert limiter.update(1.0, **CALM)[0] == pytest.approx(0.1)
-
-
-@pytest.mark.parametrize("wanted", [2.0000001, 1e9, -2.0000001, -1e9])
-def test_absolute_limit(wanted: float) -> None:
-    """Beyond the absolute limit, the limit itself is sent."""
-    assert Limiter(LOOSE, PERIOD).update(wanted, **CALM) == (math.copysign(2.0, wanted), Reason.ABSOLUTE)
 
 
 def test_lowered_limit_holds_at_once() -> None:
@@ -253,12 +226,10 @@ def test_contradictory_settings_are_refused(settings: dict[str, Any], words: str
         LimiterSettings(torque=1.0, **settings).check_order()
 
 
-@pytest.mark.parametrize("upper", [1.5 + 2.0**-20, 3.0])
-def test_travel_just_wider_than_its_margins_is_taken(upper: float) -> None:
-    """Two margins and a little more leave a range with full torque, at any position of the travel."""
-    settings = LimiterSettings(torque=1.0, travel=(1.0, upper), travel_margin=0.25)
-    middle = {**CALM, "q_j": 0.5 * (1.0 + upper)}
-    assert Limiter(settings, 1.0).update(1.0, **middle) == (1.0, Reason.NONE)
+def test_travel_just_wider_than_its_margins_is_taken() -> None:
+    """Two margins and a little more leave a range with full torque."""
+    settings = LimiterSettings(torque=1.0, travel=(1.0, 1.5 + 2.0**-20), travel_margin=0.25)
+    assert Limiter(settings, 1.0).update(1.0, **{**CALM, "q_j": 1.25}) == (1.0, Reason.NONE)
 
 
 def test_defaults_are_those_of_the_example_file() -> None:
@@ -313,79 +284,12 @@ def test_a_ceiling_is_an_absolute_limit_for_now(sign: float, ceiling: float, mos
 
 def test_reasons_are_the_codes_of_the_log() -> None:
     """Existing logs stay readable."""
-    assert {reason.name: reason.value for reason in Reason} == {
-        "NONE": 0,
-        "DISABLED": 1,
-        "STALE": 2,
-        "NOT_FINITE": 3,
-        "OVER_SPEED": 4,
-        "SPEED": 5,
-        "TRAVEL": 6,
-        "DISTANCE": 7,
-        "RATE": 8,
-        "ABSOLUTE": 9,
-        "OSCILLATION": 10,
-        "DOMAIN": 11,
-        "PASSIVITY": 12,
-        "SENSE": 13,
-        "UNPROVEN": 14,
-    }
-
-
-def test_reset_starts_the_ramp_anew() -> None:
-    """An explicit restart begins at 0, not at the previous command."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
-    for _ in range(5):
-        limiter.update(1.0, **CALM)
-    limiter.reset()
-    assert limiter.update(1.0, **CALM) == (pytest.approx(0.1), Reason.RATE)
-
-
-@pytest.mark.parametrize("omega", [math.nextafter(8.0, 10.0), 9.0])
-def test_small_driving_torque_fades_too(omega: float) -> None:
-    """The fade depends on the sign of the power, not on its size."""
-    torque, reason = Limiter(LOOSE, PERIOD).update(1e-3, **{**CALM, "omega_j": omega})
-    assert (torque, reason) == (pytest.approx(1e-3 * (10.0 - omega) / 2.0), Reason.SPEED)
-
-
-@pytest.mark.parametrize("omega", [8.0, -8.0])
-def test_at_the_onset_of_the_speed_limit_nothing_is_limited(omega: float) -> None:
-    """80 % of the joint speed is still unlimited."""
-    assert Limiter(LOOSE, PERIOD).update(math.copysign(0.5, omega), **{**CALM, "omega_j": omega}) == (
-        math.copysign(0.5, omega),
-        Reason.NONE,
+    names = (
+        "NONE DISABLED STALE NOT_FINITE OVER_SPEED SPEED TRAVEL DISTANCE RATE ABSOLUTE OSCILLATION DOMAIN PASSIVITY "
+        "SENSE UNPROVEN"
     )
-
-
-def test_no_torque_is_no_limit() -> None:
-    """A desired torque of zero at full speed and beyond the travel does not count as limited."""
-    assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "omega_j": 15.0, "q_j": 3.0}) == (0.0, Reason.NONE)
-    for measured in (500.0, -500.0):
-        assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "tau_m": measured}) == (0.0, Reason.NONE)
-
-
-def test_a_margin_away_from_the_end_of_travel_nothing_is_limited() -> None:
-    """The fade begins inside the margin."""
-    settings = LimiterSettings(torque=2.0, rate=1e5, travel=(-1.0, 1.5), travel_margin=0.5)
-    assert Limiter(settings, PERIOD).update(1.0, **{**CALM, "q_j": 1.0}) == (1.0, Reason.NONE)
-    assert Limiter(settings, PERIOD).update(-1.0, **{**CALM, "q_j": -0.5}) == (-1.0, Reason.NONE)
-
-
-def test_small_command_stays_near_a_contrary_torque() -> None:
-    """A command below 1 N*m is limited to its distance like any other."""
-    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.125), PERIOD)
-    assert limiter.update(0.5, **{**CALM, "tau_m": 0.25}) == (0.375, Reason.DISTANCE)
-    assert limiter.update(-0.5, **{**CALM, "tau_m": -0.25}) == (-0.375, Reason.DISTANCE)
-
-
-def test_on_a_limit_nothing_is_limited() -> None:
-    """Exactly one step, exactly the absolute limit and exactly the distance pass unchanged."""
-    settings = LimiterSettings(torque=2.0, rate=4.0, distance=1.0)
-    assert Limiter(settings, 0.25).update(1.0, **CALM) == (1.0, Reason.NONE)
-    assert Limiter(settings, 0.25).update(-1.0, **CALM) == (-1.0, Reason.NONE)
-    quick = LimiterSettings(torque=2.0, rate=1e5)
-    assert Limiter(quick, 0.25).update(2.0, **CALM) == (2.0, Reason.NONE)
-    assert Limiter(quick, 0.25).update(-2.0, **CALM) == (-2.0, Reason.NONE)
+    assert [reason.name for reason in Reason] == names.split()
+    assert [reason.value for reason in Reason] == list(range(15))
 
 
 sizes = st.floats(1e-3, 100.0)
@@ -414,5 +318,5 @@ def test_speed_and_travel_sweep(omega: float, q: float, wanted: float) -> None:
     if wanted * omega > 0.0:
         expected *= min(1.0, max(0.0, (10.0 - abs(omega)) / 2.0))
     room = 1.5 - q if wanted > 0.0 else q + 1.0
-    expected *= min(1.0, max(0.0, room / 0.1))
+    expected *= min(1.0, max(0.0, room / 0.125))
     assert torque == pytest.approx(expected, abs=1e-12)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 import pytest
 
 from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity
-from tsa_ctrl.safety.settings import OscillationSettings, PassivitySettings
 
 PERIOD = 1e-3
 HALF_LOOP = 0.5  # N*m at the joint
@@ -36,7 +34,7 @@ def gait(seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return wanted, np.gradient(wanted, PERIOD), 2.0 * np.cos(phase + 0.4) - 1.5 * np.sin(2.0 * phase)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.85])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.85])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_lost_friction_is_seen_before_the_joint_is_fast(share: float, side: float) -> None:
     """A free joint of 0.02 kg*m^2 keeps `share` of its friction but is fully compensated.
@@ -139,33 +137,18 @@ def test_a_swing_and_what_of_it_is_beyond_the_term_are_forgotten_alike() -> None
     assert later == pytest.approx(given(observer(), np.zeros(400)) + 2e-3 * math.exp(-0.5), abs=0.4e-3)
 
 
-def test_where_it_was_seen_lately_half_is_enough() -> None:
-    """Threshold and uncertainty are halved. The guard sets `wary`."""
-    once = np.zeros(400)
-    wary = observer()
-    wary.wary = True
-    assert 0.3 < given(wary, once) / given(observer(), once) < 0.5  # the predicted energy is the same
-
-
 def test_no_swing_excuses_what_makes_a_joint_fast() -> None:
     """At most J/2 (1 rad/s)^2 of 0.02 kg*m^2 is excused, for any motion of the motor."""
     assert 8e-3 < given(observer(), np.full(400, 5.0)) < 10e-3
 
 
-def test_a_swing_of_long_ago_excuses_nothing() -> None:
-    passivity = observer()
-    passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 4e-3)
-    for _ in range(300):
-        passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 0.0)
-    assert given(passivity, np.zeros(400)) == given(observer(), np.zeros(400))
-
-
 def test_one_wrong_value_is_no_motion() -> None:
-    """A single sensor value is wrong by 3 N*m."""
+    """A single sensor value is wrong by 3 N*m. A second one in a row counts."""
     nothing, speed = np.zeros(100), np.full(100, 2.0)
     glitch = nothing.copy()
     glitch[50] = 3.0
     assert trips(observer(), glitch, nothing, nothing, speed, nothing + HALF_LOOP) == []
+    assert seen(observer(), ONE_WAY, 9.0, 0.0, 0.0, 9.0) == 2
 
 
 def test_what_is_not_known_is_passed_over() -> None:
@@ -303,54 +286,22 @@ def test_a_term_that_brakes_takes_nothing_back_and_friction_does() -> None:
     assert (passivity.energy, passivity.cycles) == (0.0, 0)
 
 
-def test_two_cycles_must_agree() -> None:
-    assert seen(observer(), ONE_WAY, 9.0, 0.0, 0.0, 9.0) == 2
-
-
 def test_no_torque_is_a_million() -> None:
     assert seen(observer(), ONE_WAY, 0.9e6, 0.0, 0.0, HALF_LOOP) < math.inf
     assert seen(observer(), ONE_WAY, 1.1e6, 0.0, 0.0, HALF_LOOP) == math.inf
 
 
-def test_defaults() -> None:
-    """Values that apply if the file has none."""
-    assert msgspec.to_builtins(PassivitySettings()) == {"energy": 3e-3, "buzz": 0.03}
-
-
-@pytest.mark.parametrize("key", ["energy", "buzz"])
-def test_settings_are_bounded_from_both_sides(key: str) -> None:
-    for value in (1e-6, 100.0):
-        assert getattr(msgspec.convert({key: value}, PassivitySettings), key) == value
-    for value in (0.0, -1.0, 100.001):
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.convert({key: value}, PassivitySettings)
-
-
-def test_keys_of_earlier_versions_are_read() -> None:
-    assert msgspec.convert({"speed": 0.5, "duration": 1.0, "share": 0.5}, OscillationSettings) == OscillationSettings()
-    for key, most in (("speed", 100.0), ("duration", 60.0), ("share", 0.99)):
-        assert getattr(msgspec.convert({key: most}, OscillationSettings), key) == most
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.convert({key: 1.02 * most}, OscillationSettings)
-
-
 def test_energy_of_periods_without_a_cycle_counts() -> None:
-    whole, halved = Passivity(1.0, (0.0, 0.0, 0.0), 1e-3), Passivity(1.0, (0.0, 0.0, 0.0), 1e-3)
+    """A cycle without a valid torque takes its periods with it."""
+    whole, halved = (Passivity(1.0, (0.0, 0.0, 0.0), PERIOD) for _ in range(2))
+    halved.pass_over(1000)
+    halved.update(math.nan, 0.0, 0.0, 1.0, 0.3, 0.4)
     for n in range(100):
         whole.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
         if n % 2:
             halved.skip_cycles(1)
             halved.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
     assert halved.energy == pytest.approx(whole.energy, rel=0.03)
-
-
-def test_a_cycle_of_which_nothing_is_known_takes_its_periods_with_it() -> None:
-    whole, holed = Passivity(1.0, (0.0, 0.0, 0.0), 1e-3), Passivity(1.0, (0.0, 0.0, 0.0), 1e-3)
-    holed.skip_cycles(1000)
-    holed.update(math.nan, 0.0, 0.0, 1.0, 0.3, 0.4)
-    for each in (whole, holed):
-        each.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
-    assert holed.energy == pytest.approx(whole.energy)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,9 +29,7 @@ class Motion:
         self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder, GIVE, PERIOD)
         self.time = 0.0
         self.offset = 0.0  # rad of the motor
-        self.stuck: tuple[float, float, float] | None = None
         self.torque: float | None = None  # N*m that the drive reports
-        self.tau_j = NO_SENSOR
 
     def command(self) -> float:
         return 0.6 + 0.4 * math.sin(4.0 * self.time)
@@ -41,9 +38,9 @@ class Motion:
         self.time += PERIOD
         q_j, omega = 0.5 * math.sin(4.0 * self.time), 2.0 * math.cos(4.0 * self.time)
         torque = self.command() if self.torque is None else self.torque
-        feedback = self.stuck or (torque, 1.25 * q_j + self.offset, 1.25 * omega)
+        feedback = torque, 1.25 * q_j + self.offset, 1.25 * omega
         expected = predicted(torque, 1.0), predicted(torque, -1.0)
-        return self.check.update(self.time, self.command(), feedback, q_j, self.tau_j, expected)
+        return self.check.update(self.time, self.command(), feedback, q_j, NO_SENSOR, expected)
 
     def run(self, seconds: float) -> tuple[float, str] | None:
         """Return the time until detection (s) and the text of the finding; None if there is none within `seconds`."""
@@ -64,70 +61,31 @@ def test_agreement_is_no_contradiction() -> None:
     assert Motion().run(5.0) is None
 
 
-def test_frozen_feedback_is_noticed_once_the_command_moved_by_a_twentieth() -> None:
-    motion = Motion()
-    motion.run(1.0)
-    motion.stuck = (motion.command(), 1.25 * 0.5 * math.sin(4.0 * motion.time), 0.2)
-    found = motion.run(1.0)
-    assert found is not None
-    assert "frozen" in found[1]
-    assert 0.03 < found[0] < 0.3
+@pytest.mark.parametrize(("late", "found"), [(0.008, False), (1.0, True)])
+def test_a_step_after_long_rest_is_answered_within_30_ms(late: float, found: bool) -> None:
+    """A drive without noise repeats its values at rest. The time to answer begins with the step.
 
-
-def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
-    assert all(
-        check.update(n * PERIOD, 0.5 + 0.02 * (n % 2), (0.5, 0.0, 0.0), 0.0, NO_SENSOR, (0.0, 0.0)) is None
-        for n in range(2000)
-    )
-
-
-def test_a_step_after_long_rest_may_be_answered_later() -> None:
-    """A drive without noise repeats its values at rest. The time to answer begins with the step."""
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
-    late = 0.008  # s, of a current loop behind a filter
-    for n in range(1000):
+    The current loop behind a filter answers after 8 ms.
+    """
+    check = at_rest()
+    said = {}
+    for n in range(600):
         time = n * PERIOD
-        command = 0.4 if time >= 1.0 else 0.0
-        shown = 0.4 if time >= 1.0 + late else 0.0
-        assert check.update(time, command, (shown, 0.0, 0.0), 0.0, NO_SENSOR, (0.0, 0.0)) is None
+        said[time] = look(check, time, 0.4 if time >= 1.0 else 0.0, 0.4 if time >= 1.0 + late else 0.0)
+    times = [time for time, text in said.items() if text]
+    assert bool(times) is found
+    assert not times or 1.03 <= times[0] < 1.04
 
 
-def test_a_step_that_nothing_answers_is_noticed_within_the_time_of_a_drive() -> None:
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
-    found = next(
-        time
-        for n in range(1000)
-        if (time := n * PERIOD) is not None
-        and check.update(time, 0.4 if time >= 1.0 else 0.0, (0.0, 0.0, 0.0), 0.0, NO_SENSOR, (0.0, 0.0)) is not None
-    )
-    assert 1.03 <= found < 1.04
+@pytest.mark.parametrize(
+    ("wrong", "right", "most", "noticed"),
+    [(0.098, 0.002, 0.11, True), (0.05, 0.05, 0.3, True), (0.01, 0.02, 0.6, True), (0.02, 0.1, 2.4, False)],
+)
+def test_agreement_now_and_then_clears_nothing(wrong: float, right: float, most: float, noticed: bool) -> None:
+    """A drive that does not follow for more than a fifth of the time is detected.
 
-
-@pytest.mark.parametrize(("torque", "noticed"), [(0.0, True), (-1.0, True), (0.55, False)])
-def test_a_torque_that_does_not_follow_is_noticed(torque: float, noticed: bool) -> None:
-    """The bound is a quarter of the limit (0.5 N*m) for 0.1 s. A smaller error is a calibration error."""
-    motion = Motion()
-    motion.torque = torque
-    found = motion.run(2.0)
-    assert (found is not None) is noticed
-    if found is not None:
-        assert found[0] >= 0.1
-        assert "commanded are" in found[1]
-
-
-def test_a_short_torque_error_is_the_current_loop_s_lag() -> None:
-    motion = Motion()
-    for _ in range(20):
-        motion.torque = -1.0
-        assert motion.run(0.02) is None
-        motion.torque = None
-        assert motion.run(0.1) is None
-
-
-@pytest.mark.parametrize(("wrong", "right", "most"), [(0.098, 0.002, 0.11), (0.05, 0.05, 0.3), (0.01, 0.02, 0.6)])
-def test_agreement_now_and_then_clears_nothing(wrong: float, right: float, most: float) -> None:
-    """A drive that does not follow for more than a fifth of the time is detected."""
+    A shorter error is the lag of the current loop.
+    """
     motion = Motion()
     found = None
     while found is None and motion.time < most:
@@ -135,20 +93,8 @@ def test_agreement_now_and_then_clears_nothing(wrong: float, right: float, most:
         found = motion.run(wrong)
         motion.torque = None
         found = found or motion.run(right)
-    assert found is not None
-    assert "commanded are" in found[1]
-
-
-@pytest.mark.parametrize(("offset", "noticed"), [(0.45, False), (0.55, True), (-0.55, True)])
-def test_motor_and_joint_that_move_apart_are_noticed(offset: float, noticed: bool) -> None:
-    motion = Motion()
-    motion.run(0.5)
-    motion.offset = offset
-    found = motion.run(0.5)
     assert (found is not None) is noticed
-    if found is not None:
-        assert found[0] < 0.03
-        assert "moved apart" in found[1]
+    assert found is None or "commanded are" in found[1]
 
 
 def test_where_they_stood_at_the_enable_does_not_matter() -> None:
@@ -167,19 +113,6 @@ def test_without_an_encoder_nothing_moves_apart() -> None:
     assert motion.run(0.5) is None
 
 
-def test_a_reversed_joint_torque_is_noticed_and_the_model_s_is_not() -> None:
-    motion = Motion()
-    for sign, noticed in ((1.0, False), (-1.0, True)):
-        motion.check.reset()
-        found = None
-        for _ in range(1000):
-            sigma = math.copysign(1.0, math.cos(4.0 * (motion.time + PERIOD)))
-            motion.tau_j = predicted(sign * (0.6 + 0.4 * math.sin(4.0 * (motion.time + PERIOD))), sigma)
-            found = found or motion.step()
-        assert (found is not None) is noticed
-        assert found is None or "joint torque sensor" in str(found)
-
-
 @given(st.floats(0.75, 1.25), st.floats(0.75, 1.25))
 def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_share: float) -> None:
     """Friction angle and pretension may both be wrong by a quarter. This is a calibration error, not a fault."""
@@ -188,20 +121,8 @@ def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_sh
     for n in range(200):
         torque = 0.6 + 0.4 * math.sin(0.05 * n)
         tau_j = 0.025 * (torque / 0.020 * math.cosh(x) - 2.0 * t_p * math.sinh(x))
-        assert (
-            check.update(
-                n * PERIOD, torque, (torque, 0.0, 0.0), 0.0, tau_j, (predicted(torque, 1.0), predicted(torque, -1.0))
-            )
-            is None
-        )
-
-
-def test_a_reset_forgets_what_was_pending() -> None:
-    motion = Motion()
-    motion.torque = -1.0
-    assert motion.run(0.09) is None
-    motion.check.reset()
-    assert motion.run(0.09) is None
+        expected = predicted(torque, 1.0), predicted(torque, -1.0)
+        assert check.update(n * PERIOD, torque, (torque, 0.0, 0.0), 0.0, tau_j, expected) is None
 
 
 def at_rest(**settings: float) -> Plausibility:
@@ -227,10 +148,7 @@ def look(
     return "" if wrong is None else str(wrong)
 
 
-@pytest.mark.parametrize(
-    ("settings", "most"),
-    [({}, 0.5), ({"torque": 0.25}, 0.25)],
-)
+@pytest.mark.parametrize(("settings", "most"), [({}, 0.5), ({"torque": 0.25}, 0.25)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_torque_error_is_tolerated_up_to_its_bound_and_for_its_time(
     settings: dict[str, float], most: float, sign: float
@@ -269,14 +187,6 @@ def test_a_command_that_rests_is_no_contradiction_whatever_it_did_before() -> No
     check = at_rest()
     assert [look(check, 0.01 * n, 0.2 * n) for n in range(6)] == [""] * 6
     assert [look(check, 0.05 + 0.01 * n, 1.0) for n in range(50)] == [""] * 50
-
-
-def test_an_enable_does_not_inherit_what_was_frozen() -> None:
-    """The drive at rest still reports the values of the end of the last run."""
-    check = at_rest()
-    assert [look(check, t, 0.0) for t in (0.0, 0.02)] == ["", ""]
-    check.reset()
-    assert [look(check, t, 0.3, 0.0) for t in (5.0, 5.02, 5.04)] == [""] * 3
 
 
 def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
@@ -322,10 +232,7 @@ def tendons(tau_m: float, sigma: float) -> float:
     return RADII[1] * ((t_p + half) * math.exp(-sigma * x) - (t_p - half) * math.exp(sigma * x))
 
 
-@pytest.mark.parametrize(
-    ("settings", "most"),
-    [({}, 0.375), ({"joint_torque": 0.5}, 0.5)],
-)
+@pytest.mark.parametrize(("settings", "most"), [({}, 0.375), ({"joint_torque": 0.5}, 0.5)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("sigma", [-1.0, 0.0, 0.5, 1.0])
 def test_joint_torque_is_believed_up_to_its_bound_and_for_its_time(
@@ -364,8 +271,8 @@ def test_a_large_prediction_may_be_off_by_two_fifths_of_what_it_is_without_frict
                 assert any(wrong) is found
 
 
-def test_each_reset_forgets_slip_and_joint_torque() -> None:
-    """The time of each restarts."""
+def test_each_reset_forgets_what_was_pending() -> None:
+    """The time of each check restarts. After the last reset, the drive at rest still reports its last values."""
     check = at_rest()
     for begin in (0.0, 1.0):
         check.reset()
@@ -375,37 +282,19 @@ def test_each_reset_forgets_slip_and_joint_torque() -> None:
         assert [look(check, begin + t, q_m=q_m) for t, q_m in ((0.01, 0.0), (0.011, 3.0), (0.02, 3.0))] == [""] * 3
         check.reset()
         assert [look(check, begin + t, tau_j=5.0) for t in (0.1, 0.19)] == ["", ""]
-
-
-def test_defaults() -> None:
-    """Values that apply if the file has none."""
-    settings = PlausibilitySettings()
-    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, None)
-
-
-@pytest.mark.parametrize(
-    ("key", "good", "bad"),
-    [
-        ("torque", (1e-6, 10_000.0), (0.0, 10_000.1)),
-        ("joint_torque", (1e-6, 10_000.0), (0.0, 10_000.1)),
-        ("duration", (0.001, 10.0), (0.000999, 10.001)),
-        ("slip", (1e-6, 10_000.0), (0.0, 10_000.1)),
-    ],
-)
-def test_settings_are_bounded_from_both_sides(key: str, good: tuple[float, ...], bad: tuple[float, ...]) -> None:
-    """No numeric value disables any of them."""
-    for value in good:
-        assert getattr(msgspec.convert({key: value}, PlausibilitySettings), key) == value
-    for value in bad:
-        with pytest.raises(msgspec.ValidationError):
-            msgspec.convert({key: value}, PlausibilitySettings)
+        check.reset()
+        assert [look(check, begin + t, 1.0, 0.001 * n) for n, t in enumerate((0.2, 0.24, 0.29))] == [""] * 3
+        check.reset()
+        assert [look(check, begin + t, 1.0, 0.001 * n) for n, t in enumerate((0.3, 0.34, 0.39))] == [""] * 3
+    check.reset()
+    assert [look(check, t, 0.0) for t in (3.0, 3.02)] == ["", ""]
+    check.reset()
+    assert [look(check, t, 0.3, 0.0) for t in (5.0, 5.02, 5.04)] == [""] * 3
 
 
 def test_what_the_torque_does_not_explain_lasts_for_a_millisecond_before_it_counts() -> None:
     period = 5e-4
-    settings = PlausibilitySettings()
-    assert settings.slip is None
-    check = Plausibility(settings, 2.0, 1.0, RADII, True, GIVE, period)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, period)
     times = [n * period for n in range(1, 60)]
     found = [now for now in times if check.update(now, 0.1 + now, (0.1 + now, 3.0 * (now > 0.01), now), now, NO_SENSOR,
                                                   (0.0, 0.0))]  # fmt: skip

@@ -31,18 +31,12 @@ def stop(drive: Responder, timeout: float = 0.05) -> tuple[list[str], Rig, FakeB
 
 
 def test_drive_is_shut_down_disabled_and_left_pre_operational() -> None:
+    """Exactly three commands follow the confirmation, and no torque is ever sent."""
     unconfirmed, _, bus = stop(ObedientDrive())
-    commands = [data for can_id, data in bus.sent if can_id == 0x201]
     assert unconfirmed == []
-    assert commands[0] == b"\x06\x00\x00\x00"
-    assert commands[-3:] == [bytes(4)] * 3
-    commands = [frame for frame in bus.sent if frame[0] == 0x000]
-    assert commands == [(0x000, b"\x80\x01"), (0x000, b"\x80\x20"), (0x000, b"\x80\x40")]
-
-
-def test_no_torque_is_ever_sent() -> None:
-    _, _, bus = stop(ObedientDrive())
-    assert {data[2:] for can_id, data in bus.sent if can_id == 0x201} == {b"\x00\x00"}
+    commands = [data for can_id, data in bus.sent if can_id == 0x201]
+    assert commands == [bytes([word, 0, 0, 0]) for word in (0x06, 0x00, 0x00, 0x00, 0x00)]
+    assert [data for can_id, data in bus.sent if can_id == 0x000] == [b"\x80\x01", b"\x80\x20", b"\x80\x40"]
 
 
 def test_drive_that_does_not_confirm_is_named() -> None:
@@ -68,12 +62,6 @@ def test_failed_bus_ends_it_at_once_with_the_reason() -> None:
 def test_twice_is_as_good_as_once() -> None:
     rig, _, _ = one_axis_rig(ObedientDrive())
     assert shut_down(rig, 0.001) == shut_down(rig, 0.001) == []
-
-
-def test_exactly_three_commands_follow_the_confirmation() -> None:
-    _, _, bus = stop(ObedientDrive())
-    words = [data[0] for can_id, data in bus.sent if can_id == 0x201]
-    assert words == [0x06, 0x00, 0x00, 0x00, 0x00]
 
 
 @pytest.mark.parametrize("statusword", [0x0218, 0x0200, 0x0250])
