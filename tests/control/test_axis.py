@@ -154,7 +154,7 @@ def test_a_set_point_counts_from_when_its_client_wanted_it(axis: ControlAxis, mo
         received.clear()
         axis.connect(iter([(0.2, time), None]).__next__)
         for _ in range(2):
-            axis.listen(12.25, axis.since_enable(12.25))
+            axis.receive_setpoint(12.25, axis.since_enable(12.25))
         assert received == [(0.2, t)]
 
 
@@ -263,10 +263,10 @@ def test_over_speed_and_what_is_not_finite_trip(
     Calls(axis, monkeypatch)
     for other in set(Reason) - {Reason.OVER_SPEED, Reason.NOT_FINITE}:
         axis.terms.reason = other
-        axis.follow(2.0)
+        axis.after_command(2.0)
         assert axis.supervisor.fault is None, other
     axis.terms.reason = reason
-    axis.follow(2.0)
+    axis.after_command(2.0)
     assert axis.supervisor.fault is not None
     assert axis.supervisor.fault.cause is cause
 

@@ -230,7 +230,7 @@ def test_overrun_skips_periods_and_is_counted(build: Build, monkeypatch: pytest.
     """
     machine = build(CONSTANT)
     told: list[int] = []
-    monkeypatch.setattr(machine.axis, "pass_over", told.append)
+    monkeypatch.setattr(machine.axis, "skip_cycles", told.append)
     machine.wake_late(300, 3.2e-3)
     machine.run(seconds=0.5)
     assert (machine.loop.skipped, machine.loop.overruns, machine.loop.late, told) == (3, 1, 1, [3])

@@ -294,7 +294,7 @@ def test_no_torque_is_a_million() -> None:
 def test_energy_of_periods_without_a_cycle_counts() -> None:
     """A cycle without a valid torque takes its periods with it."""
     whole, halved = (Passivity(1.0, (0.0, 0.0, 0.0), PERIOD) for _ in range(2))
-    halved.pass_over(1000)
+    halved.skip_cycles(1000)
     halved.update(math.nan, 0.0, 0.0, 1.0, 0.3, 0.4)
     for n in range(100):
         whole.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)

@@ -44,7 +44,7 @@ def play(
 @pytest.mark.parametrize("wait", [0, 3])
 def test_a_drive_that_hears_all_is_never_accused_however_late_it_shows_them(lag: int, trembles: int, wait: int) -> None:
     """A drive whose SDO server runs in a separate task may report a command that is one or two cycles old."""
-    assert play(Hearing(), itertools.count(), 1, lag, wait, trembles) == 0.0
+    assert play(CommandReadback(), itertools.count(), 1, lag, wait, trembles) == 0.0
 
 
 @pytest.mark.parametrize(("hears", "share"), [(2, 0.0), (3, 0.0), (5, 0.4), (20, 0.85)])
