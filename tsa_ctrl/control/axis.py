@@ -199,6 +199,7 @@ class ControlAxis:
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
         self._has_torque_sensor = has_torque_sensor
+        self._sensor_passes = True
         self._sample = Sample(0.0, 0.0, math.nan, math.nan, math.nan, False)
         self._observed = Observed()
         law.bound = self.compensation_limit.share
@@ -299,6 +300,10 @@ class ControlAxis:
             image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, terms.routed
         )
         proven, law = self.compensation_limit.proven, self.law
+        passes, passed = self.joint_torque.sensor_passes, self._sensor_passes
+        self._sensor_passes = passes
+        if passed and not passes:
+            proven.reset()
         if not image.fresh:
             proven.miss(self._period)
         elif not terms.permitted:
@@ -309,7 +314,7 @@ class ControlAxis:
                 image.omega_m,
                 terms.q_m,
                 terms.q_j,
-                instruments.tau_j,
+                self._sensed,
                 law.velocity,
                 law.reversal.turning,
                 law.half_loop if self._measures_wrap_angle else self._nominal_half_loop,
@@ -322,7 +327,7 @@ class ControlAxis:
         if self._has_torque_sensor:
             # A stop only reduces torque, whatever the tendons still hold. Without compensation, no term reverses.
             counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
-            excess = instruments.tau_j - terms.tau_j_des if counts else math.nan
+            excess = self._sensed - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.reversal.turning)
             law.learn(excess)
         outdated = self._lost_commands.update(now)
@@ -409,11 +414,16 @@ class ControlAxis:
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
 
+    @property
+    def _sensed(self) -> float:
+        """Return the torque of the joint torque sensor, N*m; nan while the tendon elongation contradicts it."""
+        return self.instruments.tau_j if self._sensor_passes else math.nan
+
     def _delivered(self) -> float:
         """Return the joint torque by its sensor, or else by the tendon elongation, N*m; nan while it is unknown."""
         if not self.image.fresh:
             return math.nan
-        if self._has_torque_sensor:
+        if self._has_torque_sensor and self._sensor_passes:
             return self.instruments.tau_j
         stretch = self.joint_torque.stretch
         return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.ESTIMATED else math.nan
@@ -441,7 +451,7 @@ class ControlAxis:
             terms.tau_j_des,
             self.set_point.rate,
             law.compensation,
-            self.instruments.tau_j,
+            self._sensed,
         )
         law.room = limit.room
 

@@ -19,9 +19,10 @@ longer than the joint can move on its momentum. Motion in the direction of the s
 because that torque may have caused it. A changed set-point also fills an empty or partly spent credit once the joint
 rests, because each request has one credit.
 
-Without a sensor at the joint, friction is never proven. A changing set-point then suspends the account, because a
-person requests motion. It also fills a partly spent credit, even on a moving joint: a sine whose peaks look constant
-never empties it.
+Without a sensor at the joint, friction is never proven. A set-point that changes by a share of the friction within a
+second then suspends the account, because a person requests motion. A smaller change does not: noise and the ripple of
+an outer loop would suspend it for ever. The change also fills a partly spent credit, even on a moving joint: a sine
+whose peaks look constant never empties it.
 """
 
 from __future__ import annotations
@@ -159,6 +160,7 @@ RISE = 10.0  # 1/s at which the limit rises; it falls without delay
 RESTED = 0.5  # s of rest after which motion is a new motion: a swinging leg reverses within 0.2 s
 MOVED = 0.1  # rad of joint motion without the term, after a rest, that fill the credit
 REQUEST = 0.2  # of the friction torque: change of the set-point that requests motion of a resting joint again
+REQUESTED = 1.0  # s after such a change, for which motion counts as requested: a slow stroke takes longer than a second
 LASTING = 2.0  # s of motion without the term that fill the credit: friction stops a person's joint in less time
 MOST_FILLS = 16.0  # capacities at most, doubled at each such motion, because a person who continues to walk needs them
 # s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
@@ -172,6 +174,28 @@ MORE_THAN_FILE = 1.02  # of the file's friction torque: beyond rounding
 LEFT = 0.5  # of the desired term; a larger proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque; a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of joint motion that must confirm it, because the start of one stroke is not enough
+
+
+class Requests:
+    """Detect that the set-point asks for motion: it has moved by a least change within the last `REQUESTED` s.
+
+    Both ends of its recent range approach the present value at the rate that forgets the least change in this time.
+    """
+
+    def __init__(self, period: float) -> None:
+        """Prepare the range; `period` in s."""
+        self._forget = period / REQUESTED
+        self.reset()
+
+    def reset(self) -> None:
+        self._low, self._high = math.inf, -math.inf  # N*m, recent range of the set-point
+
+    def update(self, tau_j_des: float, least: float) -> bool:
+        """Return True if motion is requested; `least`: N*m of change that requests it."""
+        step = self._forget * least
+        self._low = min(tau_j_des, max(self._low + step, tau_j_des - 2.0 * least))
+        self._high = max(tau_j_des, min(self._high - step, tau_j_des + 2.0 * least))
+        return self._high - self._low > least
 
 
 class EnergyCredit:
@@ -299,6 +323,7 @@ class CompensationLimit:
         self._untrusted_capacity = capacity if untrusted_capacity is None else untrusted_capacity
         self._trusted = self._confirmed = False
         self.credit = EnergyCredit(self._untrusted_capacity, period)
+        self._requests = Requests(period)
         self.ceiling = bound.seen if proven.usable else bound.unseen
         self._gearing = gearing
         self._period = period
@@ -310,6 +335,7 @@ class CompensationLimit:
     def reset(self) -> None:
         """Restart at an enable; the proven friction is kept."""
         self.credit.reset()
+        self._requests.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
         self._driven, self._driven_for = math.inf, 0.0  # N*m at the motor by the energy guard, its age in s
@@ -366,9 +392,9 @@ class CompensationLimit:
         if self._unread > OUTDATED:
             grown = half_loop > MORE_THAN_FILE * proven.modelled  # an estimator has found that the friction has grown
             high = math.inf if grown else high + AGING * (self._unread - OUTDATED) * half_loop
-        suspended = asked and not proven.usable
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
+        suspended = self._requests.update(tau_j_des, request) and not proven.usable
         unproven = self._gearing * (along - low)
         excess = tau_j - tau_j_des if omega_j >= 0.0 else tau_j_des - tau_j
         if unproven > 0.0 and excess < unproven:  # nan without a sensor
