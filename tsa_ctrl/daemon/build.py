@@ -29,10 +29,11 @@ from tsa_ctrl.control.tension_estimator import TensionEstimator
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.process import LogHeader
+from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
-from tsa_ctrl.model.stretch import compliance_centre
+from tsa_ctrl.model.stretch import compliance_centre, profile_of
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
@@ -226,7 +227,7 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
     return Give(
         stiffness=stiffness,
         wound=wound_by_friction(model) + 2.0 * lost / stiffness,
-        domain=2.0 * model.pretension * model.motor_pulley_radius,
+        domain=taut_torque(model),
         play=play + sum(counts_of(settings, geared)),
         doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
         free=free,
@@ -234,6 +235,20 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
         friction=max(FRICTION, friction),
         inertia=inertia,
     )
+
+
+def taut_torque(model: TendonSheath) -> float:
+    """Return the motor torque up to which both tendons pull in both directions, (3.54), N*m.
+
+    The elongation lowers the pretension of tendons that the joint drives. With all bends at the motor and x = 0.8, one
+    of them is slack at half of 2 T_p r_M.
+    """
+    if "elongation_coupling" not in model.effects:
+        points = [list(point) for point in profile_of(model).points]
+        model = model.with_effects({**model.effects, "elongation_coupling": {"curvature_profile": points}})
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    ends = [transmission.limits(sigma, model.friction_angle, model.pretension) for sigma in (-1.0, 1.0)]
+    return min(abs(end) for pair in ends for end in pair)
 
 
 def shape_known(model: TendonSheath) -> bool:
