@@ -209,7 +209,7 @@ def lines(folder: Path, **changes: Any) -> list[str]:
     ("changes", "words"),
     [
         ({"limits": {"joint_speed": 150.0, "over_speed": 180.0}}, "over_speed 180 rad/s (shipped is 12)"),
-        ({"limits": {"travel": [-9.0, 4.5]}}, "travel 9 rad (shipped is 6.283)"),
+        ({"limits": {"travel": [-9.0, 4.5]}}, "travel 9 rad (shipped is 3.142)"),
         ({"limits": {"torque": 100.0}, "drive": {"max_torque": 100.0}}, "torque 100 N*m (shipped is 40)"),
         ({"drive": {"host_timeout": 10.0}}, "host_timeout 10 s (shipped is 0.1)"),
         ({"torque_sensor": {"heartbeat_timeout": 10.0}}, "[axis.torque_sensor] heartbeat_timeout 10 s"),

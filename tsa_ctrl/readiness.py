@@ -23,14 +23,14 @@ from tsa_ctrl.control.law_design import reversal_speed
 from tsa_ctrl.errors import UsageError, rounded_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import NODES, NodeIdentity
-from tsa_ctrl.safety.bounds import WORN_FACTOR, Loose, Shipped, loose_bounds
+from tsa_ctrl.safety.bounds import SLOWER, WORN_FACTOR, Loose, Shipped, loose_bounds
 from tsa_ctrl.safety.plausibility import DEFAULT_JOINT_TORQUE, DEFAULT_TORQUE
 from tsa_ctrl.safety.use_class import longest_fault, wearer_speeds
 
 RECORD = "verify-safety.toml"  # next to the controller file
 GAIT_SPEED = 7.0  # rad/s, fastest motion of a knee in level walking (400 degrees per second); hip 4, ankle 5
 STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking deliver up to this torque at hip and knee
-FULL_TURN = 2.0 * math.pi  # rad; no human joint rotates that far, so a larger travel is probably in degrees
+HALF_TURN = math.pi  # rad; no human joint rotates that far, so a larger travel is probably in degrees
 # Sections that may change without another `tsa verify-safety`. Its trials run without friction compensation and with
 # their own set-point, log and socket, and their results are valid in both classes of use.
 _FREE = frozenset({"log", "socket", "realtime", "monitor"})
@@ -233,6 +233,7 @@ def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
             "axis.encoder": axis.encoder,
             "axis.torque_sensor": axis.torque_sensor,
             "axis.setpoint": axis.setpoint,
+            "axis.direction": axis.direction,
             "axis.law": axis.law,
             "axis.limits": axis.limits,
             "axis.plausibility": axis.plausibility,
@@ -264,6 +265,8 @@ def _most(bound: Loose) -> str:
     if math.isnan(bound.shipped):
         return "only what follows from the model"
     unit = "" if bound.unit == "1" else f" {bound.unit}"
+    if bound.key in SLOWER:
+        return f"{bound.shipped / WORN_FACTOR:.4g}{unit} at least"
     return f"{WORN_FACTOR * bound.shipped:.4g}{unit} at most"
 
 
@@ -272,7 +275,7 @@ def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonShea
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     shipped = {
         ("axis.limits", "torque"): STRONG_TORQUE / geared,
-        ("axis.limits", "travel"): FULL_TURN,
+        ("axis.limits", "travel"): HALF_TURN,
         ("axis.plausibility", "torque"): DEFAULT_TORQUE * axis.limits.torque,
         ("axis.plausibility", "joint_torque"): DEFAULT_JOINT_TORQUE * axis.limits.torque * geared,
     }

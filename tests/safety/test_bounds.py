@@ -9,8 +9,8 @@ import pytest
 
 from tsa_ctrl.bus.settings import DriveSettings, EncoderSettings, SupervisionSettings, TorqueSensorSettings
 from tsa_ctrl.config import ControllerSection
-from tsa_ctrl.control.settings import LawSettings, SetPointSettings
-from tsa_ctrl.safety.bounds import KEYS, loose_bounds
+from tsa_ctrl.control.settings import DirectionSettings, LawSettings, SetPointSettings
+from tsa_ctrl.safety.bounds import KEYS, SLOWER, loose_bounds
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.settings import PassivitySettings, PlausibilitySettings
 from tsa_ctrl.safety.use_class import SafetySettings
@@ -25,6 +25,7 @@ SECTIONS: dict[str, msgspec.Struct] = {
     "axis.encoder": EncoderSettings(node_id=2),
     "axis.torque_sensor": TorqueSensorSettings(node_id=3),
     "axis.setpoint": SetPointSettings(),
+    "axis.direction": DirectionSettings(),
     "axis.law": LawSettings(),
     "axis.limits": LimiterSettings(torque=1.0),
     "axis.plausibility": PlausibilitySettings(),
@@ -40,7 +41,7 @@ def test_shipped_defaults_are_not_loose() -> None:
 
 @pytest.mark.parametrize(("section", "key"), [(section, key) for section, keys in KEYS.items() for key in keys])
 def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
-    """A larger number or a changed flag is one finding. A smaller number is not."""
+    """A larger number, a slower filter or a changed flag is one finding, and the opposite is none."""
     default = getattr(SECTIONS[section], key)
     if isinstance(default, bool):
         looser: object = not default
@@ -48,13 +49,17 @@ def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
         looser = (-90.0, 90.0)
     elif key == "joint_speed":  # must stay below over_speed
         looser = 1.1 * default
+    elif key in SLOWER:
+        looser = default / 2.5
     else:
         looser = 2.5 * (1 if default is None else default)
     changed = SECTIONS | {section: msgspec.structs.replace(SECTIONS[section], **{key: looser})}
     (found,) = loose_bounds(changed, TORQUE)
     assert (found.section, found.key, found.unfit_to_wear) == (section, key, key != "joint_speed")
     if isinstance(default, float):
-        tighter = SECTIONS | {section: msgspec.structs.replace(SECTIONS[section], **{key: 0.9 * default})}
+        tighter = SECTIONS | {
+            section: msgspec.structs.replace(SECTIONS[section], **{key: (1.1 if key in SLOWER else 0.9) * default})
+        }
         assert not list(loose_bounds(tighter, TORQUE))
 
 

@@ -10,7 +10,8 @@ import msgspec
 
 Shipped = Mapping[tuple[str, str], float]  # by section and key
 
-# Keys by section, each with its unit. A number is looser if it is larger, and a flag (unit "") if it differs.
+# Keys by section, each with its unit. A number is looser if it is larger (if its key is in `SLOWER`: smaller). A flag
+# (unit "") is looser if it differs.
 KEYS: Mapping[str, Mapping[str, str]] = {
     "controller": {"stop_time": "s"},
     "realtime": {"allow_without": ""},
@@ -23,10 +24,17 @@ KEYS: Mapping[str, Mapping[str, str]] = {
         "reset_timeout": "s",
     },
     "safety": {"zero_torque_within": "s"},
-    "axis.drive": {"host_timeout": "s", "rpdo_timeout": "s", "heartbeat_timeout": "s", "require_watchdog": ""},
-    "axis.encoder": {"heartbeat_timeout": "s"},
+    "axis.drive": {
+        "host_timeout": "s",
+        "rpdo_timeout": "s",
+        "heartbeat_timeout": "s",
+        "require_watchdog": "",
+        "velocity_cutoff": "Hz",
+    },
+    "axis.encoder": {"heartbeat_timeout": "s", "velocity_cutoff": "Hz"},
     "axis.torque_sensor": {"heartbeat_timeout": "s"},
     "axis.setpoint": {"timeout": "s", "rate": "N*m/s"},
+    "axis.direction": {"zone": "rad/s"},
     "axis.law": {"compensation": "1"},
     "axis.limits": {
         "torque": "N*m",
@@ -39,6 +47,7 @@ KEYS: Mapping[str, Mapping[str, str]] = {
     "axis.plausibility": {"torque": "N*m", "joint_torque": "N*m", "duration": "s", "slip": "rad"},
     "axis.passivity": {"energy": "J", "buzz": "N*m"},
 }
+SLOWER = {"velocity_cutoff"}  # keys that are looser if they are smaller: a slow filter hides the speed from its limit
 WORN_FACTOR = 2.0  # 1: class "worn" rejects a bound above this multiple of the shipped one
 
 
@@ -54,6 +63,8 @@ class Loose(NamedTuple):
     @property
     def unfit_to_wear(self) -> bool:
         """Return True if class "worn" rejects the value."""
+        if self.key in SLOWER:
+            return not self.value >= self.shipped / WORN_FACTOR
         return not self.value <= WORN_FACTOR * self.shipped or self.unit == ""
 
     def __str__(self) -> str:
@@ -82,6 +93,9 @@ def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped
                 continue
             if unit == "" and value != default:
                 yield Loose(name, key, value, math.nan, unit)
+            elif key in SLOWER and default is not None:
+                if not value >= default * (1.0 - 1e-9):
+                    yield Loose(name, key, value, default, unit)
             elif default is None or not value <= default * (1.0 + 1e-9):
                 yield Loose(name, key, value, math.nan if default is None else default, unit)
 
