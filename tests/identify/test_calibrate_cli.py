@@ -231,3 +231,21 @@ def test_a_refused_calibration_writes_no_file(folder: Path, recorded) -> None:  
     write_csv(folder / "still.csv", {**recorded[1], "omega_j": 0.0 * recorded[1]["omega_j"]})
     assert tsa("still.csv", "--model", "a.toml", "--out", "new.toml") == 2
     assert not (folder / "new.toml").exists()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda log: {**log, "tau_m": np.roll(log["tau_m"], len(log["t"]) // 3)},
+        lambda log: {**log, "omega_j": log["omega_j"] + 0.5},
+        lambda log: {**log, "tau_m": 3.0 * log["tau_m"], "tau_j": 3.0 * log["tau_j"]},
+    ],
+    ids=["torque of another run", "zero of the velocity", "torque in other units"],
+)
+def test_a_model_that_describes_no_friction_is_not_written_unasked(
+    folder: Path, recorded, capsys: pytest.CaptureFixture[str], wrong
+) -> None:  # type: ignore[no-untyped-def]
+    write_csv(folder / "wrong.csv", wrong(recorded[1]))
+    assert tsa("wrong.csv", "--model", "a.toml", "--out", "new.toml") == 2
+    assert "\n" not in capsys.readouterr().err.strip()
+    assert not (folder / "new.toml").exists()

@@ -54,7 +54,9 @@ if TYPE_CHECKING:
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
 @CUTOFF
-@click.option("--yes", is_flag=True, help="Write the result even if it is worse than the nominal model.")
+@click.option(
+    "--yes", is_flag=True, help="Write the result even if it is doubtful, for example worse than the nominal model."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def command(
     logs: tuple[Path, ...],
@@ -110,7 +112,7 @@ def command(
         _show(result, nominal)
     kept = None
     if out is not None:
-        if result.worse and not yes:
+        if result.objection and not yes:
             _ask(result, model, out, as_json)
         kept = outputs.keep(out)
         quantities = {**({} if fit is None else fit.quantities), **result.quantities}
@@ -124,14 +126,11 @@ def command(
 
 
 def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
-    """Raise UsageError unless the user confirms that a worse result is to be written."""
+    """Raise UsageError unless the user confirms that a doubtful result is to be written."""
     asked = sys.stdin.isatty() and sys.stdout.isatty() and not as_json
-    if asked and click.confirm(f"the calibrated model is worse than {model}; write {out}?", default=False):
+    if asked and click.confirm(f"{result.objection}; write {out}?", default=False):
         return
-    raise UsageError(
-        f"{out}: not written: the error while sliding is larger than with {model} ({result.worse}): an effect is "
-        "missing, which tsa diagnose identifies; --yes writes the file anyway"
-    )
+    raise UsageError(f"{out}: not written: {result.objection}; --yes writes the file anyway")
 
 
 def _loaded(model: Path) -> TendonSheath:
@@ -202,7 +201,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
         f"{result.rms_after:.4g} N·m calibrated"
     )
     click.echo(of_the_written_model(result.errors))
-    if result.worse:
+    if result.objection:
         click.echo(
             f"the error while sliding is LARGER than with the nominal model: {result.worse}; tsa diagnose finds the "
             f"cause"

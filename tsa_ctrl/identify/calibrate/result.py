@@ -12,6 +12,7 @@ from tsa_ctrl.display import Displayed, bars
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.steady_sliding import sliding
 from tsa_ctrl.outputs import json_types
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 # Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
 # blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
 BY_CHANCE = 2.0 / 18.0
+UNEXPLAINED = 0.5  # of the model's friction torque: with a larger error while sliding, the model describes no friction
 ROUNDING = 1e-4  # share of the error on the fitted data: smaller differences are rounding
 
 
@@ -80,6 +82,23 @@ class Calibration(Displayed):
         if self.sliding_after > math.sqrt(1.0 + BY_CHANCE) * self.sliding_before:
             found.append(f"{self.sliding_before:.4g} -> {self.sliding_after:.4g} N·m on held-out data")
         return " and ".join(found)
+
+    @property
+    def objection(self) -> str:
+        """Return why the model must not be written unasked, with the remedy; empty if it may be written."""
+        if self.worse:
+            return (
+                f"the error while sliding is larger than with the given model ({self.worse}): an effect is missing, "
+                "which tsa diagnose identifies"
+            )
+        friction = abs(sliding(self.model).half_loop)
+        if self.sliding_written > UNEXPLAINED * friction:
+            return (
+                f"the error while sliding is {self.sliding_written:.3g} N·m, and the model's friction torque is "
+                f"{friction:.3g} N·m; allowed is half of it: check that all columns belong to one run, their units, "
+                "delays and zeros; tsa diagnose compares them"
+            )
+        return ""
 
     @property
     def quantities(self) -> dict[str, Quantity]:
