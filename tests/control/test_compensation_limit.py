@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.compensation_limit import AGING, OUTDATED, Bound, CompensationLimit, EnergyCredit
+from tsa_ctrl.control.compensation_limit import AGING, OUTDATED, Bound, CompensationLimit, EnergyCredit, Requests
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 
 PERIOD = 1e-3
@@ -179,12 +179,12 @@ def test_a_changed_set_point_has_a_credit_of_its_own(way: float) -> None:
 
 
 def test_a_changing_set_point_suspends_the_account_where_nothing_can_be_proven() -> None:
-    blind = limit(Proof(usable=False))
-    move(blind, 10.0, set_point=0.3, rate=1.0)
-    assert blind.share == 0.6
-    seeing = limit(Proof())
-    move(seeing, 10.0, set_point=0.3, rate=1.0)
-    assert seeing.share == 0.0
+    shares = []
+    for chosen in (limit(Proof(usable=False)), limit(Proof())):
+        for n in range(20):  # a set-point that moves by twice the least request every half second
+            move(chosen, 0.5, set_point=0.3 * (-1) ** n, rate=1.0)
+        shares.append(chosen.share)
+    assert shares == [0.6, 0.0]
 
 
 def test_the_peaks_of_a_sine_never_empty_the_credit_of_a_blind_axis() -> None:
@@ -304,3 +304,24 @@ def test_a_confirmed_file_is_doubted_again_after_the_next_bring_up() -> None:
     assert chosen.credit.capacity == 0.4
     chosen.trusted = False
     assert chosen.credit.capacity == 0.1
+
+
+def test_only_a_change_comparable_with_the_friction_requests_motion() -> None:
+    """Noise and a small ripple request none; a sine requests motion at all times, a step for a second."""
+    t = PERIOD * np.arange(6000)
+    rng = np.random.default_rng(5)
+    setpoints = {
+        "noise": 0.002 * rng.standard_normal(len(t)),
+        "ripple": 0.3 + 0.01 * np.sin(30.0 * t),
+        "sine": 0.5 * np.sin(np.pi * t),
+        "step": np.where(t < 2.0, 0.0, 0.3),
+    }
+    asked = {}
+    for name, values in setpoints.items():
+        requests = Requests(PERIOD)
+        asked[name] = np.array([requests.update(value, 0.1) for value in values.tolist()])
+    assert not asked["noise"].any()
+    assert not asked["ripple"].any()
+    assert asked["sine"][500:].all()
+    assert asked["step"].nonzero()[0][0] == 2000
+    assert 0.5 < PERIOD * asked["step"].sum() < 2.5

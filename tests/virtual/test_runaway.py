@@ -144,3 +144,42 @@ def test_what_bounds_the_compensation_is_said_at_the_start(tmp_path: Path) -> No
     assert sum("[axis.oscillation] no longer has an effect" in text for text in texts) == 1
     friction = np.abs(result.log["friction_term"]).max()
     assert friction == pytest.approx(0.718 * 2.0 * 45.0 * 0.020 * 0.26, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["free", "limb"])
+def test_a_reversed_torque_sensor_does_not_prove_friction(tmp_path: Path, load: str) -> None:
+    """The plant has half of the file's friction. With the sensor's word alone, a free joint gets 5 J."""
+    result = play(
+        tmp_path,
+        load,
+        STANDS,
+        4.0,
+        compensation=0.95,
+        axis={"torque_sensor": {"sign": -1}},
+        plant={"perturbation": {"friction_coefficient": 0.5}},
+        faults=[Fault(f"push value={2.0 if load == 'limb' else 0.4} duration=0.1", 1.0)],
+    )
+    truth, axis = result.truth, result.axes[0]
+    last = truth["clock"] - axis.start > 3.5
+    assert added(result) < 0.3
+    assert np.sqrt(np.mean(truth["omega_j"][last] ** 2)) < 0.05
+
+
+@pytest.mark.slow
+def test_the_noise_of_a_setpoint_does_not_sustain_a_motion(tmp_path: Path) -> None:
+    """No sensor at the joint, a third of the friction, and 2 mN·m of noise: 6.6 J while noise counted as a request."""
+    t = np.arange(0.0, 10.0, 1e-3)
+    noise = 2e-3 * np.random.default_rng(3).standard_normal(len(t))
+    np.savetxt(tmp_path / "noise.csv", np.column_stack([t, noise]), delimiter=",", header="t,tau_j_des", comments="")
+    result = play(
+        tmp_path,
+        "free",
+        {"kind": "file", "file": "noise.csv"},
+        6.0,
+        compensation=0.95,
+        axis={"torque_sensor": None, "encoder": None},
+        plant={"perturbation": {"friction_coefficient": 0.3}},
+        faults=[Fault("push value=0.4 duration=0.1", 1.0)],
+    )
+    assert added(result) < 0.1

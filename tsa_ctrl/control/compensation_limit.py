@@ -102,8 +102,8 @@ def bound_of(
         notes.append(
             "no sensor proves the friction of this axis (no joint torque sensor, no usable elongation). At most "
             f"{100.0 * unseen:.0f} % of it is compensated. At a constant set-point the compensation is withdrawn once "
-            "the joint has moved on it. While the set-point changes, nothing bounds the motion of a joint whose "
-            "friction is less"
+            "the joint has moved on it. While the set-point changes by a fifth of the friction within a second, "
+            "nothing bounds the motion of a joint whose friction is less"
         )
     return Bound(seen, unseen, tuple(notes))
 

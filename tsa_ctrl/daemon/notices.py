@@ -158,7 +158,7 @@ class AxisNotices:
         self._events = events
         self._cut = self._repeated = self._missed = self._statusword = 0
         self._slack = self._contradicted = self._less = False
-        self._confirmed = True
+        self._confirmed = self._passes = True
         self._reason = ""
         self._missing: tuple[str, ...] = ()
         self._heard = (0, 0)
@@ -202,6 +202,15 @@ class AxisNotices:
                 t,
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
                 "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
+            )
+        if known.sensor_passes is not self._passes:
+            self._passes = known.sensor_passes
+            self._add(
+                t,
+                "the joint torque sensor proves friction again"
+                if self._passes
+                else "the joint torque sensor does not follow the tendons' elongation and proves no friction; until it "
+                "does, an energy credit limits the compensation: check its cable, sign and gain",
             )
         if known.contradicted is not self._contradicted:
             self._contradicted = known.contradicted

@@ -200,6 +200,8 @@ SHOWN = 0.2
 # 1, of the friction torque, and s over which it is averaged: distance of the sensor from the 95 % band of the
 # elongation above which it is wrong, and below which it is right again
 BEYOND, WITHIN, BEYOND_FOR = 0.1, 0.02, 0.1
+LAGS = 0.05  # s by which a correct sensor may lag: it must contradict the elongation for longer
+AFTER_REVERSAL = 0.1  # s in which the sensor is not compared with the band: twice its lag
 
 
 class SensorCheck:
@@ -220,26 +222,32 @@ class SensorCheck:
         """
         self._least = (EVIDENT * half_loop) ** 2
         self._beyond, self._within = (BEYOND * half_loop, WITHIN * half_loop) if band else (math.inf, math.inf)
+        self._period = period
         self._soon = period / BEYOND_FOR
         self._forget = period / LATELY
         self.reset()
 
     def reset(self) -> None:
         """Forget all measurements."""
-        self._follows, self._outside = True, False
+        self._astray, self._outside = 0.0, False
         self._distance = 0.0  # N*m
+        self._direction, self._since = 0, 0.0  # s since the joint reversed
         self._sensor = self._elongation = math.nan  # N*m, means
         self._square = self._product = 0.0  # (N*m)^2
 
     @property
     def passed(self) -> bool:
         """Return True unless the sensor is wrong."""
-        return self._follows and not self._outside
+        return self._astray < LAGS and not self._outside
 
     def update(self, sensor: float, elongation: float, low: float, high: float, omega_j: float) -> None:
         """Compare the sensor with the torque by the elongation and its 95 % band, N*m; `omega_j` in rad/s."""
-        distance = (low - sensor if omega_j > 0.0 else sensor - high) - SENSOR * abs(sensor)
-        self._distance += self._soon * (max(0.0, distance) - self._distance)
+        direction = 1 if omega_j > 0.0 else -1
+        self._since = self._since + self._period if direction == self._direction else 0.0
+        self._direction = direction
+        if self._since > AFTER_REVERSAL:
+            distance = (low - sensor if omega_j > 0.0 else sensor - high) - SENSOR * abs(sensor)
+            self._distance += self._soon * (max(0.0, distance) - self._distance)
         self._outside = self._distance > (self._within if self._outside else self._beyond)
         if self._sensor != self._sensor:
             self._sensor, self._elongation = sensor, elongation
@@ -250,7 +258,7 @@ class SensorCheck:
         self._square += forget * (by_elongation * by_elongation - self._square)
         self._product += forget * (by_sensor * by_elongation - self._product)
         if self._square > self._least:
-            self._follows = self._product > SHOWN * self._square
+            self._astray = 0.0 if self._product > SHOWN * self._square else self._astray + self._period
 
 
 class Measured(Protocol):
