@@ -23,6 +23,7 @@ CASES = [
     ("Motor Speed (rpm)", "omega_m", "rpm"), ("joint_speed_rad/s", "omega_j", "rad/s"),
     ("hip angular velocity", "omega_j", None), ("knee motor torque", "tau_m", None), ("motor knee angle", "q_m", None),
     ("Torque (motor) [Nm]", "tau_m", "Nm"), ("elbow joint position [deg] filtered", "q_j", "deg"),
+    ("motor_torque_mNm_filtered", "tau_m", "mNm"), ("motor torque actual value", "tau_m", None),
     ("load cell torque [Nm]", "tau_j", "Nm"), ("actuator temperature [°C]", "temperature", "°C"),
     ("bending angle [deg]", "theta", "deg"),
     # German

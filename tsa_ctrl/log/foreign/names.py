@@ -137,7 +137,10 @@ class Name:
         for content, (start, end) in reversed(brackets_in(self.source)):
             if is_known(content) or not any(_kinds(split_words(content))):
                 return (self.source[:start] + self.source[end:]).strip(), content
-        tail = tail_of(self.source)
+        named = self.source.strip()
+        while (last := re.search(r"[ _]([^\W_]+)$", named)) and VOCABULARY.get(last[1].lower()) == NEUTRAL:
+            named = named[: last.start()]  # motor_torque_mNm_filtered
+        tail = tail_of(named)
         if tail is not None and self.source not in COLUMNS:
             bare, unit = tail
             quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)}
