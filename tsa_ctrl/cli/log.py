@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tsa_ctrl.cli.options import Finite
+
 if TYPE_CHECKING:
     from tsa_ctrl.log.foreign.mapping import Imported
 
@@ -137,6 +139,12 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     help="Source of one log column; repeatable, overrides the mapping file.",
 )
 @click.option(
+    "--rate",
+    type=Finite(min=0.0, min_open=True),
+    metavar="HZ",
+    help="Sampling rate of a file without a time column.",
+)
+@click.option(
     "--kind",
     type=click.Choice(["tendon_sheath", "rigid_drive", "geared_drive"]),
     show_default="tendon_sheath with a joint torque, else rigid_drive",
@@ -149,6 +157,7 @@ def import_(
     files: tuple[Path, ...],
     map_file: Path | None,
     given: tuple[str, ...],
+    rate: float | None,
     kind: str | None,
     out: Path,
     yes: bool,
@@ -164,7 +173,7 @@ def import_(
     from tsa_ctrl.cli import log_import
 
     asked = sys.stdin.isatty() and sys.stdout.isatty() and not (yes or as_json or map_file is not None)
-    every, proposals = log_import.understand_all(files, map_file, given, accept=yes or asked)
+    every, proposals = log_import.understand_all(files, map_file, given, accept=yes or asked, rate=rate)
     for done in [] if as_json else every:
         log_import.show(done)
     if proposals and not as_json:

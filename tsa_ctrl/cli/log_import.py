@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,11 @@ from tsa_ctrl.cli.init import SHIPPED
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.mapping import Imported, Mapped
-from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign
+from tsa_ctrl.log.foreign.names import listed
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, is_number, read_foreign, row_clock
 from tsa_ctrl.signals import COLUMNS
+
+MOST_SIGNALS = 100  # different names in a column of signal names
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,13 @@ class Understood:
 
     @property
     def left(self) -> list[str]:
-        """Return the foreign columns that are not mapped."""
+        """Return the foreign columns that are not mapped, or that have no place in the table."""
         taken = {column.source for column in self.mapped}
-        return [name for name in self.table.names if name not in taken]
+        return [name for name in self.table.names if name not in taken] + list(self.table.dropped)
 
 
 def understand_all(
-    paths: Sequence[Path], map_file: Path | None, given: Sequence[str], accept: bool
+    paths: Sequence[Path], map_file: Path | None, given: Sequence[str], accept: bool, rate: float | None = None
 ) -> tuple[list[Understood], list[str]]:
     """Read and map all files; return them with the proposals that were used.
 
@@ -44,7 +47,7 @@ def understand_all(
     """
     done, open_questions, proposals = [], [], []
     for path in paths:
-        found, asked = understand(path, map_file, given)
+        found, asked = understand(path, map_file, given, rate)
         done += [] if found is None else [found]
         fixed = [question for question, proposal in asked if not proposal]
         proposals += [proposal for _, proposal in asked if proposal and proposal not in proposals]
@@ -58,19 +61,41 @@ def understand_all(
 
 
 def understand(
-    path: Path, map_file: Path | None, given: Sequence[str]
+    path: Path, map_file: Path | None, given: Sequence[str], rate: float | None = None
 ) -> tuple[Understood | None, list[tuple[str, str]]]:
-    """Read and map one file; return it and the open questions, each with its proposal or ""."""
+    """Read and map one file.
+
+    Args:
+        path: file of another program.
+        map_file: mapping file, or None.
+        given: columns of the command line.
+        rate: sampling rate in Hz of a file without a time column; None takes the rate of the mapping file.
+
+    Returns:
+        The mapped table, or None if a question has no proposal, and the open questions, each with its proposal or "".
+
+    Raises:
+        UsageError: The file or the mapping is wrong.
+    """
     file = mapping.MapFile() if map_file is None else mapping.load_map(map_file)
     table = read_foreign(path, mapping.full_shape(file))
     shape = mapping.shape_of(file, table.shape)
     if table.shape not in (shape, NO_TEXT):
         table = read_foreign(path, shape)
     said = {**file.column, **dict(mapping.parse_column(text) for text in given)}
+    rate = rate or file.table.rate
+    if rate is not None:
+        table = _with_rate(table, said, rate)
     mapped = mapping.resolve(table, said, str(map_file or "--column"))
     asked: list[tuple[str, str]] = []
-    if map_file is None:
-        for name, settings in mapping.guess(table, said).items():
+    if table.rate is not None:
+        time = mapping.ColumnSettings(source=row_clock(table.rate), unit="s")
+        said["t"] = time
+        mapped += mapping.resolve(table, {"t": time}, "--rate")
+    if not file.column:
+        identified = mapping.identify(table, said)
+        asked += identified.questions
+        for name, settings in identified.columns.items():
             unit = settings.unit
             if not unit:
                 unit = COLUMNS[name].unit
@@ -84,15 +109,17 @@ def understand(
             except UsageError as error:
                 asked.append((str(error), ""))
     answered = {column.name for column in mapped} | {text.partition(":")[0] for text, fix in asked if not fix}
-    names = ", ".join(f"'{name}'" for name in table.names)
+    names = listed(table.names)
     for name in ("t", "tau_m"):
         if name in answered:
             continue
         proposal = mapping.propose(table, name, {column.source for column in mapped})
         remedy = "" if proposal else f"; give --column {name}=NAME|UNIT"
+        remedy += " or --rate HZ" if name == "t" else ""
         asked.append((f"none of the names {names} identifies {name} ({COLUMNS[name].doc}){remedy}", proposal))
         if proposal:
             mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
+    _reject_long_format(table, mapped)
     if any(not proposal for _, proposal in asked):
         return None, asked
     columns = mapping.take(table, mapped)
@@ -103,6 +130,39 @@ def understand(
     if not good.any():
         raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; map fewer columns with --map")
     return Understood(table, mapped, kept, int((~good).sum())), asked
+
+
+def _with_rate(table: ForeignTable, said: Mapping[str, mapping.ColumnSettings], rate: float) -> ForeignTable:
+    """Return the table with a time column from the sampling rate. Raise UsageError if it has a time column."""
+    source = said["t"].source if "t" in said else mapping.identify(table, said).columns.get("t")
+    if source is not None:
+        name = source if isinstance(source, str) else source.source
+        raise UsageError(
+            f"{table.path}: a rate of {rate:g} Hz is given, but the column '{name}' is the time; omit the rate"
+        )
+    return table.with_rate(rate)
+
+
+def _reject_long_format(table: ForeignTable, mapped: Sequence[Mapped]) -> None:
+    """Raise UsageError if each row has one value of one signal, whose name is in a column of texts."""
+    time = next((column for column in mapped if column.name == "t"), None)
+    if time is None or not table.cells or time.source not in table.cells:
+        return
+    stamps = table.cells[time.source]
+    if len(set(stamps)) > 0.75 * len(stamps):
+        return
+    for name, cells in table.cells.items():
+        signals = dict.fromkeys(cells)
+        few = 2 <= len(signals) <= min(MOST_SIGNALS, len(cells) // 2)
+        if (
+            few
+            and not any(is_number(cell) for cell in signals)
+            and len(set(zip(stamps, cells, strict=True))) == len(cells)
+        ):
+            raise UsageError(
+                f"{table.path}: each row has one of the {len(signals)} signals {listed(signals)} of the column "
+                f"'{name}', and the times repeat; pivot the table to one column per signal"
+            )
 
 
 def stems(paths: Sequence[Path]) -> list[str]:
@@ -133,6 +193,8 @@ def show(done: Understood) -> None:
     if shape == NO_TEXT:
         text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
     console.print(text, markup=False, highlight=False)
+    if done.table.note:
+        console.print(f"note: {done.table.note}", markup=False, highlight=False)
     if done.dropped:
         console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps", markup=False)
     if done.table.ignored:
@@ -144,7 +206,10 @@ def show(done: Understood) -> None:
         view.add_row(column.name, escape(column.source), escape(column.unit), f"{column.scale:.6g}", low, high, unit)
     console.print(view)
     if done.left:
-        console.print(f"not imported: {', '.join(done.left)}", markup=False, highlight=False)
+        without = " ".join(f"--column '{proposal}'" for proposal in mapping.without_unit(done.table, done.mapped))
+        if without:
+            console.print(f"note: no unit is stated; in SI units, add {without}", markup=False, highlight=False)
+        console.print(f"not imported: {listed(done.left)}", markup=False, highlight=False)
 
 
 def as_dict(done: Understood, written: Imported) -> dict[str, Any]:

@@ -25,57 +25,10 @@ from tsa_ctrl import outputs, settings
 from tsa_ctrl.display import TIME, axis_label
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
+from tsa_ctrl.log.foreign.names import Name, listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, Shape
+from tsa_ctrl.log.foreign.units import DATE, DEVICE_UNITS, LEVER_ARM, SHIFT, UNITS, needs_scale
 from tsa_ctrl.signals import COLUMNS, INPUTS
-
-DATE = "date"  # the unit of a column of dates and times
-
-# SI per unit, by the unit of our column. Units that depend on the device (A, %, counts) are missing and need `scale`.
-UNITS: dict[str, dict[str, float]] = {
-    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, DATE: 1.0},
-    "N*m": {
-        "N*m": 1.0, "Nm": 1.0, "N·m": 1.0, "N m": 1.0, "N.m": 1.0, "mNm": 1e-3, "mN*m": 1e-3, "mN·m": 1e-3,
-        "Ncm": 1e-2, "N*cm": 1e-2, "Nmm": 1e-3, "N*mm": 1e-3, "kNm": 1e3, "kgcm": 9.80665e-2, "ozin": 7.0615518e-3,
-        "lbin": 0.1129848, "lbft": 1.3558179,
-    },
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180, "grad": math.pi / 180,
-            "rev": 2 * math.pi, "turn": 2 * math.pi, "U": 2 * math.pi},
-    "rad/s": {
-        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "°/s": math.pi / 180, "dps": math.pi / 180,
-        "rpm": math.pi / 30, "1/min": math.pi / 30, "U/min": math.pi / 30, "min^-1": math.pi / 30,
-        "rev/s": 2 * math.pi, "Hz": 2 * math.pi, "mrpm": math.pi / 30e3,
-    },
-    "rad/s^2": {"rad/s^2": 1.0, "rad/s²": 1.0, "deg/s^2": math.pi / 180, "°/s²": math.pi / 180},
-    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216},
-    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0, "°F": 5 / 9, "degF": 5 / 9, "F": 5 / 9},
-}  # fmt: skip
-SHIFT = {"K": -273.15, "°F": -160 / 9, "degF": -160 / 9, "F": -160 / 9}  # degC, added after the scale
-LEVER_ARM = {"N", "N*m"}  # units of quantities between which a lever arm or a pulley radius converts, as scale
-DEVICE_UNITS = {"a": "N*m per A", "ma": "N*m per mA", "%": "SI per %", "permille": "SI per mille",
-                "‰": "SI per mille", "counts": "rad per count", "cnt": "rad per count", "inc": "rad per increment",
-                "v": "SI per V", "mv": "SI per mV", "digits": "SI per digit"}  # fmt: skip
-
-# Words in foreign names, German and English, as written by drives, bridges and lab tools. A name must contain a word of
-# every group.
-_MOTOR = ("motor", "drive", "antrieb", "driver", "mot", "_m", "input", "actuator")
-_JOINT = ("joint", "gelenk", "load", "output", "abtrieb", "jaw", "last", "_j", "knee", "knie", "elbow")
-_TORQUE = ("torque", "drehmoment", "moment", "tau", "trq", "mom")
-_CURRENT = ("current", "strom", "iq", "i_q")
-_ANGLE = ("angle", "winkel", "position", "pos", "theta", "phi", "q_", "lage")
-_SPEED = ("velocity", "speed", "geschwindigkeit", "drehzahl", "omega", "vel", "rpm", "qd", "dq")
-WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "t": (("time", "zeit", "timestamp", "t_s", "clock"),),
-    "tau_j_des": (_TORQUE, ("desired", "setpoint", "set-point", "soll", "reference", "target", "wanted", "ref")),
-    "tau_m": ((*_TORQUE, *_CURRENT), _MOTOR),
-    "tau_j": (_TORQUE, _JOINT),
-    "q_m": (_ANGLE, _MOTOR),
-    "q_j": (_ANGLE, _JOINT),
-    "omega_m": (_SPEED, _MOTOR),
-    "omega_j": (_SPEED, _JOINT),
-    "temperature": (("temperature", "temperatur", "temp"),),
-    "theta": (("bending", "biegung", "biegewinkel", "sheath"),),
-}
-
 
 Separator = Annotated[str, Meta(pattern=r'^[^"\r\n]?\Z', description='one character, or " " for any white space')]
 
@@ -87,6 +40,7 @@ class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     separator: Separator | None = None
     decimal: str | None = None  # "." or ","
     header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
+    rate: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None  # Hz, for a table without a time column
 
 
 class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, rename={"source": "from"}):
@@ -184,36 +138,126 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
     return found
 
 
+@dataclass(frozen=True)
+class Identified:
+    """The columns that the names of a table determine, and the open questions, each with its proposal or ""."""
+
+    columns: dict[str, ColumnSettings]
+    questions: list[tuple[str, str]]
+
+
 def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
     """Return the columns that their names determine, except those in `taken`. The unit is "" if the file has none."""
+    return identify(table, taken).columns
+
+
+def identify(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> Identified:
+    """Determine the columns from their names, except those in `taken`.
+
+    If several names fit one column, a canonical name wins, then a unit that converts without a scale, then the name
+    with the fewest unknown words. If names are still equal, or if a name fits several columns, a question is open.
+
+    Args:
+        table: foreign table.
+        taken: columns that the user has mapped.
+
+    Returns:
+        Columns, with the unit "" if the file has none, and questions. The first name of a question is proposed.
+    """
     used = {settings.source for settings in taken.values()}
-    found: dict[str, ColumnSettings] = {}
+    fitting: dict[str, list[Name]] = {}
+    unclear: dict[tuple[str, ...], list[Name]] = {}
     for source in table.names:
-        if source in used:
+        name = Name(source)
+        if source in used or not name.columns:
             continue
-        name = _name_of(source)
-        if name is None or name in taken or name in found:
+        if len(name.columns) > 1:
+            unclear.setdefault(tuple(sorted(name.columns, key=list(COLUMNS).index)), []).append(name)
             continue
-        unit = DATE if name == "t" and table.is_date(source) else unit_in(source, table, name)
-        if name in ("t", "tau_m") or unit is not None:
-            found[name] = ColumnSettings(source=source, unit=unit or "")
-    return found
+        (column,) = name.columns
+        if column not in taken and (column in ("t", "tau_m") or _unit(name, table, column) is not None):
+            fitting.setdefault(column, []).append(name)
+    found: dict[str, ColumnSettings] = {}
+    questions: list[tuple[str, str]] = []
+    for column, names in fitting.items():
+        best = _best(names, table, column)
+        unit = _unit(best[0], table, column) or ""
+        found[column] = ColumnSettings(source=best[0].source, unit=unit)
+        if len(best) > 1:
+            questions.append((f"{column} may be {listed([n.source for n in best])}", _proposal(column, best[0], unit)))
+    for columns, names in unclear.items():
+        column = next((c for c in columns if c not in taken and c not in found), "")
+        if column:
+            unit = _unit(names[0], table, column) or ""
+            found[column] = ColumnSettings(source=names[0].source, unit=unit)
+            question = f"{listed([n.source for n in names])} may be {' or '.join(columns)}"
+            questions.append((question, _proposal(column, names[0], unit)))
+    return Identified(found, questions)
+
+
+def without_unit(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
+    """Return a proposal for each column that a name identifies, but that is not imported because no unit is stated."""
+    have, used = {column.name for column in mapped}, {column.source for column in mapped}
+    found: dict[str, str] = {}
+    for source in table.names:
+        name = Name(source)
+        if source in used or len(name.columns) != 1 or name.columns & have or name.unit is not None:
+            continue
+        (column,) = name.columns
+        found.setdefault(column, f"{column}={source}|{COLUMNS[column].unit}")
+    return list(found.values())
+
+
+def _unit(name: Name, table: ForeignTable, column: str) -> str | None:
+    return DATE if column == "t" and table.is_date(name.source) else name.unit
+
+
+def _best(names: list[Name], table: ForeignTable, column: str) -> list[Name]:
+    """Return the names that fit a column best; several if they are equal."""
+
+    def rank(name: Name) -> tuple[bool, int, int]:
+        unit = _unit(name, table, column)
+        cost = 1 if unit is None else 2 * needs_scale(unit, COLUMNS[column].unit)
+        return name.canonical != column, cost, name.unknown
+
+    best = min(rank(name) for name in names)
+    return [name for name in names if rank(name) == best]
+
+
+def _proposal(column: str, name: Name, unit: str) -> str:
+    """Return a proposal in the form of --column, or "" if its unit needs a scale."""
+    si = COLUMNS[column].unit
+    return "" if unit and needs_scale(unit, si) else f"{column}={name.source}|{unit or si}"
 
 
 def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
     """Return the proposal for a column that no name determines, in the form of --column.
 
-    Time is the first column that increases in every row. The torque is the first remaining column. Both are in SI.
+    Time is the first column that increases in every row and is no row number. The torque is the first remaining column
+    whose name and unit do not contradict it. A column without a unit is in SI.
     """
-    free = [name for name in table.names if name not in used]
-    for name in free:
+    si = COLUMNS[missing].unit
+    for source in table.names:
+        name = Name(source)
+        unit = name.unit or si
+        if source in used or not name.may_be(missing) or needs_scale(unit, si):
+            continue
+        if missing == "t" and table.is_date(source):
+            return f"{missing}={source}|{DATE}"
         try:
-            values = table.numbers(name)
+            values = table.numbers(source)
         except UsageError:
             continue
-        if np.isfinite(values).any() and (missing != "t" or bool(np.all(np.diff(values[np.isfinite(values)]) > 0))):
-            return f"{missing}={name}|{COLUMNS[missing].unit}"
+        finite = values[np.isfinite(values)]
+        if finite.size and (missing != "t" or _is_clock(finite, stated=name.unit is not None)):
+            return f"{missing}={source}|{unit}"
     return ""
+
+
+def _is_clock(values: NDArray[np.float64], stated: bool) -> bool:
+    """Return True if values increase in every row and, without a stated unit, do not count the rows."""
+    steps = np.diff(values)
+    return bool(np.all(steps > 0)) and (stated or not steps.size or bool(np.any(steps != 1.0)))
 
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
@@ -221,18 +265,7 @@ def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
 
     A canonical name has its canonical unit.
     """
-    if source in COLUMNS:
-        return COLUMNS[source].unit
-    found = re.search(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$", source)
-    if found:
-        return found[1]
-    if name == "t" and table.is_date(source):
-        return DATE
-    tail = re.search(r"[ _/]([^ _]+)$", source)
-    known = UNITS.get(COLUMNS[name].unit, {})
-    if tail and (tail[1] in known or tail[1].lower() in DEVICE_UNITS):
-        return tail[1]
-    return None
+    return _unit(Name(source), table, name)
 
 
 def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
@@ -246,10 +279,16 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     shape = tomlkit.table()
     for key in ("encoding", "separator", "decimal", "header"):
         shape[key] = getattr(table.shape, key)
-    if table.shape != NO_TEXT:
+    if table.shape == NO_TEXT:
+        shape = tomlkit.table()
+    if table.rate is not None:
+        shape["rate"] = table.rate
+    if shape:
         document["table"] = shape
     columns = tomlkit.table(is_super_table=True)
     for column in mapped:
+        if table.rate is not None and column.name == "t":
+            continue
         entry = tomlkit.table()
         entry["from"], entry["unit"] = column.source, column.unit
         if column.unit != DATE and UNITS.get(COLUMNS[column.name].unit, {}).get(column.unit) != column.scale:
@@ -262,24 +301,11 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     return str(tomlkit.dumps(document))
 
 
-def _name_of(source: str) -> str | None:
-    bare = re.sub(r"[\[(<{].*$", "", source).strip()
-    if bare in COLUMNS:
-        return bare
-    low = f" {bare.lower()} "
-    if low.strip() in ("t", "s", "sec", "seconds"):
-        return "t"
-    for name, groups in WORDS.items():
-        if all(any(word in low for word in group) for group in groups):
-            return name
-    return None
-
-
 def _source(table: ForeignTable, wanted: str, where: str) -> str:
     if wanted in table.names:
         return wanted
     near = difflib.get_close_matches(wanted, table.names, n=1)
-    advice = f"did you mean '{near[0]}'?" if near else f"its columns are {', '.join(repr(n) for n in table.names)}"
+    advice = f"did you mean '{near[0]}'?" if near else f"its columns are {listed(table.names)}"
     raise UsageError(f"{where}: {table.path} has no column '{wanted}'; {advice}")
 
 

@@ -1,0 +1,222 @@
+"""Import files with several clocks, without a clock, with dates, with footers or with several sheets."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsa_ctrl.cli import log_import, main
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign.text import read_foreign
+from tsa_ctrl.log.table import read_table
+
+N = 400
+T = np.arange(N) * 0.01
+MOTOR, JOINT = np.sin(3.0 * T), 0.5 * np.cos(2.0 * T)
+Numbers = NDArray[np.float64]
+
+
+def run(*line: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["log", "import", *line])
+    return int(ended.value.code or 0)
+
+
+def imported(path: Path, *, yes: bool = False, rate: float | None = None) -> log_import.Understood:
+    done, _ = log_import.understand_all([path], None, (), yes, rate)
+    return done[0]
+
+
+def h5(path: Path, groups: dict[str, dict[str, Numbers]]) -> Path:
+    with importlib.import_module("h5py").File(path, "w") as file:
+        for group, columns in groups.items():
+            for name, values in columns.items():
+                file[f"{group}/{name}"] = values
+                if "torque" in name:
+                    file[f"{group}/{name}"].attrs["unit"] = "Nm"
+    return path
+
+
+def mat(path: Path, content: dict[str, Any]) -> Path:
+    scipy_io: Any = importlib.import_module("scipy.io")
+    scipy_io.savemat(path, content)
+    return path
+
+
+def workbook(path: Path, sheets: dict[str, list[tuple[Any, ...]]]) -> Path:
+    book = importlib.import_module("openpyxl").Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    book.save(path)
+    return path
+
+
+@pytest.mark.parametrize(("step", "start", "shift"), [(1, 0, 0.003), (2, 0, 0.0), (2, 0, 0.0007), (1, 50, 0.0)])
+@pytest.mark.parametrize("kind", ["h5", "mat"])
+def test_groups_with_their_own_time_are_interpolated_on_one_clock(
+    kind: str, step: int, start: int, shift: float, tmp_path: Path
+) -> None:
+    """The second group has another rate, another offset, or another start with the same number of rows."""
+    first, second = slice(0, N - start), slice(start, None, step)
+    time, torque = T[second] + shift, JOINT[second]
+    if kind == "h5":
+        groups = {
+            "run/drive": {"time_s": T[first], "motor_torque": MOTOR[first]},
+            "run/sensor": {"time_s": time, "joint_torque": torque},
+        }
+        path = h5(tmp_path / "x.h5", groups)
+    else:
+        path = mat(tmp_path / "x.mat", {"t": T[first], "tau_m": MOTOR[first], "sens": {"t": time, "tau_j": torque}})
+    columns = imported(path).columns
+    t = columns["t"]
+    np.testing.assert_allclose(columns["tau_j"], np.interp(t, time, torque), atol=1e-9)
+    np.testing.assert_allclose(columns["tau_m"], np.interp(t, T, MOTOR), atol=1e-9)
+    assert t[0] >= time[0]
+    assert t[-1] <= time[-1] + 1e-9
+
+
+def test_groups_with_equal_clocks_are_not_interpolated(tmp_path: Path) -> None:
+    groups = {
+        "drive": {"time_ms": 1e3 * T, "motor_torque": MOTOR},
+        "sensor": {"time_s": T, "joint_torque": JOINT},
+    }
+    done = imported(h5(tmp_path / "x.h5", groups))
+    assert {column.name: column.source for column in done.mapped}["t"] == "drive/time_ms"
+    np.testing.assert_array_equal(done.columns["tau_j"], JOINT)
+
+
+def test_a_structure_for_each_signal_has_one_clock(tmp_path: Path) -> None:
+    signals = {"tau_m": {"time": T, "data": MOTOR}, "tau_j": {"time": T, "data": JOINT}}
+    done = imported(mat(tmp_path / "x.mat", {"out": signals}), yes=True)
+    np.testing.assert_array_equal(done.columns["tau_j"], JOINT)
+
+
+def test_a_column_without_a_time_belongs_to_the_only_clock_of_its_length(tmp_path: Path) -> None:
+    content = {
+        "fast": {"t": T, "tau_m": MOTOR},
+        "slow": {"t": T[::2], "q_j": JOINT[::2]},
+        "tau_j": JOINT[::2],
+        "gains": np.arange(7.0),
+    }
+    done = imported(mat(tmp_path / "x.mat", content))
+    np.testing.assert_allclose(done.columns["tau_j"], done.columns["q_j"])
+    assert done.left == ["gains"]
+
+
+def test_a_column_that_fits_two_clocks_is_not_imported(tmp_path: Path) -> None:
+    content = {"a": {"t": T, "tau_m": MOTOR}, "b": {"t": T + 0.05, "q_j": JOINT}, "tau_j": JOINT}
+    done = imported(mat(tmp_path / "x.mat", content))
+    assert set(done.columns) == {"t", "tau_m", "q_j"}
+    assert done.left == ["tau_j"]
+
+
+def test_dropped_columns_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.savez(tmp_path / "x.npz", t=T, tau_m=MOTOR, tau_j=JOINT[:-1], gains=np.arange(3.0))
+    assert run(str(tmp_path / "x.npz"), "--out", str(tmp_path / "out")) == 0
+    assert "not imported: 'tau_j', 'gains'" in capsys.readouterr().out
+    assert run(str(tmp_path / "x.npz"), "--out", str(tmp_path / "out"), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["not_taken"] == ["tau_j", "gains"]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "seconds"),
+    [
+        (["01.05.2024 09:59:50", "01.05.2024 09:59:50.5", "1.5.2024 10:00:00"], [0.0, 0.5, 10.0]),
+        (["31.12.2024 23:59:59,5", "01.01.2025 00:00:00"], [0.0, 0.5]),
+        (["23:59:59", "23:59:59.5", "00:00:00.25", "00:00:01"], [0.0, 0.5, 1.25, 2.0]),
+        (["9:05:01.5", "9:05:02"], [0.0, 0.5]),
+    ],
+)
+def test_dates_and_times_of_day_become_seconds(stamps: list[str], seconds: list[float], tmp_path: Path) -> None:
+    rows = "".join(f"{stamp};{i}\n" for i, stamp in enumerate(stamps))
+    (tmp_path / "x.csv").write_text(f"Zeit;motor torque [Nm]\n{rows}")
+    done = imported(tmp_path / "x.csv")
+    assert done.mapped[0].unit == "date"
+    np.testing.assert_allclose(done.columns["t"], seconds, atol=1e-6)
+
+
+def test_an_impossible_time_of_day_is_reported_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("Zeit;tau_m\n10:00:00;1\n10:61:00;2\n")
+    with pytest.raises(UsageError, match="line 3: '10:61:00' is not a date and time like"):
+        imported(tmp_path / "x.csv")
+
+
+def test_a_footer_is_ignored_and_counted(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t;tau_m\n0;1\n1;2\n2;3\nEnd of recording\nMean;0.2\nMax;0.4\n")
+    done = imported(tmp_path / "x.csv")
+    assert done.table.ignored == 3
+    np.testing.assert_array_equal(done.columns["tau_m"], [1.0, 2.0, 3.0])
+
+
+def test_many_texts_at_the_end_are_reported_instead_of_ignored(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t;tau_m\n0;1\n1;2\n" + "overload;3\n" * 11)
+    with pytest.raises(UsageError, match="line 4: 'overload' is not a number"):
+        imported(tmp_path / "x.csv")
+
+
+def test_a_rate_replaces_a_missing_time_and_is_kept_in_the_mapping(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.savez(tmp_path / "x.npz", tau_m=MOTOR, tau_j=JOINT)
+    line = (str(tmp_path / "x.npz"), "--out", str(tmp_path / "a"))
+    assert run(*line) == 2
+    assert "or --rate HZ" in capsys.readouterr().err
+    assert run(*line, "--rate", "100") == 0
+    found = read_table(tmp_path / "a/x.csv").columns
+    np.testing.assert_allclose(found["t"], T, atol=1e-12)
+    again = ("--map", str(tmp_path / "a/x-map.toml"), "--out", str(tmp_path / "b"))
+    assert run(str(tmp_path / "x.npz"), *again) == 0
+    assert (tmp_path / "a/x.csv").read_bytes() == (tmp_path / "b/x.csv").read_bytes()
+
+
+def test_a_rate_is_rejected_next_to_a_time_column(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("Zeit [s];tau_m\n0;1\n1;2\n")
+    with pytest.raises(UsageError, match=r"rate of 100 Hz is given, but the column 'Zeit \[s\]' is the time"):
+        imported(tmp_path / "x.csv", rate=100.0)
+
+
+def test_a_mapping_with_a_table_only_leaves_the_names_in_use(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("Zeit [s];motor torque [Nm]\n0,5;1\n1,5;2\n")
+    (tmp_path / "map.toml").write_text('[table]\ndecimal = ","\n')
+    done, _ = log_import.understand_all([tmp_path / "x.csv"], tmp_path / "map.toml", (), False)
+    np.testing.assert_array_equal(done[0].columns["tau_m"], [1.0, 2.0])
+
+
+def test_the_first_sheet_with_a_table_is_read_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [("Messung 7",), (), ("Zeit", "Motormoment"), ("s", "mNm"), *zip(T.tolist(), MOTOR.tolist(), strict=True)]
+    path = workbook(tmp_path / "x.xlsx", {"Notes": [("Hello",)], "Data": rows})
+    assert run(str(path), "--out", str(tmp_path / "out")) == 0
+    assert "the table is sheet 'Data'; no table of numbers in 'Notes'" in capsys.readouterr().out
+    np.testing.assert_allclose(read_table(tmp_path / "out/x.csv").columns["tau_m"], 1e-3 * MOTOR)
+
+
+def test_one_row_per_signal_is_rejected_with_the_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{t},{name},{t}\n" for t in T.tolist() for name in ("tau_m", "tau_j"))
+    (tmp_path / "x.csv").write_text(f"time,signal,value\n{rows}")
+    assert run(str(tmp_path / "x.csv"), "--out", str(tmp_path / "out"), "--yes") == 2
+    said = capsys.readouterr().err
+    assert "pivot the table to one column per signal" in said
+    assert said.count("\n") == 1
+
+
+def test_a_message_lists_at_most_twelve_names(tmp_path: Path) -> None:
+    rows = [",".join([name, *(f"{value:.3f}" for value in values)]) for name, values in (("t", T), ("tau_m", MOTOR))]
+    (tmp_path / "x.csv").write_text("\n".join(rows))
+    with pytest.raises(UsageError, match=f"'column 12' and {N + 1 - 12} more") as error:
+        imported(tmp_path / "x.csv")
+    assert len(str(error.value)) < 1500
+
+
+def test_names_of_equal_length_and_no_time_stay_together(tmp_path: Path) -> None:
+    np.savez(tmp_path / "x.npz", a=T, b=MOTOR, c=np.arange(5.0))
+    table = read_foreign(tmp_path / "x.npz")
+    assert (table.names, table.dropped) == (("a", "b"), ("c",))

@@ -1,0 +1,146 @@
+"""Names of other programs determine the column by their words, and never by accident."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tsa_ctrl.log.foreign import mapping
+from tsa_ctrl.log.foreign.names import Name, split_words
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable
+
+CASES = [
+    # canonical names
+    ("t", "t", "s"), ("tau_m", "tau_m", "N*m"), ("tau_j_des", "tau_j_des", "N*m"), ("theta", "theta", "rad"),
+    ("tau_m [mNm]", "tau_m", "mNm"), ("sens.tau_j", "tau_j", "N*m"), ("out.tau_m.data", "tau_m", "N*m"),
+    # English
+    ("joint_torque_measured [Nm]", "tau_j", "Nm"), ("motor_torque_measured [Nm]", "tau_m", "Nm"),
+    ("knee_torque_mNm", "tau_j", "mNm"), ("knee_angle_deg", "q_j", "deg"), ("output_shaft_torque_Nm", "tau_j", "Nm"),
+    ("input_shaft_torque", "tau_m", None), ("Motor current [A]", "tau_m", "A"), ("motor_current_A", "tau_m", "A"),
+    ("current motor position", "q_m", None), ("Current joint torque [Nm]", "tau_j", "Nm"),
+    ("Motor Speed (rpm)", "omega_m", "rpm"), ("joint_speed_rad/s", "omega_j", "rad/s"),
+    ("hip angular velocity", "omega_j", None), ("knee motor torque", "tau_m", None), ("motor knee angle", "q_m", None),
+    ("Torque (motor) [Nm]", "tau_m", "Nm"), ("elbow joint position [deg] filtered", "q_j", "deg"),
+    ("motor_torque_mNm_filtered", "tau_m", "mNm"), ("motor torque actual value", "tau_m", None),
+    ("load cell torque [Nm]", "tau_j", "Nm"), ("actuator temperature [°C]", "temperature", "°C"),
+    ("bending angle [deg]", "theta", "deg"),
+    # German
+    ("Motormoment [Ncm]", "tau_m", "Ncm"), ("Gelenkmoment [Nm]", "tau_j", "Nm"), ("Gelenkwinkel [°]", "q_j", "°"),
+    ("Motordrehmoment", "tau_m", None), ("Antriebsdrehmoment [Nm]", "tau_m", "Nm"), ("Lastmoment", "tau_j", None),
+    ("Sollmoment [Nm]", "tau_j_des", "Nm"), ("Messzeit [s]", "t", "s"), ("Zeit_ms", "t", "ms"),
+    ("Strom Motor [A]", "tau_m", "A"), ("Drehzahl Motor [U/min]", "omega_m", "U/min"),
+    ("Winkelgeschwindigkeit Gelenk [°/s]", "omega_j", "°/s"), ("Istmoment Motor", "tau_m", None),
+    ("Drehmoment des Motors [Nm]", "tau_m", "Nm"), ("Kniewinkel", "q_j", None), ("Hüftmoment", "", None),
+    ("Abtriebslage", "q_j", None), ("Zeitstempel", "t", None), ("Biegewinkel [°]", "theta", "°"),
+    # camelCase and compounds
+    ("MotorTorque", "tau_m", None), ("jointAngle", "q_j", None), ("tauM", "tau_m", None),
+    ("TauJDes", "tau_j_des", None),
+    ("jointtorque", "tau_j", None), ("motorSpeedRPM", "omega_m", None), ("iqMotor", "tau_m", None),
+    ("joint1_torque", "tau_j", None),
+    # symbols
+    ("i_q_m [A]", "tau_m", "A"), ("iq_m", "tau_m", None), ("dq_j", "omega_j", None), ("w_m", "omega_m", None),
+    ("phi_j [deg]", "q_j", "deg"), ("tau_motor (Nm)", "tau_m", "Nm"), ("theta_joint (rad)", "q_j", "rad"),
+    ("q_knee", "q_j", None), ("trq_j", "tau_j", None),
+    # time
+    ("t_s", "t", "s"), ("t_ms", "t", "ms"), ("t_us", "t", "us"), ("t_min", "t", "min"), ("s", "t", None),
+    ("time (h:m:s)", "t", "h:m:s"), ("timestamp_ms", "t", "ms"), ("Clock [s]", "t", "s"), ("T [degC]", "", "degC"),
+    # paths
+    ("Model Root/tau_m/Out1 [Nm]", "tau_m", "Nm"), ("Model Root/Time", "t", None),
+    ("run1/sens/joint_angle", "q_j", None),
+    ("drive/joint_torque", "tau_j", None), ("motor/torque", "tau_m", None), ("out.q_j.time", "t", None),
+    ("motor_torque.effort.knee", "tau_m", None), ("motor/theta", "q_m", None),
+    ("desired/joint_torque", "tau_j_des", None),
+    # desired
+    ("torque_ref [Nm]", "tau_j_des", "Nm"), ("Torque set-point", "tau_j_des", None),
+    ("desired joint torque", "tau_j_des", None),
+    # not a column: commands, errors, limits, other words
+    ("commanded motor torque", "", None), ("motor torque reference", "", None), ("joint torque error [Nm]", "", "Nm"),
+    ("joint position error", "", None), ("motor_torque_min", "", None), ("max motor speed [rpm]", "", "rpm"),
+    ("motor torque cmd", "", None), ("desired torque limit", "", None), ("command/motor_torque", "", None),
+    ("lifetime", "", None), ("cycle time [ms]", "", "ms"), ("joint power w", "", None),
+    ("Drehzahl [U/min]", "", "U/min"),
+    ("attempt", "", None), ("i_q [A]", "", "A"), ("F_cell_N", "", "N"), ("motor torque constant", "", None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("source", "column", "unit"), CASES)
+def test_a_name_is_identified_by_its_words(source: str, column: str, unit: str | None) -> None:
+    name = Name(source)
+    assert name.columns == ({column} if column else set())
+    assert name.unit == unit
+
+
+@pytest.mark.parametrize(
+    ("source", "columns"),
+    [
+        ("joint motor torque", {"tau_m", "tau_j"}),
+        ("motor output torque [Nm]", {"tau_m", "tau_j"}),
+        ("joint1/motor/torque", {"tau_m", "tau_j"}),
+        ("motor angle velocity", {"q_m", "omega_m"}),
+        ("motor torque time", {"t", "tau_m"}),
+        ("last motor position", {"q_m", "q_j"}),
+    ],
+)
+def test_an_ambiguous_name_has_all_its_columns(source: str, columns: set[str]) -> None:
+    assert Name(source).columns == columns
+
+
+@pytest.mark.parametrize(
+    ("bare", "words"),
+    [
+        ("Antriebsdrehmoment", ["antrieb", "drehmoment"]),
+        ("lifetime", ["lifetime"]),
+        ("motorSpeedRPM", ["motor", "speed", "rpm"]),
+        ("i_q2", ["iq", "2"]),
+        ("set point", ["setpoint"]),
+    ],
+)
+def test_a_name_is_split_into_words(bare: str, words: list[str]) -> None:
+    assert split_words(bare) == words
+
+
+def table(names: Sequence[str], **cells: list[str]) -> ForeignTable:
+    return ForeignTable(
+        Path("x.csv"), NO_TEXT, tuple(names), {name: cells.get(name, ["0.5", "1.0", "1.7"]) for name in names}, 1, 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "source", "question"),
+    [
+        (["motor torque [Nm]", "tau_m"], "tau_m", False),
+        (["motor current [A]", "motor torque [mNm]"], "motor torque [mNm]", False),
+        (["motor torque reference [Nm]", "motor torque actual [Nm]"], "motor torque actual [Nm]", False),
+        (["motor torque raw [Nm]", "motor torque [Nm]"], "motor torque [Nm]", False),
+        (["motor1 torque [Nm]", "motor2 torque [Nm]"], "motor1 torque [Nm]", True),
+        (["motor torque [Nm]", "motor torque filtered [Nm]"], "motor torque [Nm]", True),
+        (["joint motor torque [Nm]"], "joint motor torque [Nm]", True),
+    ],
+)
+def test_of_several_names_the_best_is_used_or_a_question_is_open(names: list[str], source: str, question: bool) -> None:
+    found = mapping.identify(table(names), {})
+    assert found.columns["tau_m"].source == source
+    assert bool(found.questions) == question
+    if question:
+        assert found.questions[0][1] == f"tau_m={source}|Nm"
+
+
+@pytest.mark.parametrize(
+    ("names", "missing", "proposal"),
+    [
+        (["torque_mNm"], "tau_m", "tau_m=torque_mNm|mNm"),
+        (["torque"], "tau_m", "tau_m=torque|N*m"),
+        (["torque error", "motor torque command", "torque limit", "angle", "speed", "x [deg]", "i [A]"], "tau_m", ""),
+        (["knee torque", "x"], "tau_m", "tau_m=x|N*m"),
+        (["angle", "x"], "t", "t=x|s"),
+        (["x_ms"], "t", "t=x_ms|ms"),
+    ],
+)
+def test_a_proposal_uses_the_unit_and_no_other_quantity(names: list[str], missing: str, proposal: str) -> None:
+    assert mapping.propose(table(names), missing, set()) == proposal
+
+
+def test_a_row_number_is_not_proposed_as_time() -> None:
+    assert mapping.propose(table(["sample"], sample=["0", "1", "2"]), "t", set()) == ""

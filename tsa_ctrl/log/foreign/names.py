@@ -1,0 +1,247 @@
+"""Determine from a foreign name which canonical column it is, by the words of the name.
+
+A name is split into its unit and its words. Each word belongs to at most one class of the vocabulary, German or
+English, as written by drives, bridges and lab tools. A column requires a word of its quantity and a word of its place.
+Words of errors, limits, commands and desired values exclude a measured column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+from tsa_ctrl.log.foreign.units import UNITS, brackets_in, is_known, quantities_of, tail_of
+from tsa_ctrl.signals import COLUMNS
+
+TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME = (
+    "torque", "current", "angle", "speed", "temperature", "bending", "time",
+)  # fmt: skip
+QUANTITIES = frozenset({TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME})
+MOTOR, JOINT, BODY, DESIRED, COMMANDED, EXCLUDED, NEUTRAL = (
+    "motor", "joint", "body part", "desired", "commanded", "excluded", "neutral",
+)  # fmt: skip
+NO_CLOCK = "no clock"  # a duration instead of the time of a row
+
+_CLASSES: dict[str, str] = {
+    TORQUE: "torque drehmoment moment tau trq mom torq",
+    CURRENT: "current strom iq",
+    ANGLE: "angle winkel position pos theta phi lage",
+    SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq",
+    TEMPERATURE: "temperature temperatur temp",
+    BENDING: "bending biegung biegewinkel sheath",
+    TIME: "time zeit timestamp zeitstempel clock uhrzeit",
+    MOTOR: "motor drive antrieb driver mot input actuator aktor aktuator eingang",
+    JOINT: "joint gelenk load output abtrieb jaw last",
+    BODY: "hip knee ankle elbow shoulder wrist finger thumb huefte hüfte knie knöchel knoechel sprunggelenk kniegelenk "
+    "hüftgelenk hueftgelenk ellenbogen ellbogen schulter handgelenk daumen",
+    DESIRED: "desired des setpoint soll reference ref target wanted demand",
+    COMMANDED: "command commanded cmd",
+    EXCLUDED: "error err fehler deviation abweichung limit grenze grenzwert max min maximum minimum maximal minimal "
+    "constant konstante gain ripple derivative ableitung threshold schwelle tolerance residual",
+    NEUTRAL: "ist mess actual act measured meas messung filtered gefiltert filt sensor signal signals value values "
+    "wert werte data shaft angular encoder feedback fb",
+    NO_CLOCK: "cycle sample sampling step delay dead rise settling execution zyklus abtast tot",
+}
+VOCABULARY: dict[str, str] = {word: kind for kind, text in _CLASSES.items() for word in text.split()}
+# "m" and "j" directly after one of these are motor and joint.
+_SYMBOLS = frozenset({"tau", "q", "omega", "theta", "phi", "dq", "qd", "w", "trq", "iq"})
+_SHORT = {"q": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
+_WHOLE = frozenset({"t", "s", "sec", "seconds"})  # time, as a whole name
+_PARTS = tuple(word for word, kind in VOCABULARY.items() if len(word) >= 3 and kind != NO_CLOCK)
+_MEASURED = {
+    "tau_m": (frozenset({TORQUE, CURRENT}), MOTOR),
+    "tau_j": (frozenset({TORQUE}), JOINT),
+    "q_m": (frozenset({ANGLE}), MOTOR),
+    "q_j": (frozenset({ANGLE}), JOINT),
+    "omega_m": (frozenset({SPEED}), MOTOR),
+    "omega_j": (frozenset({SPEED}), JOINT),
+}
+
+
+@lru_cache(maxsize=4096)
+def _decomposed(word: str) -> tuple[str, ...] | None:
+    """Return the words of the vocabulary that a compound consists of, with an optional linking "s", or None."""
+    for part in _PARTS:
+        if not word.startswith(part):
+            continue
+        rest = word[len(part) :]
+        for tail in (rest, rest[1:] if rest.startswith("s") else ""):
+            if tail in VOCABULARY and len(tail) >= 3:
+                return part, tail
+            if len(tail) > 3 and (parts := _decomposed(tail)) is not None:
+                return part, *parts
+    return None
+
+
+def split_words(bare: str) -> list[str]:
+    """Split a name without its unit into lower-case words, and compounds into the words of the vocabulary."""
+    text = re.sub(r"(?i)(?<![a-z0-9])i_q(?![a-z])", "iq", bare)
+    text = re.sub(r"(?i)set[-_ ]point", "setpoint", text)
+    text = re.sub(r"(?i)\bdes (motor|antrieb|gelenk|abtrieb|aktor|knie)e?s\b", r"\1", text)  # German genitive
+    text = re.sub(r"(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])", " ", text)
+    text = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", text)
+    text = re.sub(r"([A-ZÄÖÜ])([A-ZÄÖÜ][a-zäöüß])", r"\1 \2", text)
+    words: list[str] = []
+    for word in re.split(r"[\W_]+", text.lower()):
+        if word:
+            words += [word] if word in VOCABULARY else _decomposed(word) or [word]
+    return words
+
+
+def _kinds(words: list[str]) -> list[str]:
+    """Return the class of each word, or "" for an unknown word."""
+    kinds = [VOCABULARY.get(word, "") for word in words]
+    for i, word in enumerate(words[1:], start=1):
+        if word in ("m", "j") and words[i - 1] in _SYMBOLS:
+            kinds[i] = MOTOR if word == "m" else JOINT
+    for i, word in enumerate(words[:-1]):
+        if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
+            kinds[i] = _SHORT[word]
+    # "current" in front of another quantity is the adjective: "current motor position".
+    ranked = [i for i, kind in enumerate(kinds) if kind in (TORQUE, ANGLE, SPEED)]
+    if ranked and "current" in words and words.index("current") < ranked[0]:
+        kinds[words.index("current")] = NEUTRAL
+    return kinds
+
+
+def _columns(kinds: list[str]) -> frozenset[str]:
+    have = set(kinds)
+    if BODY in have and MOTOR not in have:
+        have.add(JOINT)  # a body part next to a motor word is the motor's place
+    excluded = EXCLUDED in have
+    found = set()
+    if TIME in have and not excluded and NO_CLOCK not in have:
+        found.add("t")
+    if TORQUE in have and DESIRED in have and MOTOR not in have and not excluded:
+        found.add("tau_j_des")
+    if not excluded and not have & {DESIRED, COMMANDED}:
+        found |= {name for name, (quantity, place) in _MEASURED.items() if quantity & have and place in have}
+        if TEMPERATURE in have:
+            found = (found - set(_MEASURED)) | {"temperature"}
+        elif BENDING in have and not have & {TORQUE, CURRENT, SPEED, MOTOR}:
+            found = (found - set(_MEASURED)) | {"theta"}
+    return frozenset(found)
+
+
+@dataclass(frozen=True)
+class Name:
+    """A foreign name with its unit and its words."""
+
+    source: str
+
+    @cached_property
+    def _split(self) -> tuple[str, str | None]:
+        """Return the name without its unit, and the unit or None."""
+        for content, (start, end) in reversed(brackets_in(self.source)):
+            if is_known(content) or not any(_kinds(split_words(content))):
+                return (self.source[:start] + self.source[end:]).strip(), content
+        named = self.source.strip()
+        while (last := re.search(r"[ _]([^\W_]+)$", named)) and VOCABULARY.get(last[1].lower()) == NEUTRAL:
+            named = named[: last.start()]  # motor_torque_mNm_filtered
+        tail = tail_of(named)
+        if tail is not None and self.source not in COLUMNS:
+            bare, unit = tail
+            quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)}
+            device = not quantities_of(unit)
+            if (quantities and device) or quantities & quantities_of(unit):
+                return bare, unit
+            # A letter may also be a phase of a motor or a channel.
+            if unit.lower() not in VOCABULARY and (len(unit) > 1 or not (quantities or f" {unit}" in self.source)):
+                return bare, unit
+        return self.source.strip(), None
+
+    @property
+    def bare(self) -> str:
+        """Return the name without its unit."""
+        return self._split[0]
+
+    @property
+    def unit(self) -> str | None:
+        """Return the unit that the name states, or the canonical unit of a canonical name, or None."""
+        if self._split[1] is not None:
+            return self._split[1]
+        return None if self.canonical is None else COLUMNS[self.canonical].unit
+
+    @cached_property
+    def canonical(self) -> str | None:
+        """Return the canonical name that the name is or ends with, as a component of a path, or None."""
+        return _canonical(self.bare)
+
+    @cached_property
+    def columns(self) -> frozenset[str]:
+        """Return the canonical columns that the name fits."""
+        return _fitting(self.bare, self._split[1])
+
+    @cached_property
+    def kinds(self) -> frozenset[str]:
+        """Return the classes of all words of the name."""
+        return frozenset(_kinds(split_words(self.bare)))
+
+    @property
+    def unknown(self) -> int:
+        """Return the number of words that are not in the vocabulary."""
+        if self.bare in COLUMNS or self.bare.lower() in _WHOLE:
+            return 0
+        return _kinds(split_words(self.bare)).count("")
+
+    def may_be(self, column: str) -> bool:
+        """Return True if nothing in the name contradicts `column`, so that a proposal can use it."""
+        if self.columns:
+            return column in self.columns
+        if self.kinds & {EXCLUDED, DESIRED, COMMANDED}:
+            return False
+        unit, si = self._split[1], COLUMNS[column].unit
+        if unit is not None and is_known(unit) and unit not in UNITS.get(si, {}):
+            return False
+        own = {TIME} if column == "t" else {TORQUE, CURRENT}
+        place = {"tau_m": JOINT, "tau_j": MOTOR}.get(column)
+        return not (self.kinds & QUANTITIES) - own and place not in self.kinds
+
+
+def _components(bare: str) -> list[str]:
+    return [part.strip() for part in re.split(r"[/.]", bare) if part.strip()]
+
+
+def _canonical(bare: str) -> str | None:
+    if bare in COLUMNS:
+        return bare
+    parts = _components(bare)
+    while len(parts) > 1 and set(_kinds(split_words(parts[-1]))) == {NEUTRAL}:
+        parts.pop()
+    if len(parts) < 2 or parts[-1] not in COLUMNS or _is_of_commands(parts[:-1]):
+        return None
+    others = _columns(_kinds(split_words(" ".join(parts)))) - {parts[-1]}
+    return None if parts[-1] == "theta" and others else parts[-1]
+
+
+def _is_of_commands(folders: list[str]) -> bool:
+    return bool({EXCLUDED, DESIRED, COMMANDED} & set(_kinds(split_words(" ".join(folders)))))
+
+
+def _fitting(bare: str, unit: str | None) -> frozenset[str]:
+    """Return the columns that a name without its unit fits. In a path, the last component decides if it fits alone."""
+    canonical = _canonical(bare)
+    if canonical is not None:
+        return frozenset({canonical})
+    parts = _components(bare)
+    for part in [parts[-1]] if parts else []:
+        if part.lower() in _WHOLE and (unit is None or not is_known(unit) or unit in UNITS["s"]):
+            return frozenset({"t"})
+        found = _columns(_kinds(split_words(part)))
+        if found and not (len(parts) > 1 and _is_of_commands(parts[:-1])):
+            return found
+    return _columns(_kinds(split_words(bare)))
+
+
+def is_time(source: str) -> bool:
+    """Return True if a name is a time and no other column."""
+    return Name(source).columns == {"t"}
+
+
+def listed(names: Iterable[str], most: int = 12) -> str:
+    """Return quoted names with commas; after `most` names, the number of the others."""
+    every = list(names)
+    more = f" and {len(every) - most} more" if len(every) > most else ""
+    return ", ".join(f"'{name}'" for name in every[:most]) + more
