@@ -294,7 +294,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
     """
     settings = configuration.file.bus
     seen = listen(bus)
-    heard = judged(bus, seen, settings, configuration.file.axes, "")
+    heard = judged(bus, seen, settings, configuration.file.axes, "", configuration.profiles)
     if heard.result is Result.FAIL:
         raise BusError(f"{bus.name}: {heard.found}; {heard.fix}")
     drives = [axis.drive.node_id for axis in configuration.file.axes]

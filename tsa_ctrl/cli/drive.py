@@ -50,13 +50,14 @@ class Target:
 
     @contextmanager
     def session(self) -> Iterator[Session]:
+        from tsa_ctrl.bus.drive.network import frames_of_drives
         from tsa_ctrl.bus.drive.session import Session
         from tsa_ctrl.bus.wire.link import open_bus
 
         bus = open_bus(self.bus)
         try:
             with Session(bus, self.bus) as session:
-                session.alone()
+                session.alone(tolerated=frames_of_drives([self.profile]))
                 yield session
         finally:
             bus.close()

@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.drive.network import layout_of, open_buses
+from tsa_ctrl.bus.drive.network import frames_of_drives, layout_of, open_buses
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
@@ -222,7 +222,9 @@ def check_alone(configuration: Configuration) -> None:
     bus = open_buses(file.buses, file.axes)
     try:
         with Session(bus, file.bus) as session:
-            session.alone([layout_of(axis.drive).rpdo_id for axis in file.axes])
+            session.alone(
+                [layout_of(axis.drive).rpdo_id for axis in file.axes], frames_of_drives(configuration.profiles)
+            )
     finally:
         bus.close()
 
