@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import shutil
@@ -216,3 +217,12 @@ def test_a_drive_that_sends_sync_with_permission_is_no_other_master(tmp_path: Pa
         numbers = CliRunner().invoke(cli, ["doctor", str(tmp_path / "controller.toml"), "--serial-numbers"])
     assert "serial number is 0x00000005 but must be 0x00000006" in str(run.exception)
     assert "serial_number = 5" in numbers.output, numbers.exception
+
+
+def test_an_unconfirmed_shutdown_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that does not confirm that it is off gives its line on stderr."""
+    monkeypatch.setattr(importlib.import_module("tsa_ctrl.bench.run"), "shut_down", lambda *_: ["cut its power"])
+    edits = (('interface = "socketcan"', 'interface = "virtual"'), ("rate = 1000.0", "rate = 50.0"))
+    with served(tmp_path, "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n") as channel:
+        run = bench(tmp_path, *edits, ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "), ('"vcan0"', f'"{channel}"'))
+    assert "cut its power\n" in run.stderr, run.exception
