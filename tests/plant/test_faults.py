@@ -170,6 +170,12 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
         ("stuck_tpdo value=1", "takes no value"),
         ("slack strength=1", "keys are axis, node, value, duration, at"),
         ("slack value", "write key=value"),
+        ("slack name=torn_tendon", "each key once"),
+        ("slack at=inf", "at=inf; allowed is a finite number"),
+        ("slack value=low", "value=low; allowed is a finite number"),
+        ("slack at=-1", "at and duration are 0 s or more"),
+        ("late_tpdo node=motor", "node is drive, encoder or torque_sensor"),
+        ("emcy value=1.5", "allowed are whole numbers from 0 to 65535"),
     ],
 )
 def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
