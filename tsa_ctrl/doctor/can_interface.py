@@ -80,6 +80,8 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
         )
         yield Check("CAN interface", Result.FAIL, f"no interface {channel}", "an interface that is up", make)
         return
+    if link.kind != "can":  # such as vcan, which has no bit rate
+        make = f"ip link set {channel} up"
     kind = link.kind or "no CAN interface"
     yield judge("CAN interface", link.up, f"{channel} ({kind}), {'up' if link.up else 'down'}", "up", make, Result.FAIL)
     if link.kind == "can":
