@@ -202,3 +202,19 @@ def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:
     error = CliRunner().invoke(cli, ["help", "stalepdo"]).exception
     assert isinstance(error, UsageError)
     assert "did you mean 'stale_pdo'?" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("verify-safety no.toml --held --torque 0.1 --record out", "--held does not use --torque and --record"),
+        ("demo --leg --seed 2", "--leg can only be combined with"),
+        ("demo --leg --load imposed", "--leg can only be combined with"),
+        ("demo --seed 2", "--hidden and --seed require --full"),
+    ],
+)
+def test_an_option_without_effect_is_rejected(line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n"), words in said.err) == (2, "", 1, True)
