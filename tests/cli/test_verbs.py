@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main
+from tsa_ctrl.cli.drive import find_target
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.causes import Cause
@@ -218,3 +219,11 @@ def test_an_option_without_effect_is_rejected(line: str, words: str, capsys: pyt
         main(line.split())
     said = capsys.readouterr()
     assert (ended.value.code, said.out, said.err.count("\n"), words in said.err) == (2, "", 1, True)
+
+
+def test_the_profile_of_a_drive_is_a_path_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\n', encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert find_target(None, None, 1, "virtual", "x", 1_000_000, "mine.toml").profile.name == "mine"
