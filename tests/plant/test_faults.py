@@ -302,3 +302,9 @@ def test_the_control_socket_answers(bench: Bench, tmp_path: Path) -> None:
     console.close()
     with pytest.raises(Exception, match="no simulated machine answers"):
         ask(path, "state", timeout=0.1)
+
+
+def test_an_interface_that_may_not_be_switched_rejects_the_fault_at_the_request(bench: Bench) -> None:
+    with pytest.raises(UsageError, match=r"interface_down: .* cannot be switched"):
+        begin(bench, "interface_down at=1")
+    bench.wait(1.1)  # nothing was scheduled

@@ -150,8 +150,11 @@ class Rig(Protocol):
     def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
         """Send any frame on the bus at `place`."""
 
-    def set_interface(self, up: bool, place: int = 0) -> None:
-        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
+    def set_interface(self, up: bool | None, place: int = 0) -> None:
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission.
+
+        `up` None only checks the permission.
+        """
 
     def replay_commands(self, since: float, now: float) -> None:
         """Process the master's frames since the time `since` (s) again."""
@@ -189,6 +192,7 @@ class FaultKind:
     """Hold one fault: its description, its effect, and the default, unit and range of its value.
 
     `needs`: kind of node, or object of the drive, without which the fault is impossible.
+    `switches`: True if the fault needs the permission to switch the interface.
     """
 
     doc: str
@@ -198,6 +202,7 @@ class FaultKind:
     low: float = 0.0
     high: float = 0.0
     needs: str | Key = "drive"
+    switches: bool = False
 
 
 def nothing(now: float) -> None:
@@ -478,7 +483,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "replay": FaultKind("the most recent TPDOs are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
         "the interface is down; when it is up again, the last frames on the bus are replayed to both sides",
-        _interface_down, 0.05, "s", 0.0, 10.0,
+        _interface_down, 0.05, "s", 0.0, 10.0, switches=True,
     ),
     "flood": FaultKind(
         "frames with other identifiers flood the bus",

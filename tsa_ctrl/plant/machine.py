@@ -276,7 +276,7 @@ class Machine:
         plant: PlantSettings,
         bus: Bus,
         clock: Callable[[], float] = time.monotonic,
-        switch: Callable[[str, bool], None] = set_up,
+        switch: Callable[[str, bool | None], None] = set_up,
         others: Sequence[Bus] = (),
     ) -> None:
         """Build axes, nodes and mechanics.
@@ -285,7 +285,8 @@ class Machine:
             plant: settings of the machine.
             bus: the first bus.
             clock: returns the time, s.
-            switch: brings the interface with this name up (True) or down; raises OSError if that is not permitted.
+            switch: brings the interface with this name up (True) or down, or only checks (None) that this is
+                permitted; raises OSError if it is not.
             others: the other buses, if the plant has several.
         """
         self._switch = switch
@@ -399,6 +400,8 @@ class Machine:
             raise UsageError(f"axis '{axis}': no such axis; the axes are {', '.join(named)}")
         kind = unit.kind_of(fault, "")
         value = kind.value if fault.value is None else fault.value
+        if kind.switches:  # an error at the start of the fault would stop the plant
+            self.set_interface(None, self.plant.bus_number(unit.axis.settings))
 
         def begin(now: float) -> None:
             target = Target(
@@ -427,15 +430,18 @@ class Machine:
         """Call `action(now)` in the first tick at or after `at`."""
         self.faults.schedule(at, action)
 
-    def set_interface(self, up: bool, place: int = 0) -> None:
-        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
+    def set_interface(self, up: bool | None, place: int = 0) -> None:
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission.
+
+        `up` None only checks the permission.
+        """
         name = self.buses[place].name
         try:
             self._switch(name, up)
         except OSError as error:
             raise UsageError(
-                f"fault interface_down: {name} cannot be switched ({error.strerror or error}); it needs a "
-                "network interface and the right to administer it"
+                f"fault interface_down: {name} cannot be switched ({error.strerror or error}); run the "
+                "plant on a network interface with the right to administer it (CAP_NET_ADMIN), or choose another fault"
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:
