@@ -75,7 +75,7 @@ ROOMS: dict[str, str] = {
         "identify virtual"
     ),
     "investigate": "errors settings model identify tune",
-    "demo": "errors system log model bus.wire identify virtual tune",
+    "demo": "errors outputs system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system signals log model observer bus config readiness ipc daemon identify "
         "plant virtual published safety.causes doctor bench drills dashboard live tune investigate demo"

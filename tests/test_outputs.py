@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -109,3 +110,16 @@ def test_a_second_writer_of_a_folder_is_told_so(tmp_path: Path) -> None:
     with outputs.sole_writer(folder):
         pass
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("fault", [OSError(28, "No space left on device"), ValueError("no such format")])
+def test_a_picture_that_cannot_be_written_leaves_the_old_file(tmp_path: Path, fault: Exception) -> None:
+    def savefig(part: Path, **_: object) -> None:
+        part.write_text("half")
+        raise fault
+
+    path = tmp_path / "trend.png"
+    path.write_text("precious")
+    with pytest.raises(UsageError, match=r"trend\.png: "):
+        outputs.save_picture(SimpleNamespace(savefig=savefig), path, 100)
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("trend.png", "precious")]

@@ -97,6 +97,21 @@ def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
+def save_picture(figure: Any, path: Path, dpi: int, keeping: bool = True) -> None:
+    """Write a matplotlib figure in the format of the suffix; `keeping` as in `beside`.
+
+    Raises:
+        UsageError: The format is not supported, or the file cannot be written. No part of it remains.
+    """
+    with beside(path, keeping) as part:
+        try:
+            figure.savefig(part, dpi=dpi, format=path.suffix[1:])
+        except (ValueError, RuntimeError):  # no such format, or a format that needs a missing program
+            raise UsageError(
+                f"{path}: no picture of that kind can be written; choose a name that ends with .png"
+            ) from None
+
+
 def kept_words(path: Path, kept: Path | None) -> str:
     """Return `written: FILE`, with the name of the backup of the old file if there is one."""
     return f"written: {path}" + ("" if kept is None else f" (the file before is {kept.name})")

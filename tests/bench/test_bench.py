@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import shutil
@@ -203,3 +204,26 @@ def test_a_drive_that_is_not_the_configured_one_is_only_read(tmp_path: Path) -> 
     sent = [message for message in heard if message.arbitration_id in (0x000, 0x080, 0x201, 0x601, 0x77F)]
     assert {message.arbitration_id for message in sent} == {0x601}
     assert {message.data[0] >> 5 for message in sent} <= {2, 3}  # SDO uploads
+
+
+def test_a_drive_that_sends_sync_with_permission_is_no_other_master(tmp_path: Path) -> None:
+    """With produces_sync in its profile, the bench and doctor reach the drive itself."""
+    drive = "[[axis]]\nname = 'joint'\ndrive.node_id = 1\ndrive.serial_number = 5\ndrive.sync_producer = true\n"
+    (tmp_path / "mine.toml").write_text("produces_sync = true\n", encoding="utf-8")
+    edits = ('interface = "socketcan"', 'interface = "virtual"'), (
+        "node_id = 1 ", 'serial_number = 6\nprofile = "mine.toml"\nnode_id = 1 '
+    )  # fmt: skip
+    with served(tmp_path, drive + STILL) as channel:
+        run = bench(tmp_path, *edits, ('"vcan0"', f'"{channel}"'))
+        numbers = CliRunner().invoke(cli, ["doctor", str(tmp_path / "controller.toml"), "--serial-numbers"])
+    assert "serial number is 0x00000005 but must be 0x00000006" in str(run.exception)
+    assert "serial_number = 5" in numbers.output, numbers.exception
+
+
+def test_an_unconfirmed_shutdown_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive that does not confirm that it is off gives its line on stderr."""
+    monkeypatch.setattr(importlib.import_module("tsa_ctrl.bench.run"), "shut_down", lambda *_: ["cut its power"])
+    edits = (('interface = "socketcan"', 'interface = "virtual"'), ("rate = 1000.0", "rate = 50.0"))
+    with served(tmp_path, "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n") as channel:
+        run = bench(tmp_path, *edits, ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "), ('"vcan0"', f'"{channel}"'))
+    assert "cut its power\n" in run.stderr, run.exception

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main, module_of
+from tsa_ctrl.cli.drive import find_target
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.causes import Cause
@@ -182,3 +183,27 @@ def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:
     error = CliRunner().invoke(cli, ["help", "stalepdo"]).exception
     assert isinstance(error, UsageError)
     assert "did you mean 'stale_pdo'?" in str(error)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("verify-safety no.toml --held --torque 0.1 --record out", "--held does not use --torque and --record"),
+        ("demo --leg --seed 2", "--leg can only be combined with"),
+        ("demo --leg --load imposed", "--leg can only be combined with"),
+        ("demo --seed 2", "--hidden and --seed require --full"),
+    ],
+)
+def test_an_option_without_effect_is_rejected(line: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n"), words in said.err) == (2, "", 1, True)
+
+
+def test_the_profile_of_a_drive_is_a_path_from_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.toml").write_text('name = "mine"\n', encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert find_target(None, None, 1, "virtual", "x", 1_000_000, "mine.toml").profile.name == "mine"

@@ -153,3 +153,7 @@ def test_a_single_late_cycle_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> No
     late[7] = 2e-3
     monkeypatch.setattr(machine, "multiprocessing", Measured((True, 80, 1 << 20, (), late)))
     assert list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-1].result is Result.WARN
+
+
+def test_an_existing_vcan_that_is_down_is_set_up_without_a_bit_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert of_link(monkeypatch, up=False, kind="vcan")["CAN interface"].fix == "ip link set can0 up"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import msgspec
 import pytest
 from click.testing import CliRunner
 
@@ -222,3 +224,12 @@ def test_a_bus_that_somebody_leads_is_left_alone(folder: Path) -> None:
         finally:
             task.stop()
     assert heard == []
+
+
+def test_a_limit_below_every_torque_of_the_trials_is_the_one_to_raise(folder: Path) -> None:
+    configuration = load_configuration(folder / "controller.toml")
+    axis = configuration.file.axes[0]
+    weak = msgspec.structs.replace(axis, limits=msgspec.structs.replace(axis.limits, torque=0.05))
+    file = msgspec.structs.replace(configuration.file, axes=(weak,))
+    with pytest.raises(UsageError, match=r"allows 0\.05 N\*m, but the trials need at least 0\.06 N\*m .*raise limits"):
+        trial_torque(dataclasses.replace(configuration, file=file), None)

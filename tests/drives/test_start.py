@@ -220,3 +220,12 @@ def test_a_fault_found_at_the_start_says_what_becomes_of_it(tmp_path: Path) -> N
             foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, resets_later=resets
         )
         assert [note for note in report.nodes[0].notes if note.startswith("in fault: error 0x2310") and words in note]
+
+
+def test_a_drive_whose_consumer_entries_are_all_taken_is_rejected(tmp_path: Path) -> None:
+    """An entry for a node id above 127 is unused."""
+    foreign = Foreign(tmp_path, "heartbeat_consumers = 1", "objects = { '0x1016:1' = 0x0503E8 }")
+    with refused("0x1016:1 heartbeat consumer supervises node 5", 'absent = ["heartbeat consumer"]'):
+        foreign.start()
+    assert foreign.node.values[0x1016, 1] == 0x0503E8
+    Foreign(tmp_path, "heartbeat_consumers = 1", "objects = { '0x1016:1' = 0x8003E8 }").start()

@@ -348,3 +348,14 @@ def test_local_processes_end_with_the_block() -> None:
         assert workers.executor.submit(abs, -1).result() == 1
         processes = list(workers.executor._processes.values())  # type: ignore[attr-defined]
     assert not any(process.is_alive() for process in processes)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_run_with_another_model_announces_the_backups(short: Path, model: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    other = tmp_path / "other.toml"
+    other.write_text(model.read_text() + "# another\n")
+    for path in (model, model, other):
+        swept(short, path, tmp_path / "out", say=said.append)
+    assert len(said) == 1
+    assert "3 of 3 logs have a report of another model" in said[0]

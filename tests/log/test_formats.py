@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
+import resource
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +15,8 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign.text import in_child
 from tsa_ctrl.log.table import read_table
 
 N = 50
@@ -231,3 +236,13 @@ def test_a_missing_package_and_a_damaged_file_are_one_line_each(
     said = capsys.readouterr().err
     assert "needs the package h5py; pip install '.[formats]'" in said
     assert said.count("\n") == 1
+
+
+def crash(path: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def test_a_reader_that_crashes_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is damaged: its reader crashed; export it again"):
+        in_child(crash, tmp_path / "run.mat")

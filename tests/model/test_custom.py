@@ -201,3 +201,12 @@ def test_a_torque_that_is_cut_is_what_is_remembered() -> None:
     found = predict(model, Signals(t=t, tau_m=tau_m, omega_j=np.full(400, 0.5)))
     assert np.all(found[t < 0.4] < 2.5)
     np.testing.assert_allclose(found[t >= 0.4], 0.3, atol=1e-9)
+
+
+def test_an_error_in_a_formula_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    save_model(ACTUATOR, path)
+    with path.open("a", encoding="utf-8") as file:
+        file.write('\n[effects.custom]\nexpression = "2*speed"\n')
+    with pytest.raises(UsageError, match=rf"^{path}: \[effects.custom\] expression: 'speed' is neither"):
+        load_tendon_sheath(path)

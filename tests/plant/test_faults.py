@@ -171,6 +171,12 @@ def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
         ("stuck_tpdo value=1", "takes no value"),
         ("slack strength=1", "keys are axis, node, value, duration, at"),
         ("slack value", "write key=value"),
+        ("slack name=torn_tendon", "each key once"),
+        ("slack at=inf", "at=inf; allowed is a finite number"),
+        ("slack value=low", "value=low; allowed is a finite number"),
+        ("slack at=-1", "at and duration are 0 s or more"),
+        ("late_tpdo node=motor", "node is drive, encoder or torque_sensor"),
+        ("emcy value=1.5", "allowed are whole numbers from 0 to 65535"),
     ],
 )
 def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
@@ -289,3 +295,16 @@ def test_the_control_socket_answers(bench: Bench, tmp_path: Path) -> None:
     console.close()
     with pytest.raises(Exception, match="no simulated machine answers"):
         ask(path, "state", timeout=0.1)
+
+
+def test_an_interface_that_may_not_be_switched_rejects_the_fault_at_the_request(bench: Bench) -> None:
+    with pytest.raises(UsageError, match=r"interface_down: .* cannot be switched"):
+        begin(bench, "interface_down at=1")
+    bench.wait(1.1)  # nothing was scheduled
+
+
+@pytest.mark.parametrize("key", ["absent", "read_only"])
+def test_an_object_that_the_drive_does_not_have_is_rejected(tmp_path: Path, key: str) -> None:
+    for name, known in (("0x5555", "its objects are 0x1000"), ("0x1018:9", "its objects are 0x1018:0")):
+        with pytest.raises(UsageError, match=rf"\[axis\.drive\] {key}: this drive has no {name}; {known}"):
+            check(plant_file(tmp_path, STILL + f"drive.{key} = ['{name}']\n"))

@@ -149,3 +149,13 @@ def test_the_files_of_a_configuration_are_those_that_it_names(tmp_path: Path) ->
     (tmp_path / "long.csv").write_text("0\n" * MOST_TEXT)
     (tmp_path / "raw.bin").write_bytes(b"\xff\xfe")
     assert sorted(referenced(tmp_path / "a.toml")) == ["a.toml", "b.csv", "drives/p.toml"]
+
+
+def test_two_dumps_of_one_name_are_rejected(tmp_path: Path) -> None:
+    paths = [tmp_path / "log.mcap", tmp_path / "a" / "knee.toml", tmp_path / "b" / "knee.toml"]
+    for path in paths:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    run = tsa("bundle", paths[0], "--out", tmp_path / "o.zip", "--drive", paths[1], "--drive", paths[2])
+    assert isinstance(run.exception, UsageError)
+    assert "have the same name in the report" in str(run.exception)

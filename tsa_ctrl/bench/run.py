@@ -240,11 +240,18 @@ class Found:
         return self.configured.rate <= self.highest
 
 
-def bench(configuration: Configuration, seconds: float, margin: float, progress: Progress) -> Found:
+def bench(
+    configuration: Configuration,
+    seconds: float,
+    margin: float,
+    progress: Progress,
+    say: Callable[[str], None] = lambda line: None,
+) -> Found:
     """Measure for `seconds` at each rate that is tried, and return the results.
 
     With real nodes on the bus nothing is enabled. They are brought up, answer every SYNC with the drives off, and are
     left as after a run. On a virtual bus without nodes, simulated nodes answer, and the loop runs as with torque.
+    `say` receives a line for each drive that does not confirm that it is off.
 
     Raises:
         BusError: the bus or its nodes are not suitable.
@@ -258,7 +265,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
         simulated = _nobody(configuration, bus)
         rights = realtime.acquire(_patient(configuration))
         try:
-            with _nodes(configuration, bus, simulated):
+            with _nodes(configuration, bus, simulated, say):
                 return _measure(configuration, bus, seconds, margin, simulated, rights, progress)
         finally:
             realtime.release()
@@ -294,7 +301,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
     """
     settings = configuration.file.bus
     seen = listen(bus)
-    heard = judged(bus, seen, settings, configuration.file.axes, "")
+    heard = judged(bus, seen, settings, configuration.file.axes, "", configuration.profiles)
     if heard.result is Result.FAIL:
         raise BusError(f"{bus.name}: {heard.found}; {heard.fix}")
     drives = [axis.drive.node_id for axis in configuration.file.axes]
@@ -312,7 +319,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
 
 
 @contextlib.contextmanager
-def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[None]:
+def _nodes(configuration: Configuration, bus: Bus, simulated: bool, say: Callable[[str], None]) -> Iterator[None]:
     """Provide nodes that answer SYNC during the block."""
     file = configuration.file
     if simulated:
@@ -325,7 +332,8 @@ def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[
     finally:
         rig = Rig(bus, file.bus, file.axes, configuration.profiles)
         rig.start()
-        shut_down(rig, configuration.period)
+        for line in shut_down(rig, configuration.period):
+            say(line)
 
 
 def _measure(

@@ -29,7 +29,7 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
 
     The loop's own cycle runs at the configured rate: waking up, SYNC, answers, law, limiter, command, record. With
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
-    simulates them, and a run at the highest rate confirms it.
+    simulates them, and a run at the highest rate confirms it. Exit code 1: a drive did not confirm that it is off.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -39,16 +39,25 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
     configuration = load_configuration(controller)
     from tsa_ctrl.bench.run import bench  # imports the loop; not needed for a wrong file
 
-    with Progress(console=Console(file=sys.stderr), transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("bench", total=1.0)
-        found = bench(
-            configuration, seconds, margin, lambda what, share: bar.update(task, description=what, completed=share)
-        )
+    unconfirmed: list[str] = []
+    try:
+        with Progress(console=Console(file=sys.stderr), transient=True, disable=not sys.stderr.isatty()) as bar:
+            task = bar.add_task("bench", total=1.0)
+            found = bench(
+                configuration,
+                seconds,
+                margin,
+                lambda what, share: bar.update(task, description=what, completed=share),
+                unconfirmed.append,
+            )
+    finally:
+        for line in unconfirmed:
+            click.echo(line, err=True)
     if as_json:
         click.echo(json.dumps(_as_dict(found, configuration.load.bitrate), allow_nan=False))
     else:
         _show(found)
-    return 0
+    return int(bool(unconfirmed))
 
 
 def _show(found: Found) -> None:

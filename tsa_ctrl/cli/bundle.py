@@ -54,6 +54,9 @@ def command(log: Path, out: Path, minutes: float, dumps: tuple[Path, ...], no_do
     for dump in dumps:
         if not dump.is_file():
             raise UsageError(f"{dump}: no such file; write it with tsa drive dump")
+        twins = [str(other) for other in dumps if other.name == dump.name]
+        if len(twins) > 1:
+            raise UsageError(f"--drive {' and '.join(twins)} have the same name in the report; rename one of them")
     with tempfile.TemporaryDirectory() as folder, outputs.beside(out) as part:
         last = Path(folder, "log.mcap")
         seconds = write_last(log, last, 60.0 * minutes)

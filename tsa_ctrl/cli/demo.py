@@ -95,26 +95,19 @@ def command(
     With --full: five runs on a plant with a hidden effect (without compensation, with the nominal, the calibrated, the
     extended and the true model), the models estimated from the nominal run's log.
     """
+    given = _given()
     if leg:
-        if (
-            full
-            or hidden
-            or bus is not None
-            or rate is not None
-            or setpoint is not None
-            or tendon is not None
-            or load != "imposed"
-        ):
-            raise UsageError("demo: --leg can only be combined with --seconds, --out and --json")
+        if given - {"leg", "seconds", "virtual", "out", "as_json"}:
+            raise UsageError("demo: --leg can only be combined with --seconds, --virtual, --out and --json")
         _leg(seconds, out, as_json)
         return
     if full:
-        if setpoint is not None or tendon is not None or load != "imposed":
+        if given & {"setpoint", "tendon", "load"}:
             raise UsageError("demo: --full has its own motion and tendons; omit --setpoint, --tendon and --load")
         _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
-    if hidden:
-        raise UsageError("demo: --hidden requires --full; add --full")
+    if given & {"hidden", "seed"}:
+        raise UsageError("demo: --hidden and --seed require --full; add --full")
     from tsa_ctrl.demo import rig  # imports plant, loop and pictures, which --help does not need
     from tsa_ctrl.demo.rig import from_file, play_for
     from tsa_ctrl.demo.run import demo
@@ -132,6 +125,14 @@ def command(
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
         _show(outcome, rate)
+
+
+def _given() -> set[str]:
+    """Return the names of the parameters that are on the command line."""
+    context = click.get_current_context()
+    return {
+        name for name in context.params if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
 
 
 def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:

@@ -59,7 +59,8 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
         file = configuration.file
         found += machine.checks(file.realtime, file.controller.rate, seconds)
         for bus in file.buses:
-            found += can_interface.checks(bus, axes_of(bus, file.axes), file.controller.rate)
+            axes = axes_of(bus, file.axes)
+            found += can_interface.checks(bus, axes, file.controller.rate, configuration.profiles)
             if bus.interface == "socketcan":
                 found += machine.can_interrupts(bus.channel, file.realtime)
     if as_json:
@@ -72,12 +73,12 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 def _write_serial_numbers(configuration: Configuration) -> int:
     """Read the serial numbers by SDO without any command, and write them to the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.drive.network import open_buses
+    from tsa_ctrl.bus.drive.network import frames_of_drives, open_buses
 
     file = configuration.file
     bus = open_buses(file.buses, file.axes)
     try:
-        numbers = serial_numbers(bus, file.bus, file.axes)
+        numbers = serial_numbers(bus, file.bus, file.axes, frames_of_drives(configuration.profiles))
     finally:
         bus.close()
     text = with_serial_numbers(configuration.path.read_text(encoding="utf-8"), numbers)
@@ -107,14 +108,20 @@ def _show(found: list[Check]) -> None:
             console.print(f"{check.name}: {check.fix}", soft_wrap=True, markup=False, highlight=False)
 
 
-def serial_numbers(bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes]) -> dict[str, int | None]:
-    """Return 0x1018:4 of the drive of each axis, or None if it has none. Raises BusError if a drive does not answer."""
+def serial_numbers(
+    bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes], tolerated: frozenset[int]
+) -> dict[str, int | None]:
+    """Return 0x1018:4 of the drive of each axis, or None if it has none.
+
+    Raises:
+        BusError: a drive does not answer, or another master sends frames that are not `tolerated`.
+    """
     from tsa_ctrl.bus.canopen import objects
     from tsa_ctrl.bus.drive.session import Session
 
     found = {}
     with Session(bus, settings) as session:
-        session.alone()
+        session.alone(tolerated=tolerated)
         for axis in axes:
             node_id = axis.drive.node_id
             session.read(node_id, objects.DEVICE_TYPE)

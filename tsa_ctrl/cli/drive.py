@@ -50,13 +50,14 @@ class Target:
 
     @contextmanager
     def session(self) -> Iterator[Session]:
+        from tsa_ctrl.bus.drive.network import frames_of_drives
         from tsa_ctrl.bus.drive.session import Session
         from tsa_ctrl.bus.wire.link import open_bus
 
         bus = open_bus(self.bus)
         try:
             with Session(bus, self.bus) as session:
-                session.alone()
+                session.alone(tolerated=frames_of_drives([self.profile]))
                 yield session
         finally:
             bus.close()
@@ -77,7 +78,7 @@ def target_options(function: Callable[..., None]) -> Callable[..., None]:
             "--profile",
             default="generic",
             show_default=True,
-            help="Drive profile: a name in ./config/drives, or a path from ./config.",
+            help="Drive profile: a name in ./config/drives, or a path to a .toml file.",
         ),
     )
     for option in reversed(options):
@@ -107,7 +108,8 @@ def find_target(
         data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
         bus = settings.convert(data, BusSettings, "command line")
         axis = AxisNodes(name=f"node {node}", drive=DriveSettings(node_id=node, profile=profile))
-        return Target(bus, axis, load_profile(profile, "config"), _PERIOD)
+        folder = "." if profile.endswith(".toml") else "config"
+        return Target(bus, axis, load_profile(profile, folder), _PERIOD)
     if node is not None:
         raise UsageError("--node and --config are both given; with a controller file, select the drive with --axis")
     from tsa_ctrl.config import load_configuration

@@ -49,7 +49,10 @@ def diagnose_folder(
             if row is None and done:
                 console.print(f"{done} of {total} logs are already diagnosed in {out}", soft_wrap=True, markup=False)
 
-        rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell)
+        def say(line: str) -> None:
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+        rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell, say=say)
     verdicts, causes = counted(rows)
     if as_json:
         data = {"schema": 1, "verdicts": dict(sorted(verdicts.items())), "causes": dict(sorted(causes.items()))}

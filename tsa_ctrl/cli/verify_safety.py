@@ -45,6 +45,9 @@ def command(controller: Path, torque: float | None, held: bool, record: Path | N
     from tsa_ctrl.drills.trials import check_folder, save, trial_torque, verify
     from tsa_ctrl.readiness import add_to_record
 
+    unused = [option for option, value in (("--torque", torque), ("--record", record)) if value is not None]
+    if held and unused:
+        raise UsageError(f"verify-safety: --held does not use {' and '.join(unused)}; leave this out")
     configuration = load_configuration(controller)
     if held:
         return _held(configuration, yes, as_json)

@@ -11,6 +11,7 @@ import numpy as np
 import tomlkit
 from matplotlib.figure import Figure
 
+from tsa_ctrl import outputs
 from tsa_ctrl.demo.outcome import Course, course_of, window
 from tsa_ctrl.demo.rig import PERIOD, RATE, Play, cycle
 from tsa_ctrl.virtual.simulation import play
@@ -112,7 +113,7 @@ class Leg:
         for axes in rows[-1]:
             axes.set_xlabel("time since torque was enabled (s)")
         figure.suptitle(f"Compensation with routing reduces the torque error of the leg by {self.reduction:.1f} %")
-        figure.savefig(self.picture, dpi=130)
+        outputs.save_picture(figure, self.picture, dpi=130, keeping=False)
 
 
 def demo(folder: Path, seconds: float, say: Progress) -> Leg:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tsa_ctrl import outputs
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.log.table import load_run
 
@@ -121,7 +122,7 @@ class Outcome:
         torque.set_title(
             f"Friction compensation reduces the torque error by {self.reduction:.1f} % (load: {self.load})"
         )
-        figure.savefig(self.picture, dpi=130)
+        outputs.save_picture(figure, self.picture, dpi=130, keeping=False)
 
 
 def window(t: FloatArray, y: FloatArray, first: float, seconds: float) -> tuple[FloatArray, FloatArray]:

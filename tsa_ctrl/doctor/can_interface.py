@@ -10,7 +10,8 @@ from enum import Enum
 import numpy as np
 
 from tsa_ctrl.bus.drive import budget
-from tsa_ctrl.bus.drive.network import layout_of
+from tsa_ctrl.bus.drive.network import frames_of_drives, layout_of
+from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.session import master_frames
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.bus import Bus
@@ -53,14 +54,17 @@ ANSWER_TIME = 0.1  # s
 MOST_ROUND_TRIP = 5.0  # ms, median over `ROUND_TRIPS`
 
 
-def checks(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Iterator[Check]:
+def checks(
+    settings: BusSettings, axes: Sequence[AxisNodes], rate: float, profiles: Sequence[DriveProfile] = ()
+) -> Iterator[Check]:
     """Yield the checks of interface state, bit rate, error counters, queue length, traffic, and load at `rate` Hz.
 
-    The queue length is checked for SocketCAN only.
+    The queue length is checked for SocketCAN only. A SYNC that one of the `profiles` permits does not
+    indicate another master.
     """
     if settings.interface == "socketcan":
         yield from _socketcan(settings)
-    yield from _traffic(settings, axes)
+    yield from _traffic(settings, axes, profiles)
     yield _load(settings, axes, rate)
 
 
@@ -76,6 +80,8 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
         )
         yield Check("CAN interface", Result.FAIL, f"no interface {channel}", "an interface that is up", make)
         return
+    if link.kind != "can":  # such as vcan, which has no bit rate
+        make = f"ip link set {channel} up"
     kind = link.kind or "no CAN interface"
     yield judge("CAN interface", link.up, f"{channel} ({kind}), {'up' if link.up else 'down'}", "up", make, Result.FAIL)
     if link.kind == "can":
@@ -108,7 +114,7 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:
+def _traffic(settings: BusSettings, axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]) -> Iterator[Check]:
     """Open the bus as the daemon would, listen for other traffic, and measure the response time of each drive."""
     wanted = "opens; no other master is active"
     try:
@@ -117,7 +123,7 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
         yield Check("bus", Result.FAIL, str(error), wanted, "fix the lines above, or [bus] interface and channel")
         return
     try:
-        yield judged(bus, listen(bus), settings, axes, wanted)
+        yield judged(bus, listen(bus), settings, axes, wanted, profiles)
         for axis in axes:
             yield _round_trip(bus, axis)
     finally:
@@ -135,16 +141,30 @@ def listen(bus: Bus) -> dict[int, int]:
     return seen
 
 
-def judged(bus: Bus, seen: Mapping[int, int], settings: BusSettings, axes: Sequence[AxisNodes], wanted: str) -> Check:
-    """Return the check of the frames that `listen` counted; it fails for a failed bus or another master."""
+def judged(
+    bus: Bus,
+    seen: Mapping[int, int],
+    settings: BusSettings,
+    axes: Sequence[AxisNodes],
+    wanted: str,
+    profiles: Sequence[DriveProfile] = (),
+) -> Check:
+    """Return the check of the frames that `listen` counted; it fails for a failed bus or another master.
+
+    A SYNC that one of the `profiles` permits does not indicate another master.
+    """
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
         return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "repair the bus wiring or power supply")
+    tolerated = frames_of_drives(profiles)
     known = master_frames(settings.host_node_id) | {layout_of(axis.drive).rpdo_id for axis in axes}
-    masters = [f"0x{can_id:03X}" for can_id in seen if can_id in known or 0x200 <= can_id < 0x280]
+    masters = sorted({can_id for can_id in seen if can_id in known or 0x200 <= can_id < 0x280} - tolerated)
     if masters:
-        text = f"{found}; another master sends {', '.join(masters)}"
-        return Check("bus", Result.FAIL, text, wanted, "stop the other controller (tsa stop) before starting this one")
+        text = f"{found}; another master sends {', '.join(f'0x{can_id:03X}' for can_id in masters)}"
+        fix = "stop the other controller (tsa stop) before starting this one"
+        if masters == [0x080]:
+            fix += "; if a drive sends SYNC, write produces_sync = true in its profile"
+        return Check("bus", Result.FAIL, text, wanted, fix)
     return Check("bus", Result.PASS, found, wanted)
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.drive.network import layout_of, open_buses
+from tsa_ctrl.bus.drive.network import frames_of_drives, layout_of, open_buses
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
@@ -222,7 +222,9 @@ def check_alone(configuration: Configuration) -> None:
     bus = open_buses(file.buses, file.axes)
     try:
         with Session(bus, file.bus) as session:
-            session.alone([layout_of(axis.drive).rpdo_id for axis in file.axes])
+            session.alone(
+                [layout_of(axis.drive).rpdo_id for axis in file.axes], frames_of_drives(configuration.profiles)
+            )
     finally:
         bus.close()
 
@@ -303,10 +305,16 @@ def trial_torque(configuration: Configuration, asked: float | None) -> float:
     given = configuration.file.safety.torque if asked is None else asked
     torque = DEFAULT_SHARE * min(rated) if given is None else given
     least, most = LEAST_SHARE * max(rated), min(axis.limits.torque for axis in axes)
+    if least > most:
+        raise UsageError(
+            f"{configuration.path}: limits.torque allows {most:g} N*m, but the trials need at least {least:g} N*m "
+            f"({LEAST_SHARE:.0%} of the rated torque); raise limits.torque, or correct rated_torque in [axis.drive]"
+        )
     if not least <= torque <= most:
         raise UsageError(
             f"{configuration.path}: torque {torque:g} N*m of the trials; allowed are {least:g} N*m (three times what "
-            f"counts as none, {ZERO_SHARE * max(rated):g}) to {most:g} N*m (limits.torque)"
+            f"counts as none, {ZERO_SHARE * max(rated):g}) to {most:g} N*m (limits.torque); give another "
+            "--torque, or correct [safety] torque"
         )
     return torque
 

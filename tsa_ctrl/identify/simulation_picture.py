@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl import outputs
 from tsa_ctrl.display import MOST_POINTS, TIME, axis_label
-from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.simulate import Simulation
 
@@ -49,14 +49,7 @@ def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> Non
         axes["residual"].sharex(axes["torque"])
         axes["torque"].tick_params(labelbottom=False)
         figure.suptitle(_conclusion(dataset, simulations))
-        try:
-            figure.savefig(path, dpi=130)
-        except ValueError:
-            raise UsageError(
-                f"{path}: no picture of that kind can be written; choose a name that ends with .png"
-            ) from None
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
+        outputs.save_picture(figure, path, dpi=130, keeping=False)  # the caller has made a backup
     finally:
         pyplot.close(figure)
 

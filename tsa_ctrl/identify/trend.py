@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch
@@ -282,9 +283,6 @@ def draw(path: Path, found: Trend) -> None:
             axis.grid(alpha=0.3)
         axes[-1, 0].set_xticks(range(len(found.runs)), [run.log for run in found.runs], rotation=30, ha="right")
         figure.tight_layout()
-        try:
-            figure.savefig(path, dpi=130)
-        except (ValueError, OSError) as error:
-            raise UsageError(f"{path}: cannot be written ({error}); choose a name that ends with .png") from None
+        outputs.save_picture(figure, path, dpi=130)
     finally:
         pyplot.close(figure)

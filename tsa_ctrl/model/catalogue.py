@@ -82,7 +82,10 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
             raise UsageError(f"{where}: {parameter.name} = {value!r}; allowed is {parameter.describe()}")
         values[parameter.name] = parameter.taken(value)
     if "expression" in values:
-        _ = spec.build(values).program  # a wrong formula is reported before it is used
+        try:
+            _ = spec.build(values).program  # a wrong formula is reported before it is used
+        except UsageError as error:
+            raise UsageError(f"{where.removesuffix(f'[effects.{spec.name}]')}{error}") from None
     return values
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import heapq
 import itertools
+import math
 import random
 from collections import deque
 from collections.abc import Callable, Mapping, MutableMapping
@@ -18,6 +19,7 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
+from tsa_ctrl import settings
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.axis import Axis
@@ -148,8 +150,11 @@ class Rig(Protocol):
     def inject(self, can_id: int, data: bytes, place: int = 0) -> bool:
         """Send any frame on the bus at `place`."""
 
-    def set_interface(self, up: bool, place: int = 0) -> None:
-        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
+    def set_interface(self, up: bool | None, place: int = 0) -> None:
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission.
+
+        `up` None only checks the permission.
+        """
 
     def replay_commands(self, since: float, now: float) -> None:
         """Process the master's frames since the time `since` (s) again."""
@@ -176,11 +181,18 @@ class Target:
     place: int = 0  # of the axis' bus
 
 
+COUNTED = frozenset({  # units of values that are whole numbers
+    "error code", "times", "TPDOs", "RPDOs", "bytes", "mode", "error class", "per mille of the rated torque", "bit",
+    "tendon",
+})  # fmt: skip
+
+
 @dataclass(frozen=True)
 class FaultKind:
     """Hold one fault: its description, its effect, and the default, unit and range of its value.
 
     `needs`: kind of node, or object of the drive, without which the fault is impossible.
+    `switches`: True if the fault needs the permission to switch the interface.
     """
 
     doc: str
@@ -190,6 +202,7 @@ class FaultKind:
     low: float = 0.0
     high: float = 0.0
     needs: str | Key = "drive"
+    switches: bool = False
 
 
 def nothing(now: float) -> None:
@@ -470,7 +483,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "replay": FaultKind("the most recent TPDOs are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
         "the interface is down; when it is up again, the last frames on the bus are replayed to both sides",
-        _interface_down, 0.05, "s", 0.0, 10.0,
+        _interface_down, 0.05, "s", 0.0, 10.0, switches=True,
     ),
     "flood": FaultKind(
         "frames with other identifiers flood the bus",
@@ -600,6 +613,11 @@ def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind
             f"{where}: fault {fault.name}: value {fault.value:g}; "
             f"allowed is {kind.low:g} to {kind.high:g} ({kind.unit})"
         )
+    if kind.unit in COUNTED and fault.value != int(fault.value):
+        raise UsageError(
+            f"{where}: fault {fault.name}: value {fault.value:g}; "
+            f"allowed are whole numbers from {kind.low:g} to {kind.high:g} ({kind.unit})"
+        )
     return kind
 
 
@@ -609,16 +627,34 @@ def parse_fault(text: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> tuple
     values: dict[str, Any] = {"name": name}
     for pair in pairs:
         key, equals, value = pair.partition("=")
-        if not equals:
-            raise UsageError(f"fault {name}: found '{pair}'; write key=value")
-        values[key] = value
+        if not equals or key in values:
+            raise UsageError(f"fault {name}: found '{pair}'; write key=value, each key once")
+        if key not in KEYS:
+            raise UsageError(f"fault {name}: unknown key '{key}'; keys are {', '.join(KEYS)}")
+        values[key] = _number(f"fault {name}", key, value) if KEYS[key] is float else value
     axis = values.pop("axis", None)
     try:
-        fault = msgspec.convert(values, FaultSettings, strict=False)
+        fault = msgspec.convert(values, FaultSettings)
     except msgspec.ValidationError as error:
-        raise UsageError(f"fault {name}: {error}; keys are axis, node, value, duration, at") from None
+        explained = settings.explain(str(error), FaultSettings, values)
+        raise UsageError(
+            f"fault {name}: {explained}; node is drive, encoder or torque_sensor, at and duration are 0 s or more"
+        ) from None
     check_fault(fault, "control", others)
     return axis, fault
+
+
+KEYS = {"axis": str, "node": str, "value": float, "duration": float, "at": float}  # of the control socket
+
+
+def _number(where: str, key: str, text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(f"{where}: {key}={text}; allowed is a finite number, for example {key}=1")
+    return number
 
 
 class FaultPlan:

@@ -10,7 +10,7 @@ import dataclasses
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG, Bus, BusFault, Frame, next_frame
@@ -130,6 +130,8 @@ class DriveNode(Node):
     def _apply_quirks(self, drive: Drive) -> None:
         settings, dictionary = drive.settings, self.dictionary
         offset = (settings.slot - 1) * AXIS_OFFSET
+        self._check_known("absent", settings.absent, offset)
+        self._check_known("read_only", settings.read_only, offset)
         for absent in settings.absent:
             index, sub = (absent, None) if isinstance(absent, int) else _place(absent)
             dictionary.remove(shifted((index, 0), offset)[0], sub)
@@ -145,6 +147,19 @@ class DriveNode(Node):
             for key in [key for key in dictionary.entries if key[0] == shifted((index, 0), offset)[0]]:
                 if sub in (None, key[1]):
                     self._replace(key, access=Access.RO)
+
+    def _check_known(self, key: str, names: Iterable[int | str], offset: int) -> None:
+        """Raise UsageError if a name of an object in `[axis.drive] key` matches no object of the drive."""
+        known = self.dictionary.entries
+        for name in names:
+            index, sub = (name, None) if isinstance(name, int) else _place(name)
+            there = shifted((index, 0), offset)[0]
+            if any(entry[0] == there and sub in (None, entry[1]) for entry in known):
+                continue
+            subs = [f"0x{index:04X}:{entry[1]}" for entry in known if entry[0] == there]
+            words = subs or [f"0x{other:04X}" for other in sorted({entry[0] - offset for entry in known})]
+            shown = f"0x{name:04X}" if isinstance(name, int) else name
+            raise UsageError(f"[axis.drive] {key}: this drive has no {shown}; its objects are {', '.join(words)}")
 
     def _replace(self, key: Key, **changes: object) -> None:
         entry = self.dictionary.entries[key]
@@ -276,7 +291,7 @@ class Machine:
         plant: PlantSettings,
         bus: Bus,
         clock: Callable[[], float] = time.monotonic,
-        switch: Callable[[str, bool], None] = set_up,
+        switch: Callable[[str, bool | None], None] = set_up,
         others: Sequence[Bus] = (),
     ) -> None:
         """Build axes, nodes and mechanics.
@@ -285,7 +300,8 @@ class Machine:
             plant: settings of the machine.
             bus: the first bus.
             clock: returns the time, s.
-            switch: brings the interface with this name up (True) or down; raises OSError if that is not permitted.
+            switch: brings the interface with this name up (True) or down, or only checks (None) that this is
+                permitted; raises OSError if it is not.
             others: the other buses, if the plant has several.
         """
         self._switch = switch
@@ -399,6 +415,8 @@ class Machine:
             raise UsageError(f"axis '{axis}': no such axis; the axes are {', '.join(named)}")
         kind = unit.kind_of(fault, "")
         value = kind.value if fault.value is None else fault.value
+        if kind.switches:  # an error at the start of the fault would stop the plant
+            self.set_interface(None, self.plant.bus_number(unit.axis.settings))
 
         def begin(now: float) -> None:
             target = Target(
@@ -427,15 +445,18 @@ class Machine:
         """Call `action(now)` in the first tick at or after `at`."""
         self.faults.schedule(at, action)
 
-    def set_interface(self, up: bool, place: int = 0) -> None:
-        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission."""
+    def set_interface(self, up: bool | None, place: int = 0) -> None:
+        """Take the interface of a bus down or up; raises UsageError if the user lacks the permission.
+
+        `up` None only checks the permission.
+        """
         name = self.buses[place].name
         try:
             self._switch(name, up)
         except OSError as error:
             raise UsageError(
-                f"fault interface_down: {name} cannot be switched ({error.strerror or error}); it needs a "
-                "network interface and the right to administer it"
+                f"fault interface_down: {name} cannot be switched ({error.strerror or error}); run the "
+                "plant on a network interface with the right to administer it (CAP_NET_ADMIN), or choose another fault"
             ) from None
 
     def replay_commands(self, since: float, now: float) -> None:

@@ -468,7 +468,8 @@ class Session:
             return
         admitted(self._configuration, self._allow_simulated)
         file = self._configuration.file
-        for check in can_interface.checks(file.bus_of(self.axis), (self.axis,), file.controller.rate):
+        profiles = self._configuration.profiles
+        for check in can_interface.checks(file.bus_of(self.axis), (self.axis,), file.controller.rate, profiles):
             if check.result is Result.FAIL:
                 raise BusError(f"{check.name}: found {check.found}, required {check.wanted}; {check.fix}")
 

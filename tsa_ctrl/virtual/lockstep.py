@@ -82,8 +82,10 @@ class Wire:
             heapq.heappush(self._waiting, (can_id, self._sent, data, sender))
         return True
 
-    def switch(self, name: str, up: bool) -> None:
+    def switch(self, name: str, up: bool | None) -> None:
         """Take the interface down, which discards frames in transit, or up again, which clears the plant's fault."""
+        if up is None:  # always permitted
+            return
         for wire in self._beside:
             if wire.plant.name == name:
                 wire.switch(name, up)

@@ -10,6 +10,7 @@ import pytest
 
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.drive.checks import cure
 from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
 from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, drive_scale, load_profile
 from tsa_ctrl.bus.settings import BusSettings, DriveSettings
@@ -46,7 +47,7 @@ def test_a_clamp_that_counts_downwards_is_rounded_towards_no_torque(share: float
 
 
 def test_a_clamp_beyond_its_object_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"whose range is 0 to 65535; lower max_torque in \[axis.drive\]"):
+    with pytest.raises(UsageError, match=r"whose range is 0 to 65535; lower torque in \[axis.limits\]"):
         clamped(2.1, Units())
 
 
@@ -118,7 +119,7 @@ def test_clamps_never_exceed_what_is_configured() -> None:
 
 
 def test_torque_limit_beyond_the_object_is_refused() -> None:
-    with pytest.raises(UsageError, match="allowed are 1 to 32767; correct max_torque or rated_torque"):
+    with pytest.raises(UsageError, match=r"allowed are 1 to 32767; correct limits\.torque or rated_torque"):
         drive_scale(DriveSettings(node_id=1, max_torque=50.0), DriveProfile(), "axis 'knee'")
 
 
@@ -134,3 +135,10 @@ def test_interpolation_period_as_the_drive_wants_it(period: float, mantissa: int
 def test_rate_that_the_drive_cannot_be_told_is_refused(rate: float) -> None:
     with pytest.raises(UsageError, match="choose a rate such as 1000"):
         interpolation_period(1.0 / rate)
+
+
+@pytest.mark.parametrize(
+    ("entry", "key"), [(objects.MAX_TORQUE, "torque in"), (objects.MAX_MOTOR_SPEED, "motor_over_speed in")]
+)
+def test_a_rejected_clamp_names_the_limit_that_determines_it(entry: objects.Object, key: str) -> None:
+    assert f"correct {key} [axis.limits]" in cure(entry, DriveSettings(node_id=1), DriveProfile(), 0x06090030)

@@ -87,7 +87,7 @@ _DRIFT = (
 )
 _LOOSE = (
     "a joint that friction held below its desired torque starts to move, because the friction term changes sign with "
-    "the noise; check the encoder with tsa doctor and set [axis.limits] travel"
+    "the noise; use an encoder with less noise and set [axis.limits] travel"
 )
 
 HAZARDS: tuple[Hazard, ...] = (

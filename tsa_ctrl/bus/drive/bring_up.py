@@ -48,6 +48,7 @@ _READ_ONLY = frozenset({0x06010000, 0x06010002})  # abort codes
 _MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
 _COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
 _MAPPING_OFFSET = 0x200
+_HIGHEST_NODE = 127  # largest node id
 
 Cure = Callable[[Object, int | None], str]
 
@@ -150,11 +151,31 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
     found = {entry: session.read_if_readable(node_id, entry) for entry in entries}
     held = {entry: value for entry, value in found.items() if value is not None}
     ours = [entry for entry, value in held.items() if value >> 16 & 0x7F == host]
-    free = [entry for entry, value in held.items() if not value & 0xFFFF]
+    free = [entry for entry, value in held.items() if not _supervised(value)]
     chosen = [*ours, *free, objects.HEARTBEAT_CONSUMER][0]
     return [
         replace(write, entry=chosen) if write.entry.key == objects.HEARTBEAT_CONSUMER.key else write for write in plan
     ]
+
+
+def _supervised(value: int) -> int:
+    """Return the node id that an entry of 0x1016 supervises; 0 if it is unused."""
+    node_id = value >> 16 & 0xFF
+    return node_id if value & 0xFFFF and node_id <= _HIGHEST_NODE else 0
+
+
+def check_consumer(session: Session, node: Node, plan: Sequence[Write], host: int) -> None:
+    """Raise BusError if the plan would overwrite an entry of 0x1016 with which the node supervises another node."""
+    for write in plan:
+        if write.entry.index != objects.HEARTBEAT_CONSUMER.index:
+            continue
+        other = _supervised(session.read_if_readable(node.node_id, write.entry) or 0)
+        if other not in (0, host):
+            raise BusError(
+                f"{node.name}: no entry of its heartbeat consumer (0x1016) is free: {write.entry} supervises node "
+                f"{other}; set an entry to 0 with the maker's tool, or write absent = "
+                f'["{objects.HEARTBEAT_CONSUMER.name}"] in {node.profile_file}'
+            )
 
 
 def whole_plan(
@@ -468,6 +489,7 @@ def _configure(
         find_inputs(session, node, report)
         slot, host = node.axis.drive.slot, settings.host_node_id
         plan = whole_plan(session, node.node_id, plan, slot, node.profile, host)
+        check_consumer(session, node, plan, host)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)
     report.rows = write_all(session, node.node_id, node.name, plan, node.cure, report.notes)

@@ -40,9 +40,9 @@ _SETTINGS = {  # key of the controller file that determines the value of an obje
     objects.CONNECTION_LOSS.key: "connection_loss in [axis.drive]",
     objects.INTERPOLATION_PERIOD.key: "rate in [controller]",
     objects.INTERPOLATION_EXPONENT.key: "rate in [controller]",
-    objects.MAX_TORQUE.key: "max_torque in [axis.drive]",
+    objects.MAX_TORQUE.key: "torque in [axis.limits]",
     objects.POLARITY.key: "polarity in [axis.drive]",
-    objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
+    objects.MAX_MOTOR_SPEED.key: "motor_over_speed in [axis.limits], or [units] max_speed in {profile}",
 }
 _SPECIAL = {  # objects for which `absent` alone is not enough
     objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile} if it supports only node guarding',
@@ -550,8 +550,8 @@ def _effect(influence: Influence, found: int, node: Node) -> str:
     rated = drive.rated_torque * drive.gear_ratio / PER_MILLE
     if influence.effect is Effect.LIMITS and found < most:
         return (
-            f"the drive delivers at most {found * rated:.3g} N*m, but max_torque in [axis.drive] is "
-            f"{most * rated:.3g} N*m; raise the limit with the maker's tool, or lower max_torque"
+            f"the drive delivers at most {found * rated:.3g} N*m, but torque in [axis.limits] is "
+            f"{most * rated:.3g} N*m; raise the limit with the maker's tool, or lower torque"
         )
     if influence.effect is Effect.RAMPS and influence.unit and 0 < found * _SLOW_RAMP < most:
         return (

@@ -38,6 +38,11 @@ def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
     return replace(pdo.TORQUE_SENSOR, every=sensor.every or 1)
 
 
+def frames_of_drives(profiles: Sequence[DriveProfile]) -> frozenset[int]:
+    """Return the identifiers of a master that the drives may send themselves: SYNC, if a profile permits it."""
+    return frozenset({cia301.SYNC} if any(profile.produces_sync for profile in profiles) else ())
+
+
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
     """Raise UsageError if two nodes share an id, unless they are axes of one device or one encoder of two axes."""
     owners: dict[int, tuple[str, NodeSettings | None]] = {

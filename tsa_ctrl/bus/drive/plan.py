@@ -153,7 +153,7 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write
     if not type_.low <= value <= type_.high:
         raise UsageError(
             f"{where}: max_torque is {per_mille} per mille of the rated torque, i.e. {value} in '{clamp.name}', "
-            f"whose range is {type_.low} to {type_.high}; lower max_torque in [axis.drive], or correct rated in its "
+            f"whose range is {type_.low} to {type_.high}; lower torque in [axis.limits], or correct rated in its "
             "profile's [torque_clamp]"
         )
     return Write(entry, value)

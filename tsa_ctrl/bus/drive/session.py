@@ -129,10 +129,10 @@ class Session:
         self.wait(_LISTENING)
         return frozenset(self._masters)
 
-    def alone(self, rpdos: Iterable[int] = ()) -> None:
-        """Raise BusError if another master sends frames; this method sends nothing."""
+    def alone(self, rpdos: Iterable[int] = (), tolerated: frozenset[int] = frozenset()) -> None:
+        """Raise BusError if another master sends frames that are not `tolerated`; this method sends nothing."""
         heard = self.listen(rpdos)
-        if heard:
+        if heard - tolerated:
             raise BusError(another_master(self._bus.name, heard))
 
     def begin_heartbeat(self) -> None:

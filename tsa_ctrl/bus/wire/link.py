@@ -150,9 +150,13 @@ def can_interfaces() -> dict[str, Interface]:
     return {link.name: link for link in found if link.is_can}
 
 
-def set_up(channel: str, up: bool) -> None:
-    """Switch a link up or down, like `ip link set CHANNEL up`; raise OSError with the kernel's reason."""
-    request(RTM_NEWLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), int(up), _IFF_UP))
+def set_up(channel: str, up: bool | None) -> None:
+    """Switch a link up or down, like `ip link set CHANNEL up`; raise OSError with the kernel's reason.
+
+    `up` None changes nothing: the kernel only checks that this process may switch the link.
+    """
+    change = 0 if up is None else _IFF_UP
+    request(RTM_NEWLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), int(bool(up)), change))
 
 
 def make_vcan(name: str) -> None:

@@ -152,8 +152,8 @@ class SocketCan:
         flags = struct.unpack_from("H", fcntl.ioctl(raw, _SIOCGIFFLAGS, request), 16)[0]
         if not flags & _IFF_UP:
             raise BusError(
-                f"[bus] channel '{channel}': the interface is down; set its bit rate and bring it up: "
-                f"ip link set {channel} up type can bitrate 1000000"
+                f"[bus] channel '{channel}': the interface is down; set it up: ip link set {channel} up "
+                "(with the bit rate of a real adapter: up type can bitrate 1000000)"
             )
         raw.setblocking(False)
 

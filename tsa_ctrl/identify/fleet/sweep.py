@@ -12,7 +12,7 @@ from pathlib import Path
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis import diagnose
-from tsa_ctrl.identify.diagnosis.report.page import set_aside, write
+from tsa_ctrl.identify.diagnosis.report.page import JSON, set_aside, write
 from tsa_ctrl.identify.fleet.executors import Workers
 from tsa_ctrl.identify.fleet.ledger import Row, append, known_rows, row_of, write_table
 from tsa_ctrl.log.table import ENDINGS
@@ -102,12 +102,14 @@ def sweep(
     seed: int = 0,
     strict: bool = False,
     progress: Progress = lambda done, total, row: None,
+    say: Callable[[str], None] = lambda line: None,
 ) -> list[Row]:
     """Diagnose each log separately with `model`; return the results in the order of `logs`.
 
     Each report is written to out/NAME, and each result to out/fleet.jsonl as soon as it is available. The table is
     written to out/verdicts.csv at the end or at an interruption. Results in fleet.jsonl for the same log, model, seed
-    and version are reused. progress(done, total, row) is called at the start (row None) and after each result.
+    and version are reused. progress(done, total, row) is called at the start (row None) and after each result. `say`
+    receives a line if earlier reports will be kept under other names.
 
     Raises:
         UsageError: a file cannot be read or written.
@@ -126,6 +128,12 @@ def sweep(
         if (row := known.get(path.name)) is not None and row.key == key and _reported(out, row)
     }
     queue = [path for path in logs if path not in rows]
+    earlier = sum((out / path.name / JSON).is_file() for path in queue)
+    if earlier:
+        say(
+            f"{out}: {earlier} of {len(logs)} logs have a report of another model, seed, version or content; its data "
+            "files are kept next to the new ones as NAME.~N~: remove them, or choose another --out"
+        )
     progress(len(rows), len(logs), None)
     running: dict[Future[Done], Path] = {}
     try:
@@ -175,7 +183,7 @@ def _unreadable(path: Path, error: OSError) -> UsageError:
 
 def _reported(out: Path, row: Row) -> bool:
     """Return True if the report of a result still exists; the result of a failed diagnosis needs none."""
-    return row.verdict == "error" or (out / row.log / "diagnosis.json").is_file()
+    return row.verdict == "error" or (out / row.log / JSON).is_file()
 
 
 def _file(folder: Path, done: Done) -> None:
@@ -186,7 +194,7 @@ def _file(folder: Path, done: Done) -> None:
     try:
         if folder.is_dir():
             set_aside(folder, ())
-        for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
+        for name in sorted(done.files, key=lambda name: name == JSON):
             folder.mkdir(exist_ok=True)
             (folder / name).write_bytes(done.files[name])
     except OSError as error:

@@ -445,5 +445,4 @@ def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:
         if i == len(names):
             axes.set_xlabel(TIME)
     figure.suptitle(f"{table.path.name}: imported columns in SI units")
-    with outputs.beside(path) as part:
-        figure.savefig(part, dpi=110, format="png")
+    outputs.save_picture(figure, path, dpi=110)

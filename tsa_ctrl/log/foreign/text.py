@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign.clocks import TIME, Arrays, Columns, columns, on_one_clock, outside
 from tsa_ctrl.log.foreign.names import listed
+from tsa_ctrl.system.process_supervisor import worker_context
 
 # Keys of a list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS
 # (name, ...).
@@ -231,12 +232,28 @@ ARRAYS: dict[str, Callable[[Path], Arrays]] = {
 TEXTS: dict[str, Callable[[Path], tuple[str, str]]] = {".xlsx": sheet, ".xls": sheet, ".ods": sheet, ".lvm": lvm}
 
 
+def in_child(reader: Callable[[Path], Any], path: Path) -> Any:
+    """Call a reader in a child process, because the C code of its library may crash on a damaged file.
+
+    Raises:
+        UsageError: The reader crashed.
+    """
+    from concurrent.futures import ProcessPoolExecutor  # imported here, because most tables are text
+    from concurrent.futures.process import BrokenProcessPool
+
+    with ProcessPoolExecutor(1, mp_context=worker_context(__name__)) as pool:
+        try:
+            return pool.submit(reader, path).result()
+        except BrokenProcessPool:
+            raise UsageError(f"{path}: is damaged: its reader crashed; export it again") from None
+
+
 def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
     """Call a reader. Raise UsageError with a message of one line if its library cannot read the file."""
     if not path.exists():
         raise UsageError(f"{path}: no such file; give the path of a table")
     try:
-        return reader(path)
+        return in_child(reader, path) if reader is mat else reader(path)
     except UsageError:
         raise
     except Exception as error:  # each library raises its own errors, but a damaged file must not cause a traceback
