@@ -7,21 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tsa_ctrl.model.parameters import TendonSheath
+from tests.model.actuator import ACTUATOR
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
-
-ACTUATOR = TendonSheath(
-    motor_pulley_radius=0.02,
-    joint_pulley_radius=0.025,
-    axial_stiffness=60000.0,
-    unstrained_length=1.2,
-    diameter=0.0006,
-    contact_offset=0.0004,
-    friction_coefficient=0.1,
-    bending_angle=2.6,
-    pretension=45.0,
-)
 
 # One row per state with these columns.
 COLUMNS = ("tau_m", "omega_j", "q_j", "q_m", "acceleration_j", "temperature", "t")
