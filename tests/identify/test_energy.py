@@ -35,13 +35,13 @@ def turned(table: Columns, *names: str) -> Dataset:
     return Dataset.from_arrays({name: -values if name in names else values for name, values in table.items()}, "log")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_right_log_is_accepted(seed: int) -> None:
     table, model = rig_log(seed)
     check_energy(turned(table), model)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("names", "said"),
     [(("tau_j",), "column tau_j is"), (("tau_m",), "column tau_m is"), (VELOCITIES, "column omega_j is")],
@@ -173,15 +173,6 @@ class TestRatios:
         without = {key: values for key, values in table.items() if key != "omega_j"}
         with pytest.raises(UsageError, match=f"{name} seems to be in degrees"):
             admit(Dataset.from_arrays({**without, **angles}), model)
-
-
-@pytest.mark.slow
-@pytest.mark.soak  # tests/identify/test_simulate.py also accepts all of them before it simulates them
-def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
-    folder = data_dir / "davinci"
-    model = load_model(folder / "actuator.toml")
-    for path in sorted(folder.glob("*.csv.gz")):
-        admit(load_log(path), model, "tau_j")
 
 
 @pytest.mark.parametrize("name", ["tau_m", "q_j", "q_m"])
