@@ -19,16 +19,11 @@ import pytest
 
 from tests.blind import case
 from tests.dashboard.chromium import chromium
-from tests.identify.diagnosis.nominal import T, model
+from tests.identify.diagnosis.nominal import T, diagnosed, model
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.diagnosis.report.words import told_torque
-from tsa_ctrl.model.parameters import load_model, model_from
-
-
-def diagnosed(family: str, name: str, seed: int) -> Diagnosis:
-    hidden = case(family, name, seed=seed, short=True)
-    return diagnose({log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal"))
+from tsa_ctrl.model.parameters import load_model
 
 
 @pytest.mark.slow
@@ -37,7 +32,7 @@ def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -
 
     After recalibration of the pretension, the hidden effect has no further influence.
     """
-    (cause,) = diagnosed("confounded", "elongation_or_gain", 8005).causes
+    (cause,) = diagnosed(case("confounded", "elongation_or_gain", 8005, short=True)).causes
     assert sorted((cause.effect, *cause.alternatives)) == [
         "elongation_coupling",
         "parameter_error",
@@ -60,7 +55,7 @@ AND_SOAK = [pytest.mark.soak]  # tests/blind/test_gate.py covers the same with o
     ],
 )
 def test_an_effect_that_is_hard_to_see_is_named_alone(name: str, seed: int) -> None:
-    result = diagnosed("single", name, seed)
+    result = diagnosed(case("single", name, seed, short=True))
     assert [(cause.effect, cause.alternatives) for cause in result.causes] == [(name, ())], result.sentence
 
 
