@@ -91,3 +91,9 @@ def test_state_passes_through_many_legs(legs: int) -> None:
     found = dahl(MonotonicSegments.of(path), 10.0, 1.0), maxwell_slip(MonotonicSegments.of(path), 10.0, 4, 1.0)
     np.testing.assert_allclose(found[0], dahl_by_steps(path, 10.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(found[1], maxwell_by_steps(path, 10.0, 4, 1.0), atol=1e-12)
+
+
+def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> None:
+    """Both samples at the top belong to the leg upward."""
+    legs = MonotonicSegments.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
+    assert legs.leg.tolist() == [0, 0, 0, 0, 0, 0, 1, 2]
