@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -160,19 +160,17 @@ class TestResumption:
         rows, jobs = swept(folder, model, tmp_path)
         assert (len(rows), jobs) == (3, 2)
 
-    def test_a_line_that_was_cut_short_is_asked_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
-        swept(folder, model, tmp_path)
-        path = tmp_path / LEDGER
-        path.write_text(path.read_text()[:-40])
-        assert swept(folder, model, tmp_path)[1] == 1
-        assert swept(folder, model, tmp_path)[1] == 0
-
-    def test_a_line_that_was_cut_within_a_character_is_asked_again(self, model: Path, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("cut", [lambda line: line[:-40], lambda line: line.partition(b"\xcf")[0] + b"\xcf"])
+    def test_a_line_that_was_cut_short_is_asked_again(
+        self, model: Path, tmp_path: Path, cut: Callable[[bytes], bytes]
+    ) -> None:
+        """An interruption may end a line anywhere, also within a character."""
         (tmp_path / "a_\N{GREEK SMALL LETTER TAU}.csv").write_text("t\n")
         swept(tmp_path, model, tmp_path / "out")
         path = tmp_path / "out" / LEDGER
-        path.write_bytes(path.read_bytes().partition(b"\xcf")[0] + b"\xcf")
+        path.write_bytes(cut(path.read_bytes()))
         assert swept(tmp_path, model, tmp_path / "out")[1] == 1
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 0
 
     def test_a_report_that_is_gone_is_made_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
         swept(folder, model, tmp_path)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.identify.diagnosis.nominal import MODEL
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
@@ -18,21 +19,7 @@ from tsa_ctrl.identify.smoothing.bandwidth import LowPass
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import RigidDrive, load_model
 
-R_M, R_J, MU, THETA, PRETENSION = 0.02, 0.025, 0.1, 2.6, 45.0
-MODEL = f"""\
-[actuator]
-motor_pulley_radius = {R_M}
-joint_pulley_radius = {R_J}
-[tendon]
-axial_stiffness = 60e3
-unstrained_length = 1.2
-diameter = 0.6e-3
-[sheath]
-friction_coefficient = {MU}
-bending_angle = {THETA}
-[pretension]
-value = {PRETENSION}
-"""
+R_M, R_J, X, PRETENSION = 0.02, 0.025, 0.26, 45.0  # of MODEL
 DRIVE = """\
 [actuator]
 kind = "rigid_drive"
@@ -48,8 +35,7 @@ ERROR = 0.03 * np.sin(31.0 * T) + 0.01
 
 def expected() -> np.ndarray:
     """Return the joint torque (N*m) by an independent evaluation of (3.55)."""
-    x = MU * THETA
-    return R_J * (TAU_M / R_M * math.cosh(x) - 2.0 * PRETENSION * np.sign(OMEGA) * math.sinh(x))
+    return R_J * (TAU_M / R_M * math.cosh(X) - 2.0 * PRETENSION * np.sign(OMEGA) * math.sinh(X))
 
 
 def write_csv(path: Path, **columns: np.ndarray) -> None:
