@@ -68,7 +68,7 @@ def test_the_interval_of_an_unsplit_parameter_is_what_is_left_open() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tensioner", "theta", "tensions", "certified"])
 def test_split_recovers_both_parameters(kind: str) -> None:
-    for seed in range(3):
+    for seed in range(2):
         rng, rig, model = rig_and_model(seed)
         change = 0.4 * rig.pretension
         if kind == "tensioner":
@@ -162,7 +162,7 @@ def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
 def drifting(seed: int, rate: float, phase: float, model: TendonSheath) -> Dataset:
     """Return a log by (3.55) whose motor torque has noise with a correlation time of 0.06 s."""
     rng, w = np.random.default_rng(seed), 2.0 * np.pi
-    t = np.arange(0.0, 40.0, 1.0 / rate)
+    t = np.arange(0.0, 30.0, 1.0 / rate)
     omega, tau_m = 0.75 * np.cos(w * 0.2 * t + phase), 0.3 * np.sin(w * 0.07 * t + phase)
     loop = 2.0 * model.pretension * np.sinh(model.friction_angle) * np.sign(omega)
     tau_j = model.joint_pulley_radius * (tau_m / model.motor_pulley_radius * np.cosh(model.friction_angle) - loop)
@@ -177,7 +177,7 @@ def test_coloured_noise_biases_no_slope_of_logs_with_different_rates() -> None:
     _, _, model = rig_and_model(1)
     true = model.joint_pulley_radius / model.motor_pulley_radius * np.cosh(model.friction_angle)
     slopes = [
-        calibrate([drifting(seed, 100.0, 0.0, model), drifting(seed + 6, 1000.0, 1.0, model)], model).slope
+        calibrate([drifting(seed, 100.0, 0.0, model), drifting(seed + 6, 500.0, 1.0, model)], model).slope
         for seed in range(6)
     ]
     assert sum(slope.low < true < slope.high for slope in slopes) >= 5
