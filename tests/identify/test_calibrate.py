@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from tests.blind import tendon_logs
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import admit
-from tsa_ctrl.identify.calibrate.regression import block_labels, solve
+from tsa_ctrl.identify.calibrate.regression import block_labels, lagged, solve
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from
 
@@ -119,6 +119,18 @@ def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
         assert not admission.mask[np.searchsorted(t, instant)]
     assert admission.reversals == reversals.size
     assert 10.0 < admission.seconds < 17.0
+
+
+def test_solve_is_exact_without_noise() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 3))
+    estimate = solve(x, x, x @ np.array([1.0, -2.0, 0.5]), block_labels([400])[0])
+    np.testing.assert_allclose(estimate.value, [1.0, -2.0, 0.5], atol=1e-12)
+
+
+def test_lagged_leaves_a_straight_line_alone() -> None:
+    line = np.arange(50.0)
+    np.testing.assert_allclose(lagged(line, 5)[5:-5], line[5:-5])
 
 
 def test_blocks_never_join_two_logs() -> None:

@@ -331,23 +331,29 @@ class TestDaemonLog:
         log.finish()
         return load_log(path)
 
-    def test_skipped_cycles_are_filled_and_said(self, tmp_path: Path) -> None:
-        found = self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), [100, 200, 201]))
-        assert len(found) == N
-        assert "3 cycles (0.75%) that the daemon skipped are filled" in found.notes[0]
-        assert np.max(np.abs(found["tau_j"] - np.cos(5.0 * T))) < 1e-4
-
-    def test_at_a_long_gap_the_longest_stretch_is_used_and_said(self, tmp_path: Path) -> None:
-        found = self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), np.arange(100, 150)))
-        assert len(found) == N - 150
-        assert found["t"][0] == pytest.approx(T[150])
-        assert "100 rows are left out" in found.notes[0]
-
-    def test_rows_before_the_devices_reported_are_left_out(self, tmp_path: Path) -> None:
-        late = np.where(T < 0.02, np.nan, 0.5)
-        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=late)
-        assert len(found) == N - 20
-        assert "the first 20 rows" in found.notes[0]
+    @pytest.mark.parametrize(
+        ("lost", "silent", "first", "rows", "said"),
+        [
+            pytest.param([100, 200, 201], [], 0, N, "3 cycles (0.75%) that the daemon skipped are filled", id="cycles"),
+            pytest.param([], [50, 51, 90], 0, N, "3 cycles", id="single values"),
+            pytest.param([], range(20), 20, N - 20, "the first 20 rows", id="before the devices report"),
+            pytest.param(range(100, 150), [], 150, N - 150, "100 rows are left out", id="long gap"),
+            pytest.param([], range(101, 150), 150, N - 150, "150 rows are left out", id="silent device"),
+        ],
+    )
+    def test_what_is_missing_is_filled_or_left_out_and_said(
+        self, tmp_path: Path, lost: list[int], silent: list[int], first: int, rows: int, said: str
+    ) -> None:
+        """Beyond a long gap, the longest stretch is used."""
+        torque = motion(N)["tau_m"]
+        torque[list(silent)] = np.nan
+        keep = np.setdiff1d(np.arange(N), list(lost))
+        found = self.recorded(tmp_path / "x.mcap", keep, tau_m=torque)
+        assert len(found) == rows
+        assert found["t"][0] == pytest.approx(T[first])
+        assert said in found.notes[0]
+        for name in ("tau_m", "tau_j"):
+            assert np.max(np.abs(found[name] - motion(N)[name][first : first + rows])) < 1e-4
 
     @pytest.mark.parametrize("rows", [1, 9])
     def test_a_few_complete_rows_are_no_log(self, tmp_path: Path, rows: int) -> None:
@@ -360,20 +366,6 @@ class TestDaemonLog:
         torque[300:305] = 600.0, 700.0, 800.0, 700.0, 600.0
         with pytest.raises(UsageError, match=r"column tau_m, row 301: 800 N\*m cannot be right"):
             self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), (100, 101)), tau_m=torque)
-
-    def test_single_values_missing_are_filled_and_said(self, tmp_path: Path) -> None:
-        holed = np.where(np.isin(np.arange(N), (50, 51, 90)), np.nan, np.sin(5.0 * T))
-        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
-        assert len(found) == N
-        assert "3 cycles" in found.notes[0]
-        assert np.max(np.abs(found["tau_m"] - np.sin(5.0 * T))) < 1e-4
-
-    def test_where_a_device_was_silent_the_longest_stretch_is_used(self, tmp_path: Path) -> None:
-        holed = np.where((T > 0.1) & (T < 0.15), np.nan, 0.5)
-        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
-        assert found["t"][0] == pytest.approx(0.15)
-        assert len(found) == N - 150
-        assert "150 rows are left out" in found.notes[0]
 
     @pytest.mark.parametrize(("until", "kept"), [(0.1, True), (0.3, False)])
     def test_a_load_cell_that_was_silent_most_of_the_time_is_taken_as_absent(

@@ -28,64 +28,58 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(low, high, allow_subnormal=False)
 
 
-INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
-    "torque_constant_error": st.fixed_dictionaries({"relative_error": numbers(-0.5, 0.5)}),
-    "torque_ripple": st.fixed_dictionaries(
-        {"amplitude": numbers(0.0, 0.1), "cycles_per_revolution": st.integers(1, 24), "phase": numbers(-3.1, 3.1)}
-    ),
-    "motor_side_friction": st.fixed_dictionaries({"coulomb": numbers(0.0, 0.2)}),
-    "configuration_dependent_bending": st.fixed_dictionaries({"bending_per_joint_angle": numbers(-1.0, 1.0)}),
-    "stiffness_nonlinearity": st.fixed_dictionaries({"quadratic": numbers(-200.0, 200.0)}),
-    "pretension_relaxation": st.fixed_dictionaries(
-        {
-            "relaxed_fraction": numbers(0.0, 0.5),
-            "time_constant": numbers(0.1, 100.0),
-            "law": st.sampled_from(["exponential", "logarithmic"]),
-        }
-    ),
-    "stribeck_friction": st.fixed_dictionaries(
-        {"static_excess": numbers(0.0, 1.0), "stribeck_velocity": numbers(0.01, 2.0), "shape": numbers(0.5, 2.0)}
-    ),
-    "thermal_friction_drift": st.fixed_dictionaries({"temperature_coefficient": numbers(-0.02, 0.02)}),
-    "tension_dependent_friction": st.fixed_dictionaries({"exponent": numbers(0.0, 0.5)}),
-    "presliding_hysteresis": st.fixed_dictionaries(
-        {"presliding_distance": numbers(0.005, 0.5), "elements": st.integers(1, 6)}
-    ),
-    "sheath_asymmetry": st.fixed_dictionaries({"relative_difference": numbers(-0.8, 0.8)}),
-    "tendon_slack": st.just({}),
-    "elongation_coupling": st.fixed_dictionaries({"curvature_profile": st.sampled_from([*NAMED, S_BENT])}),
-    "load_dependent_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.5)}),
-    "pulley_eccentricity": st.fixed_dictionaries(
-        {"relative_eccentricity": numbers(0.0, 0.5), "phase": numbers(-3.0, 3.0)}
-    ),
-    "viscous_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.3)}),
-    "direction_asymmetric_friction": st.fixed_dictionaries({"viscous_difference": numbers(-0.2, 0.2)}),
-    "inertia": st.fixed_dictionaries({"inertia": numbers(0.0, 0.05)}),
-    "gravity_load": st.fixed_dictionaries({"amplitude": numbers(0.0, 1.0), "phase": numbers(-3.0, 3.0)}),
-    "joint_stiffness": st.fixed_dictionaries({"stiffness": numbers(0.0, 1.0), "rest_angle": numbers(-0.5, 0.5)}),
-    "torque_offset": st.fixed_dictionaries({"offset": numbers(-0.3, 0.3)}),
-    "custom": st.fixed_dictionaries(
-        {
-            "expression": st.sampled_from(
-                [
-                    "k*sin(3*q_j)",
-                    "k*tanh(tau) + k*abs(omega_j)",
-                    "k*sign(tau)*0 + k*tau",
-                    "k*(tau - lag(tau, 0.2)) + 0.1*ring(q_j, 3, 0.2)",
-                    "k*(ring(tau, 6, 0.1) - tau)*cos(q_j) + 0.2*k*dahl(tau + k, 0.3)",
-                ]
-            ),
-            "stage": st.sampled_from(["joint", "motor"]),
-            "k": numbers(-0.4, 0.4),
-        }
-    ),
+PROFILES = st.sampled_from([*NAMED, S_BENT])
+FORMULAS = st.sampled_from(
+    [
+        "k*sin(3*q_j)",
+        "k*tanh(tau) + k*abs(omega_j)",
+        "k*sign(tau)*0 + k*tau",
+        "k*(tau - lag(tau, 0.2)) + 0.1*ring(q_j, 3, 0.2)",
+        "k*(ring(tau, 6, 0.1) - tau)*cos(q_j) + 0.2*k*dahl(tau + k, 0.3)",
+    ]
+)
+PARAMETERS: dict[str, dict[str, st.SearchStrategy[Any]]] = {
+    "torque_constant_error": {"relative_error": numbers(-0.5, 0.5)},
+    "torque_ripple": {
+        "amplitude": numbers(0.0, 0.1),
+        "cycles_per_revolution": st.integers(1, 24),
+        "phase": numbers(-3.1, 3.1),
+    },
+    "motor_side_friction": {"coulomb": numbers(0.0, 0.2)},
+    "configuration_dependent_bending": {"bending_per_joint_angle": numbers(-1.0, 1.0)},
+    "stiffness_nonlinearity": {"quadratic": numbers(-200.0, 200.0)},
+    "pretension_relaxation": {
+        "relaxed_fraction": numbers(0.0, 0.5),
+        "time_constant": numbers(0.1, 100.0),
+        "law": st.sampled_from(["exponential", "logarithmic"]),
+    },
+    "stribeck_friction": {
+        "static_excess": numbers(0.0, 1.0),
+        "stribeck_velocity": numbers(0.01, 2.0),
+        "shape": numbers(0.5, 2.0),
+    },
+    "thermal_friction_drift": {"temperature_coefficient": numbers(-0.02, 0.02)},
+    "tension_dependent_friction": {"exponent": numbers(0.0, 0.5)},
+    "presliding_hysteresis": {"presliding_distance": numbers(0.005, 0.5), "elements": st.integers(1, 6)},
+    "sheath_asymmetry": {"relative_difference": numbers(-0.8, 0.8)},
+    "tendon_slack": {},
+    "elongation_coupling": {"curvature_profile": PROFILES},
+    "load_dependent_friction": {"coefficient": numbers(0.0, 0.5)},
+    "pulley_eccentricity": {"relative_eccentricity": numbers(0.0, 0.5), "phase": numbers(-3.0, 3.0)},
+    "viscous_friction": {"coefficient": numbers(0.0, 0.3)},
+    "direction_asymmetric_friction": {"viscous_difference": numbers(-0.2, 0.2)},
+    "inertia": {"inertia": numbers(0.0, 0.05)},
+    "gravity_load": {"amplitude": numbers(0.0, 1.0), "phase": numbers(-3.0, 3.0)},
+    "joint_stiffness": {"stiffness": numbers(0.0, 1.0), "rest_angle": numbers(-0.5, 0.5)},
+    "torque_offset": {"offset": numbers(-0.3, 0.3)},
+    "custom": {"expression": FORMULAS, "stage": st.sampled_from(["joint", "motor"]), "k": numbers(-0.4, 0.4)},
+    # effects that do not change the torque
+    "series_spring": {"stiffness": numbers(1e3, 1e5), "end": st.just("joint")},
+    "tendon_creep": {"length": numbers(-1e-3, 1e-3), "time_constant": numbers(0.1, 100.0)},
+    "pulley_slip": {"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)},
+    "joint_play": {"gap": numbers(1e-4, 0.1)},
 }
-INVERTIBLE |= {  # effects that do not change the torque
-    "series_spring": st.fixed_dictionaries({"stiffness": numbers(1e3, 1e5), "end": st.just("joint")}),
-    "tendon_creep": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time_constant": numbers(0.1, 100.0)}),
-    "pulley_slip": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)}),
-    "joint_play": st.fixed_dictionaries({"gap": numbers(1e-4, 0.1)}),
-}
+INVERTIBLE = {name: st.fixed_dictionaries(parameters) for name, parameters in PARAMETERS.items()}
 NOT_INVERTIBLE = {
     "transport_delay",
     "torque_sensor_lag",
