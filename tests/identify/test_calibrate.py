@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.blind import tendon_logs
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import admit
 from tsa_ctrl.identify.calibrate.regression import block_labels, lagged, solve
@@ -96,6 +97,14 @@ def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
     columns["tau_m"] = columns["tau_m"] + 0.33 * np.std(columns["tau_m"]) * rng.normal(size=columns["t"].size)
     result = calibrate([Dataset.from_arrays(columns, "noisy.csv")], model)
     assert result.slope.value == pytest.approx(rig.truth()["slope"], rel=0.02)
+
+
+def test_a_motor_torque_that_varies_by_its_noise_alone_is_refused() -> None:
+    rng, rig, model = rig_and_model(5)
+    columns = tendon_logs.record(rig, rng, seconds=25.0, rate=250.0)
+    columns["tau_m"] = 0.1 + 1e-3 * rng.normal(size=columns["t"].size)
+    with pytest.raises(UsageError, match="slope cannot be seen"):
+        calibrate([Dataset.from_arrays(columns, "bad.csv")], model)
 
 
 def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
