@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 
 import numpy as np
@@ -51,25 +50,29 @@ def test_intervals_of_the_two_combinations_cover_the_truth(profile: str) -> None
     assert found >= 70
 
 
-def test_one_configuration_is_not_split() -> None:
+def test_one_configuration_keeps_the_half_loop_and_is_not_split() -> None:
     rng, rig, model = rig_and_model(1)
     result = calibrate([log(rig, rng)], model)
     assert not result.split
     assert "tensioner" in result.experiment
     proportion = result.friction_angle.value / result.pretension.value
     assert proportion == pytest.approx(model.friction_angle / model.pretension)
+    loop = 2.0 * result.model.pretension * rig.r_j * np.sinh(result.model.friction_angle)
+    found = result.half_loop_torque
+    assert loop == pytest.approx(found.value, abs=0.1 * (found.high - found.low))  # rounded to the digits of the file
 
 
 def test_the_interval_of_an_unsplit_parameter_is_what_is_left_open() -> None:
-    for seed in range(10):
+    for seed in range(6):
         rng, rig, model = rig_and_model(seed)
-        assert hits(calibrate([log(rig, rng)], model), rig, "friction_angle", "pretension") == 2
+        found = calibrate([log(rig, rng, seconds=25.0, rate=250.0)], model)
+        assert hits(found, rig, "friction_angle", "pretension") == 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tensioner", "theta", "tensions", "certified"])
 def test_split_recovers_both_parameters(kind: str) -> None:
-    for seed in range(3):
+    for seed in range(2):
         rng, rig, model = rig_and_model(seed)
         change = 0.4 * rig.pretension
         if kind == "tensioner":
@@ -87,21 +90,6 @@ def test_split_recovers_both_parameters(kind: str) -> None:
         assert result.pretension.value == pytest.approx(truth["pretension"], rel=0.03)
 
 
-def test_half_loop_is_kept_by_the_calibrated_model() -> None:
-    rng, rig, model = rig_and_model(2)
-    result = calibrate([log(rig, rng)], model)
-    m = result.model
-    loop = 2.0 * m.pretension * m.joint_pulley_radius * np.sinh(m.friction_angle)
-    found = result.half_loop_torque
-    assert loop == pytest.approx(found.value, abs=0.1 * (found.high - found.low))  # rounded to the digits of the file
-
-
-def test_error_on_held_out_data_falls() -> None:
-    rng, rig, model = rig_and_model(0)
-    result = calibrate([log(rig, rng, f"{i}.csv") for i in range(3)], model)
-    assert result.rms_after < 0.6 * result.rms_before
-
-
 def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
     """White noise of a third of the signal would reduce an ordinary least-squares slope by a tenth."""
     rng, rig, model = rig_and_model(4)
@@ -111,40 +99,12 @@ def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
     assert result.slope.value == pytest.approx(rig.truth()["slope"], rel=0.02)
 
 
-def test_json_has_the_public_keys() -> None:
-    rng, rig, model = rig_and_model(3)
-    data = json.loads(calibrate([log(rig, rng)], model).to_json())
-    assert data["schema"] == 1
-    assert set(data["parameters"]) == {"friction_angle", "pretension"}
-    assert set(data["combinations"]) == {"slope", "half_loop_torque"}
-    assert set(data["combinations"]["slope"]) == {"value", "low", "high", "unit"}
-    assert data["split"] is False
-    assert data["condition_number"] is None
-    assert data["refused"] == ["reversals", "standstill"]
-    assert set(data["rms"]) >= {"before", "after", "held_out"}
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda c: c.update(omega_j=np.abs(c["omega_j"]) + 0.1), "backward"),
-        (lambda c: c.update(omega_j=0.0 * c["omega_j"]), "hardly moves"),
-        (lambda c: c.update(tau_m=0.0 * c["tau_m"] + 0.1), "slope cannot be seen"),
-        (lambda c: c.pop("tau_j"), "tau_j"),
-    ],
-)
-def test_too_little_of_something_is_a_refusal_that_names_it(change, words: str) -> None:  # type: ignore[no-untyped-def]
+def test_a_motor_torque_that_varies_by_its_noise_alone_is_refused() -> None:
     rng, rig, model = rig_and_model(5)
-    columns = tendon_logs.record(rig, rng)
-    change(columns)
-    with pytest.raises(UsageError, match=words):
+    columns = tendon_logs.record(rig, rng, seconds=25.0, rate=250.0)
+    columns["tau_m"] = 0.1 + 1e-3 * rng.normal(size=columns["t"].size)
+    with pytest.raises(UsageError, match="slope cannot be seen"):
         calibrate([Dataset.from_arrays(columns, "bad.csv")], model)
-
-
-def test_unknown_tensioner_log_is_an_error() -> None:
-    rng, rig, model = rig_and_model(5)
-    with pytest.raises(UsageError, match="matches no log"):
-        calibrate([log(rig, rng)], model, tensioner={"x.csv": 10.0})
 
 
 def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
@@ -161,19 +121,18 @@ def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
 def test_solve_is_exact_without_noise() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(400, 3))
-    labels = block_labels([400])[0]
-    estimate = solve(x, x, x @ np.array([1.0, -2.0, 0.5]), labels)
+    estimate = solve(x, x, x @ np.array([1.0, -2.0, 0.5]), block_labels([400])[0])
     np.testing.assert_allclose(estimate.value, [1.0, -2.0, 0.5], atol=1e-12)
-
-
-def test_blocks_never_join_two_logs() -> None:
-    a, b = block_labels([100, 300])
-    assert set(a).isdisjoint(b)
 
 
 def test_lagged_leaves_a_straight_line_alone() -> None:
     line = np.arange(50.0)
     np.testing.assert_allclose(lagged(line, 5)[5:-5], line[5:-5])
+
+
+def test_blocks_never_join_two_logs() -> None:
+    a, b = block_labels([100, 300])
+    assert set(a).isdisjoint(b)
 
 
 def test_the_interval_of_a_mean_over_equal_blocks_is_students() -> None:
@@ -198,7 +157,8 @@ def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
     """Each log has its own sensor zero. A common zero would widen every interval by the difference."""
     rng, rig, model = rig_and_model(6)
     change = 0.4 * rig.pretension
-    first, second = tendon_logs.record(rig, rng), tendon_logs.record(rig, rng, tensioner=change)
+    first = tendon_logs.record(rig, rng, seconds=25.0, rate=250.0)
+    second = tendon_logs.record(rig, rng, seconds=25.0, rate=250.0, tensioner=change)
 
     def width(zero: float) -> float:
         moved = {**second, "tau_j": second["tau_j"] + zero}
@@ -212,7 +172,7 @@ def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
 def drifting(seed: int, rate: float, phase: float, model: TendonSheath) -> Dataset:
     """Return a log by (3.55) whose motor torque has noise with a correlation time of 0.06 s."""
     rng, w = np.random.default_rng(seed), 2.0 * np.pi
-    t = np.arange(0.0, 40.0, 1.0 / rate)
+    t = np.arange(0.0, 30.0, 1.0 / rate)
     omega, tau_m = 0.75 * np.cos(w * 0.2 * t + phase), 0.3 * np.sin(w * 0.07 * t + phase)
     loop = 2.0 * model.pretension * np.sinh(model.friction_angle) * np.sign(omega)
     tau_j = model.joint_pulley_radius * (tau_m / model.motor_pulley_radius * np.cosh(model.friction_angle) - loop)
@@ -227,7 +187,7 @@ def test_coloured_noise_biases_no_slope_of_logs_with_different_rates() -> None:
     _, _, model = rig_and_model(1)
     true = model.joint_pulley_radius / model.motor_pulley_radius * np.cosh(model.friction_angle)
     slopes = [
-        calibrate([drifting(seed, 100.0, 0.0, model), drifting(seed + 6, 1000.0, 1.0, model)], model).slope
+        calibrate([drifting(seed, 100.0, 0.0, model), drifting(seed + 6, 500.0, 1.0, model)], model).slope
         for seed in range(6)
     ]
     assert sum(slope.low < true < slope.high for slope in slopes) >= 5

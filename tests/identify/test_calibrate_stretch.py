@@ -127,32 +127,28 @@ def test_the_verb_writes_what_it_found(
     assert written.half_loop_low == pytest.approx(found["stretch"]["half_loop_torque"]["low"], rel=1e-5)
 
 
-def rows(seconds: float = 3.0) -> dict[str, np.ndarray]:
-    """Return a log of a rigid transmission without elongation."""
+def rows(seconds: float = 3.0, elastic: bool = False) -> dict[str, np.ndarray]:
+    """Return a log of a rigid transmission, or of one whose motor angle shows the elongation by a larger torque."""
     t = np.arange(0.0, seconds, 1e-3)
     q_j = np.sin(t)
+    tau_m = 0.6 * np.sin(2.0 * t) if elastic else 0.1 * np.cos(t)
     return {
         "t": t,
-        "tau_m": 0.1 * np.cos(t),
+        "tau_m": tau_m,
         "q_j": q_j,
-        "q_m": 1.25 * q_j,
+        "q_m": 1.25 * q_j + elastic * tau_m / 40.0,
         "omega_m": 1.25 * np.cos(t),
         "omega_j": np.cos(t),
     }
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"q_m": -1.25}, "one of them has the wrong sign"),
-        ({"q_m": 2.5}, "counts per turn or a pulley's radius is wrong"),
-    ],
+    ("factor", "words"),
+    [(-1.25, "one of them has the wrong sign"), (2.5, "counts per turn or a pulley's radius is wrong")],
 )
-def test_angles_that_contradict_each_other_are_refused(change: dict[str, float], words: str) -> None:
+def test_angles_that_contradict_each_other_are_refused(factor: float, words: str) -> None:
     data = rows()
-    for name, factor in change.items():
-        data[name] = factor * data["q_j"]
-        data["omega_m"] = factor * data["omega_j"]
+    data |= {"q_m": factor * data["q_j"], "omega_m": factor * data["omega_j"]}
     with pytest.raises(UsageError, match=f"q_m and q_j contradict each other.*{words}"):
         fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
 
@@ -171,9 +167,7 @@ def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -
 @pytest.mark.parametrize("turned", [("tau_m",), ("q_m", "q_j")])
 def test_a_torque_that_turns_against_both_angles_is_refused(turned: tuple[str, ...]) -> None:
     """The tendons elongate in proportion to the motor torque. The torque or both angles have the wrong sign."""
-    data = rows()
-    data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
-    data["q_m"] = data["q_m"] + data["tau_m"] / 40.0
+    data = rows(elastic=True)
     for name in turned:
         data[name] = -data[name]
     with pytest.raises(UsageError, match="tau_m, or both angles, have the wrong sign") as caught:
@@ -183,9 +177,7 @@ def test_a_torque_that_turns_against_both_angles_is_refused(turned: tuple[str, .
 
 @pytest.mark.parametrize("size", [0.02, -1.0])
 def test_a_zero_that_jumps_within_a_log_is_refused_with_its_time(size: float) -> None:
-    data = rows()
-    data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
-    data["q_m"] = data["q_m"] + data["tau_m"] / 40.0
+    data = rows(elastic=True)
     at = float(data["t"][len(data["t"]) // 2])
     data["q_j"] = data["q_j"] + size * (data["t"] >= at)
     with pytest.raises(UsageError, match=rf" m at {at:.4g} s: a pulley slipped") as caught:
@@ -205,22 +197,17 @@ def test_what_comes_back_is_no_jump() -> None:
     assert jump(stretch, 1e-5) == (1000, pytest.approx(5e-4, rel=0.01))
 
 
-def test_a_missing_encoder_is_named() -> None:
-    data = rows()
-    del data["q_m"]
-    with pytest.raises(UsageError, match="q_m"):
-        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
-
-
-def test_tendons_that_never_slid_tell_nothing() -> None:
-    data = rows()
-    for name in ("q_j", "q_m", "omega_m", "omega_j"):
-        data[name] = 0.0 * data[name]
-    with pytest.raises(UsageError, match="did not slide all along"):
-        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
-
-
-def test_a_model_without_friction_is_refused() -> None:
-    model: TendonSheath = NOMINAL.recalibrated(0.0)
-    with pytest.raises(UsageError, match="must be above 0"):
-        fit_stretch([Dataset.from_arrays(rows(), "log")], model)
+@pytest.mark.parametrize(
+    ("change", "model", "words"),
+    [
+        ({"q_m": None}, NOMINAL, "q_m"),
+        (dict.fromkeys(("q_j", "q_m", "omega_m", "omega_j"), 0.0), NOMINAL, "did not slide all along"),
+        ({}, NOMINAL.recalibrated(0.0), "must be above 0"),
+    ],
+    ids=["no motor encoder", "tendons that never slid", "no friction in the file"],
+)
+def test_what_shows_no_stretch_is_refused(change: dict[str, float | None], model: TendonSheath, words: str) -> None:
+    data = {name: values for name, values in rows().items() if change.get(name, 1.0) is not None}
+    data |= {name: factor * data[name] for name, factor in change.items() if factor is not None}
+    with pytest.raises(UsageError, match=words):
+        fit_stretch([Dataset.from_arrays(data, "log")], model)

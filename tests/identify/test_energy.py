@@ -36,13 +36,13 @@ def turned(table: Columns, *names: str) -> Dataset:
     return Dataset.from_arrays({name: -values if name in names else values for name, values in table.items()}, "log")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_a_right_log_is_accepted(seed: int) -> None:
     table, model = rig_log(seed)
     check_energy(turned(table), model)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     ("names", "said"),
     [(("tau_j",), "column tau_j is"), (("tau_m",), "column tau_m is"), (VELOCITIES, "column omega_j is")],
@@ -62,18 +62,15 @@ def test_of_a_long_log_some_samples_are_enough(names: tuple[str, ...], monkeypat
         check_energy(turned(table, *names), model)
 
 
-def test_an_angle_against_its_own_velocity_is_named() -> None:
+@pytest.mark.parametrize(
+    ("name", "factor", "said"),
+    [("q_j", 1.0, "column omega_j runs against dq_j/dt"), ("q_m", 1.2, "column q_m is reversed")],
+)
+def test_an_angle_against_the_velocity_of_the_joint_is_named(name: str, factor: float, said: str) -> None:
     table, model = rig_log(1)
     q = np.cumsum(table["omega_j"]) * float(table["t"][1] - table["t"][0])
-    with pytest.raises(UsageError, match="column omega_j runs against dq_j/dt"):
-        check_energy(turned({**table, "q_j": q}, "q_j"), model)
-
-
-def test_a_motor_angle_against_the_joint_is_named() -> None:
-    table, model = rig_log(2)
-    q = np.cumsum(table["omega_j"]) * float(table["t"][1] - table["t"][0])
-    with pytest.raises(UsageError, match="column q_m is reversed"):
-        check_energy(turned({**table, "q_m": 1.2 * q}, "q_m"), model)
+    with pytest.raises(UsageError, match=said):
+        check_energy(turned({**table, name: factor * q}, name), model)
 
 
 def test_an_unloaded_joint_still_tells_the_motors_sign() -> None:
@@ -155,11 +152,11 @@ def test_a_motor_that_brakes_a_gear_is_accepted() -> None:
 
 
 class TestRatios:
-    @pytest.mark.parametrize(("name", "factor"), [("tau_m", 1e3), ("tau_j", 1e3)])
-    def test_one_torque_in_newton_millimetres_is_named(self, name: str, factor: float) -> None:
+    @pytest.mark.parametrize("name", ["tau_m", "tau_j"])
+    def test_one_torque_in_newton_millimetres_is_named(self, name: str) -> None:
         table, model = rig_log(8)
         small = {"tau_m": 0.01 * table["tau_m"], "tau_j": 0.01 * table["tau_j"]}
-        small[name] = small[name] * factor
+        small[name] = small[name] * 1e3
         with pytest.raises(UsageError, match=rf"{name} seems to be in N\*mm"):
             admit(Dataset.from_arrays({**table, **small}), model)
 
@@ -174,15 +171,6 @@ class TestRatios:
         without = {key: values for key, values in table.items() if key != "omega_j"}
         with pytest.raises(UsageError, match=f"{name} seems to be in degrees"):
             admit(Dataset.from_arrays({**without, **angles}), model)
-
-
-@pytest.mark.slow
-@pytest.mark.soak  # tests/identify/test_simulate.py also accepts all of them before it simulates them
-def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
-    folder = data_dir / "davinci"
-    model = load_model(folder / "actuator.toml")
-    for path in sorted(folder.glob("*.csv.gz")):
-        admit(load_log(path), model, "tau_j")
 
 
 @pytest.mark.parametrize("name", ["tau_m", "q_j", "q_m"])

@@ -11,7 +11,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from tests.identify.diagnosis.nominal import MODEL
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.fleet import Row, logs_in, sweep
-from tsa_ctrl.identify.fleet.executors import Workers, local
+from tsa_ctrl.identify.fleet.executors import Workers
 from tsa_ctrl.identify.fleet.ledger import LEDGER, TABLE
 from tsa_ctrl.identify.fleet.sweep import Done, Job
 
@@ -110,25 +110,16 @@ def table(out: Path) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.slow
-def test_each_log_has_a_row_with_its_verdict(done: Path) -> None:
+def test_each_log_has_a_row_with_its_verdict_or_the_reason_and_a_report(done: Path) -> None:
     rows = table(done)
     assert list(rows) == ["drive_1.csv", "drive_2.csv", "drive_3.csv"]
     assert rows["drive_1.csv"]["causes"] == ""
     assert "viscous_friction" in rows["drive_2.csv"]["causes"]
     assert float(rows["drive_2.csv"]["rms_extended"]) < float(rows["drive_2.csv"]["rms_recalibrated"])
-
-
-@pytest.mark.slow
-def test_a_log_that_cannot_be_diagnosed_is_a_row_with_the_reason(done: Path) -> None:
-    row = table(done)["drive_3.csv"]
-    assert row["verdict"] == "error"
-    assert row["error"].startswith("drive_3.csv: column tau_j is missing")
-
-
-@pytest.mark.slow
-def test_each_log_has_a_report_of_its_own(done: Path) -> None:
+    assert rows["drive_3.csv"]["verdict"] == "error"
+    assert rows["drive_3.csv"]["error"].startswith("drive_3.csv: column tau_j is missing")
     said = json.loads((done / "drive_2.csv" / "diagnosis.json").read_text())
-    assert table(done)["drive_2.csv"]["verdict"] == said["verdict"]
+    assert rows["drive_2.csv"]["verdict"] == said["verdict"]
     for name in ("report.html", "extended.toml"):
         assert (done / "drive_2.csv" / name).is_file()
 
@@ -144,23 +135,12 @@ def test_a_second_run_asks_nothing_again_and_gives_the_same_table(done: Path, fo
 class TestResumption:
     """A folder is diagnosed once, regardless of the number of interruptions."""
 
-    def test_another_model_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
+    def test_another_model_or_seed_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        """An earlier model is diagnosed again, because its reports were replaced."""
         other = tmp_path / "other.toml"
         other.write_text(MODEL.replace("value = 45.0", "value = 40.0"))
-        assert swept(folder, model, tmp_path / "out")[1] == 3
-        assert swept(folder, other, tmp_path / "out")[1] == 3
-
-    def test_an_earlier_model_is_diagnosed_again_because_its_reports_were_replaced(
-        self, folder: Path, model: Path, tmp_path: Path
-    ) -> None:
-        other = tmp_path / "other.toml"
-        other.write_text(MODEL.replace("value = 45.0", "value = 40.0"))
-        for each in (model, other, model):
-            assert swept(folder, each, tmp_path / "out")[1] == 3
-
-    def test_another_seed_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
-        assert swept(folder, model, tmp_path)[1] == 3
-        assert swept(folder, model, tmp_path, seed=1)[1] == 3
+        for each, seed in ((model, 0), (other, 0), (model, 0), (model, 1)):
+            assert swept(folder, each, tmp_path / "out", seed=seed)[1] == 3
 
     def test_a_log_that_changed_is_asked_again(self, model: Path, tmp_path: Path) -> None:
         for name in ("a.csv", "b.csv"):
@@ -180,19 +160,17 @@ class TestResumption:
         rows, jobs = swept(folder, model, tmp_path)
         assert (len(rows), jobs) == (3, 2)
 
-    def test_a_line_that_was_cut_short_is_asked_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
-        swept(folder, model, tmp_path)
-        path = tmp_path / LEDGER
-        path.write_text(path.read_text()[:-40])
-        assert swept(folder, model, tmp_path)[1] == 1
-        assert swept(folder, model, tmp_path)[1] == 0
-
-    def test_a_line_that_was_cut_within_a_character_is_asked_again(self, model: Path, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("cut", [lambda line: line[:-40], lambda line: line.partition(b"\xcf")[0] + b"\xcf"])
+    def test_a_line_that_was_cut_short_is_asked_again(
+        self, model: Path, tmp_path: Path, cut: Callable[[bytes], bytes]
+    ) -> None:
+        """An interruption may end a line anywhere, also within a character."""
         (tmp_path / "a_\N{GREEK SMALL LETTER TAU}.csv").write_text("t\n")
         swept(tmp_path, model, tmp_path / "out")
         path = tmp_path / "out" / LEDGER
-        path.write_bytes(path.read_bytes().partition(b"\xcf")[0] + b"\xcf")
+        path.write_bytes(cut(path.read_bytes()))
         assert swept(tmp_path, model, tmp_path / "out")[1] == 1
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 0
 
     def test_a_report_that_is_gone_is_made_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
         swept(folder, model, tmp_path)
@@ -340,22 +318,3 @@ def test_a_dask_cluster_gives_the_same_table(cluster: str, short: Path, model: P
     assert run.returncode == 0, run.stderr
     assert (tmp_path / TABLE).read_text() == (here / TABLE).read_text()
     assert (tmp_path / "drive_2.csv" / "report.html").is_file()
-
-
-@pytest.mark.slow
-def test_local_processes_end_with_the_block() -> None:
-    with local(1) as workers:
-        assert workers.executor.submit(abs, -1).result() == 1
-        processes = list(workers.executor._processes.values())  # type: ignore[attr-defined]
-    assert not any(process.is_alive() for process in processes)
-
-
-@pytest.mark.usefixtures("quick")
-def test_a_run_with_another_model_announces_the_backups(short: Path, model: Path, tmp_path: Path) -> None:
-    said: list[str] = []
-    other = tmp_path / "other.toml"
-    other.write_text(model.read_text() + "# another\n")
-    for path in (model, model, other):
-        swept(short, path, tmp_path / "out", say=said.append)
-    assert len(said) == 1
-    assert "3 of 3 logs have a report of another model" in said[0]

@@ -109,31 +109,24 @@ def test_fewer_runs_than_six_tell_no_change() -> None:
 
 
 def test_bad_input_is_one_line(tmp_path: Path) -> None:
-    model_path = tmp_path / "actuator.toml"
     rng = np.random.default_rng(5)
-    model_path.write_text(model_text(draw_rig(rng, "joint_end"), rng), encoding="utf-8")
-    model = load_tendon_sheath(model_path)
+    rig = draw_rig(rng, "joint_end")
+    (tmp_path / "actuator.toml").write_text(model_text(rig, rng), encoding="utf-8")
+    model = load_tendon_sheath(tmp_path / "actuator.toml")
     logs = tmp_path / "logs"
     with pytest.raises(UsageError, match="no such folder"):
         trend(logs, model)
     logs.mkdir()
     with pytest.raises(UsageError, match="holds no log"):
         trend(logs, model)
-    (logs / "broken.csv").write_text("t,tau_m\n0,nonsense\n", encoding="utf-8")
-    with pytest.raises(UsageError, match=r"none of 1 logs shows friction torque or stiffness; .*broken.csv") as caught:
+    log = record(rig, rng, seconds=2.0, rate=250.0)
+    write_csv(logs / "run.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
+    with pytest.raises(UsageError, match=r"run.csv: has neither column tau_j nor both q_m and q_j; log the joint"):
+        trend(logs, model)
+    (logs / "run.csv").write_text("t,tau_m\n0,nonsense\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"none of 1 logs shows friction torque or stiffness; .*run.csv") as caught:
         trend(logs, model)
     assert "\n" not in str(caught.value)
-
-
-def test_logs_without_joint_torque_and_angles_are_one_line(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
-    rig = draw_rig(rng, "joint_end")
-    (tmp_path / "actuator.toml").write_text(model_text(rig, rng), encoding="utf-8")
-    log = record(rig, rng, seconds=2.0, rate=250.0)
-    (tmp_path / "logs").mkdir()
-    write_csv(tmp_path / "logs" / "run.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
-    with pytest.raises(UsageError, match=r"run.csv: has neither column tau_j nor both q_m and q_j; log the joint"):
-        trend(tmp_path / "logs", load_tendon_sheath(tmp_path / "actuator.toml"))
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from tests.investigate.rigs import Rig, rigs, write
 from tsa_ctrl.cli import main
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.investigate.design import Designer, Pair, variations
+from tsa_ctrl.investigate.design import Designer, Experiment, Pair, variations
 from tsa_ctrl.investigate.procedure import Answer, investigate
 from tsa_ctrl.investigate.response import Joint
 from tsa_ctrl.model.parameters import TendonSheath, load_model
@@ -49,6 +49,14 @@ def one_way(sign: float = 1.0) -> Dataset:
     return Dataset.from_arrays(columns, "one way")
 
 
+def best(
+    by: list[Dataset], bounds: Bounds, logs: list[Dataset], models: tuple[TendonSheath, TendonSheath] | None
+) -> Experiment:
+    """Return the best motion of 8 s to separate two models after the given logs, for the joint of the logs `by`."""
+    pairs = [Pair(("a", "b"), *models)] if models else []
+    return Designer(Joint.of(by, NOMINAL), bounds, logs, 0.01, 1, 8.0).best(pairs)
+
+
 def test_the_equation_of_motion_is_that_of_the_joint() -> None:
     """The coefficients are 1/J for the torque and -b/J for the velocity."""
     terms = Joint.of([driven()], NOMINAL).terms
@@ -69,7 +77,7 @@ def test_more_torque_never_leaves_the_speed_and_travel_given() -> None:
     """The predicted motion stays within the limits. Full torque would deflect the spring four times as far."""
     bounds = Bounds(torque=1.0, speed=1.5, travel=(-0.4, 0.4))
     log = driven()
-    found = Designer(Joint.of([log], NOMINAL), bounds, [log], 0.01, 1).best([Pair(("a", "b"), VISCOUS, PLAIN)])
+    found = best([log], bounds, [log], (VISCOUS, PLAIN))
     assert np.abs(found.motion.omega_j).max() < 1.5
     assert np.abs(found.motion.q_j).max() < 0.4
     assert 0.05 < found.waveform.peak <= 1.0
@@ -78,11 +86,8 @@ def test_more_torque_never_leaves_the_speed_and_travel_given() -> None:
 
 def test_what_one_direction_hides_both_directions_show() -> None:
     """b omega and b abs(omega) are equal while omega > 0. A joint that the torque moves can reverse."""
-    pair = Pair(("viscous_friction", "direction_asymmetric_friction"), VISCOUS, ASYMMETRIC)
-    bounds = Bounds(torque=1.0, speed=4.0)
-    outside = one_way()
-    stuck = Designer(Joint.of([outside], NOMINAL), bounds, [outside], 0.01, 1).best([pair])
-    free = Designer(Joint.of([driven()], NOMINAL), bounds, [outside], 0.01, 1).best([pair])
+    outside, pair = one_way(), (VISCOUS, ASYMMETRIC)
+    stuck, free = (best([by], Bounds(1.0, 4.0), [outside], pair) for by in (outside, driven()))
     assert min(stuck.separation.values()) < 1.0
     assert min(free.separation.values()) > 10.0
 
@@ -91,16 +96,14 @@ def test_only_the_first_of_two_logs_has_the_angle_of_another_joint() -> None:
     longest = driven()
     columns = {name: longest[name][:2000] for name in longest.columns}
     first = Dataset.from_arrays({**columns, "q_j.hip": 0.1 * columns["q_j"]}, "first")
-    logs = [first, longest]
-    found = Designer(Joint.of(logs, NOMINAL), Bounds(1.0, 4.0), logs, 0.01, 1, 8.0).best([])
-    assert found.waveform.peak > 0.0
+    assert best([first, longest], Bounds(1.0, 4.0), [first, longest], None).waveform.peak > 0.0
 
 
 def test_a_rival_that_can_follow_by_its_own_numbers_is_not_separated() -> None:
     """The competing model differs only by a pretension that is 10 % higher, which other parameters can reproduce."""
     log = driven()
-    designer = Designer(Joint.of([log], NOMINAL), Bounds(1.0, 4.0), [log], 0.01, 1)
-    found = designer.best([Pair(("a", "b"), PLAIN, NOMINAL.recalibrated(pretension=1.1 * NOMINAL.pretension))])
+    rival = NOMINAL.recalibrated(pretension=1.1 * NOMINAL.pretension)
+    found = best([log], Bounds(1.0, 4.0), [log], (PLAIN, rival))
     assert min(found.separation.values()) < 1.0
 
 

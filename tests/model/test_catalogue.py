@@ -17,9 +17,10 @@ STAGES = list(Stage)
 
 
 def test_order_of_the_table_is_the_order_of_composition() -> None:
-    """The stages are in ascending order."""
+    """The stages are in ascending order, and no effect replaces another of the same name."""
     order = [STAGES.index(spec.stage) for spec in CATALOGUE.values()]
     assert order == sorted(order)
+    assert len(CATALOGUE) == len(EFFECTS)
 
 
 def test_effects_within_a_stage_keep_their_order() -> None:
@@ -34,22 +35,10 @@ def test_effects_within_a_stage_keep_their_order() -> None:
         assert [names.index(name) for name in group] == sorted(names.index(name) for name in group)
 
 
-def test_names_are_unique() -> None:
-    """No effect replaces another of the same name."""
-    assert len(CATALOGUE) == len(EFFECTS)
-
-
 def test_parameters_are_read_from_the_class() -> None:
     """Name and default come from a field, unit and bounds from its annotation."""
     last = CATALOGUE["torque_ripple"].parameters[-1]
     assert last == Parameter("rad", low=-math.pi, high=math.pi, name="phase", default=0.0)
-
-
-@pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
-def test_every_parameter_has_its_annotation(spec: Specification) -> None:
-    """There is one parameter for each field of the class, in the same order."""
-    fields = [field.name for field in dataclasses.fields(spec.effect) if field.name != "constants" or not spec.named]
-    assert [p.name for p in spec.parameters] == fields
 
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
@@ -61,13 +50,12 @@ def test_what_is_hidden_is_allowed(spec: Specification) -> None:
         check_effects({spec.name: drawn}, "demo")
 
 
-def test_names_of_excluded_effects_exist() -> None:
-    """An exclusion of an unknown name would have no effect."""
-    assert {other for spec in CATALOGUE.values() for other in spec.excludes} <= set(CATALOGUE)
-
-
 def test_twins_are_written_once_and_exist() -> None:
-    """Each indistinguishable pair is listed at one of its two effects. The names are effects or parameter_error."""
+    """Each indistinguishable pair is listed at one of its two effects. The names are effects or parameter_error.
+
+    An exclusion of an unknown name would have no effect.
+    """
+    assert {other for spec in CATALOGUE.values() for other in spec.excludes} <= set(CATALOGUE)
     pairs = [frozenset({name, other}) for name, spec in CATALOGUE.items() for t in spec.twins for other in t.names]
     assert len(pairs) == len(set(pairs))
     assert {name for pair in pairs for name in pair} <= {*CATALOGUE, "parameter_error"}

@@ -35,12 +35,6 @@ def test_at_the_joint_it_is_taken_from_what_the_tendons_bring() -> None:
     np.testing.assert_allclose(plain - found, taken, atol=1e-12)
 
 
-def test_at_the_motor_it_is_taken_before_the_tendons() -> None:
-    found = predict(with_custom("0.1*sigma", stage="motor"), SIGNALS)
-    expected = predict(BASE.with_effects({"motor_side_friction": {"coulomb": 0.1}}), SIGNALS)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
 def test_a_file_with_a_formula_loads_again_to_the_same_model(tmp_path: Path) -> None:
     model = with_custom("k*sin(3*q_j)", k=0.08)
     save_model(model, tmp_path / "a.toml")

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import expm
-from scipy.signal import lsim
 
 from tests.blind import memory as blind
 from tsa_ctrl.model.expression import parse
@@ -63,40 +62,6 @@ def reference(memory: Memory, x: Array, t: Array) -> Array:
 def test_over_a_log_of_uneven_steps_it_is_exact(memory: Memory) -> None:
     t, x = course()
     np.testing.assert_allclose(memory.over(x, t), reference(memory, x, t), atol=1e-12)
-
-
-@pytest.mark.parametrize("memory", EVERY[:3], ids=IDS[:3])
-def test_on_an_even_grid_it_is_what_scipy_makes_of_the_system(memory: Memory) -> None:
-    t, x = course(uneven=False)
-    a, b = system(memory)
-    start = np.zeros(len(a))
-    start[0] = x[0]
-    found = lsim((a, b[:, None], np.eye(1, len(a)), 0.0), x, t - t[0], X0=start)[1]
-    np.testing.assert_allclose(memory.over(x, t), found, atol=1e-10)
-
-
-def test_a_lag_is_that_of_the_blind_benchmark() -> None:
-    t, x = course(uneven=False)
-    np.testing.assert_allclose(Memory("lag", (0.3,)).over(x, t), blind.first_order_lag(x, 0.01, 0.3), atol=1e-12)
-
-
-def test_a_step_rings_with_its_frequency_and_overshoots_by_its_damping() -> None:
-    frequency, damping = 5.0, 0.1
-    t = np.concatenate([[-1e-9], np.arange(4000) * 1e-4])
-    y = Memory("ring", (frequency, damping)).over((t >= 0.0).astype(float), t)
-    root = math.sqrt(1.0 - damping**2)
-    top = int(np.argmax(y))
-    assert y[top] == pytest.approx(1.0 + math.exp(-math.pi * damping / root), abs=1e-5)
-    assert t[top] == pytest.approx(0.5 / (frequency * root), abs=1e-4)
-
-
-def test_hysteresis_is_dahls_loop() -> None:
-    """From 0 it rises as 1 - exp(-x/w). After a reversal at z it falls as (1 + z) exp(-(x_turn - x)/w) - 1."""
-    up = np.linspace(0.0, 1.0, 50)
-    x = np.concatenate([up, up[-2::-1]])
-    z = Memory("dahl", (0.4,)).over(x, np.arange(len(x), dtype=float))
-    np.testing.assert_allclose(z[:50], 1.0 - np.exp(-up / 0.4), atol=1e-12)
-    np.testing.assert_allclose(z[50:], (1.0 + z[49]) * np.exp(-(1.0 - x[50:]) / 0.4) - 1.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("memory", EVERY, ids=IDS)

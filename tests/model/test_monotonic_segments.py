@@ -96,15 +96,4 @@ def test_state_passes_through_many_legs(legs: int) -> None:
 def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> None:
     """Both samples at the top belong to the leg upward."""
     legs = MonotonicSegments.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
-    assert legs.first.tolist() == [0, 5, 6]
-    assert legs.way.tolist() == [1.0, -1.0, 1.0]
     assert legs.leg.tolist() == [0, 0, 0, 0, 0, 0, 1, 2]
-
-
-def test_a_path_that_stands_has_one_leg() -> None:
-    """The state does not change."""
-    legs = MonotonicSegments.of(np.full(5, 0.3))
-    assert legs.first.tolist() == [0]
-    np.testing.assert_array_equal(dahl(legs, 0.1, 0.0), np.zeros(5))
-    np.testing.assert_array_equal(maxwell_slip(legs, 0.1, 3, 1.0), np.ones(5))
-    assert np.isnan(last_reversal(legs, 0.0)).all()

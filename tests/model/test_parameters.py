@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 from pathlib import Path
 
 import pytest
@@ -70,31 +69,13 @@ def test_a_course_of_the_bending_has_its_own_centre_and_is_squeezed_to_one_that_
     assert bare(load_model(tmp_path / "again.toml")) == bare(given)
 
 
-@pytest.mark.parametrize(
-    ("course", "words"),
-    [
-        ("[[0.0, 0.0], [0.5, 0.6], [0.4, 1.0], [1.0, 1.0]]", r"bending_course is \[\[0.0, 0.0\].*; give \[\[fraction"),
-        ("[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]", "centre at 1, allowed is between 0 and 1; remove it"),
-    ],
-)
-def test_what_is_no_course_is_refused_in_one_line(tmp_path: Path, course: str, words: str) -> None:
-    with pytest.raises(UsageError, match=words) as caught:
-        loaded(tmp_path, with_course(course))
-    assert "\n" not in str(caught.value)
-
-
 def test_derived_quantities() -> None:
-    """x = mu Theta and k_t = EA/l_us. The series length is 0 without a series element."""
+    """x = mu Theta and k_t = 1/(l_us/EA + 1/k_s), so a spring as stiff as the tendon halves it."""
     assert ACTUATOR.friction_angle == pytest.approx(0.26)
     assert ACTUATOR.tendon_stiffness == pytest.approx(50e3)
     assert ACTUATOR.series_length == 0.0
     assert ACTUATOR.pretension_slope == pytest.approx(35.0)  # N/rad: 50 kN/m * 0.7 mm/rad
-
-
-def test_series_spring_softens() -> None:
-    """k_t = 1/(l_us/EA + 1/k_s), so an equal spring halves it."""
-    soft = dataclasses.replace(ACTUATOR, series_stiffness=50e3)
-    assert soft.pretension_slope == pytest.approx(0.5 * ACTUATOR.pretension_slope)
+    assert dataclasses.replace(ACTUATOR, series_stiffness=50e3).pretension_slope == pytest.approx(17.5)
 
 
 def test_place_of_the_series_spring(tmp_path: Path) -> None:
@@ -105,110 +86,124 @@ def test_place_of_the_series_spring(tmp_path: Path) -> None:
         assert model.series_at_joint is at_joint
 
 
-def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
-    """By (3.51) and (3.56), the pretension is 35 N/rad over 1.4 rad."""
-    text = changed("# unstrained_bending_angle", "unstrained_bending_angle").replace("value = 45.0", "# value")
-    model = loaded(tmp_path, text)
-    assert isinstance(model, TendonSheath)
-    assert model.pretension == pytest.approx(49.0)
+@pytest.mark.parametrize(
+    ("key", "spring", "pretension"),
+    [
+        ("unstrained_bending_angle", "", 49.0),
+        ("length_change", "", 45.0),
+        ("length_change", "series_stiffness = 2e4", 12.857142857),
+    ],
+)
+def test_the_pretension_may_follow_from_a_length(tmp_path: Path, key: str, spring: str, pretension: float) -> None:
+    """It is 35 N/rad over 1.4 rad by (3.51) and (3.56), or 0.9 mm of the tensioner times the tendon's stiffness.
 
-
-@pytest.mark.parametrize(("spring", "pretension"), [("", 45.0), ("series_stiffness = 2e4", 12.857142857)])
-def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: str, pretension: float) -> None:
-    """By (3.56), EA/l_us is 50 N/mm, or 14.3 N/mm with a series spring of 20 N/mm. The file stores the pretension."""
-    text = changed("# length_change", "length_change").replace("value = 45.0", "# value")
+    By (3.56), EA/l_us is 50 N/mm, or 14.3 N/mm with a series spring of 20 N/mm. The file stores the pretension.
+    """
+    text = changed(f"# {key}", key).replace("value = 45.0", "# value")
     model = loaded(tmp_path, text.replace("[sheath]", f"{spring}\n[sheath]"))
     assert isinstance(model, TendonSheath)
     assert model.pretension == pytest.approx(pretension)
     assert "length_change =" not in dump_model(model, tmp_path / "model.toml").replace("# length_change =", "")
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("diameter", "diametre", r"tendon: unknown key 'diametre'; did you mean 'diameter'\?"),
-        ("value = 45.0", "value = -1.0", "pretension.value: .*>= 0"),
-        ("bending_angle = 2.6 ", "bending_angle = 149.0 ", "sheath.bending_angle: .*<= 18.8.*found 149 .*degrees"),
-        (
-            "motor_pulley_radius = 0.020",
-            "motor_pulley_radius = 20.0",
-            "motor_pulley_radius: .*<= 0.5, found 20 .*millimetres",
-        ),
-        ("axial_stiffness = 60e3", 'axial_stiffness = "60e3"', "tendon.axial_stiffness: expected .float."),
-        ("axial_stiffness = 60e3", "# gone", "key 'axial_stiffness' is missing"),
-        ("value = 45.0", "# value", "no pretension; give"),
-        ("# unstrained_bending_angle", "unstrained_bending_angle", ".* are given; keep one"),
-        ("# length_change", "length_change", r"\[pretension\] value \(N\) and .*length_change \(m\) are given"),
-        (
-            "# length_change = 0.9e-3",
-            "length_change = 0.9e1",
-            "pretension.length_change: .*<= 0.5, found 9 .*millimetres",
-        ),
-        ("# series_position", "series_position", "series_position needs series_stiffness; give series_stiffness"),
-        (
-            "[sheath]",
-            'series_stiffness = 2e4\nseries_position = "middle"\n[sheath]',
-            "tendon.series_position: .*middle",
-        ),
-    ],
-)
-def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
-    """The message contains the place, the value and the allowed values."""
-    with pytest.raises(UsageError) as caught:
-        loaded(tmp_path, changed(old, new))
-    assert re.search(message, str(caught.value))
+def with_effect(name: str, *lines: str) -> str:
+    """Return the example file with this effect."""
+    return "\n".join([EXAMPLE.read_text(encoding="utf-8"), f"[effects.{name}]", *lines, ""])
+
+
+GEARED = '[actuator]\nkind = "geared_drive"\n'
+
+
+WRONG = [
+    (changed("diameter", "diametre"), r"tendon: unknown key 'diametre'; did you mean 'diameter'\?"),
+    (changed("value = 45.0", "value = -1.0"), "pretension.value: .*>= 0"),
+    (changed("stiffness = 60e3", 'stiffness = "60e3"'), "tendon.axial_stiffness: expected .float."),
+    (changed("axial_stiffness = 60e3", "# gone"), "key 'axial_stiffness' is missing"),
+    (changed("value = 45.0", "# value"), "no pretension; give"),
+    (changed("# unstrained_bending_angle", "unstrained_bending_angle"), ".* are given; keep one"),
+    (
+        changed("# length_change", "length_change"),
+        r"\[pretension\] value \(N\) and .*_change \(m\) are given",
+    ),
+    (changed("# length_change = 0.9e-3", "length_change = 9"), "length_change: .*<= 0.5, found 9 .*millimetres"),
+    (changed("# series_position", "series_position"), "series_position needs series_stiffness; give series_stiff"),
+    (
+        changed("[sheath]", 'series_stiffness = 2e4\nseries_position = "middle"\n[sheath]'),
+        "tendon.series_position: .*middle",
+    ),
+    (
+        with_course("[[0.0, 0.0], [0.5, 0.6], [0.4, 1.0], [1.0, 1.0]]"),
+        r"bending_course is \[\[0.*; give \[\[frac",
+    ),
+    (with_course("[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]"), "centre at 1, allowed is between 0 and 1; remove it"),
+    (with_effect("stribek_friction"), "unknown effect; did you mean 'stribeck_friction'"),
+    (with_effect("viscous_friction"), "key 'coefficient' is missing; give a number at least 0"),
+    (with_effect("viscous_friction", "coefficient = -0.1"), "coefficient = -0.1; allowed is a number at least 0"),
+    (with_effect("viscous_friction", "coeficient = 0.1"), "unknown key 'coeficient'; did you mean 'coefficient'"),
+    (with_effect("viscous_friction", "coefficient = true"), "allowed is a number"),
+    (with_effect("viscous_friction", "coefficient = nan"), "give a finite number"),
+    (with_effect("load_dependent_friction", "coefficient = 1.0"), "below 1"),
+    (with_effect("torque_ripple", "amplitude = 0.1", "cycles_per_revolution = 2.5"), "a whole number at least 1"),
+    (with_effect("elongation_coupling", 'curvature_profile = "flat"'), 'allowed is "uniform" or "motor_end"'),
+    (
+        with_effect("elongation_coupling", "curvature_profile = [[0.0, 0.0], [0.5, 0.9]]"),
+        r"\[\[0.0, 0.0\], \[0.5, 0.9\]\]; allowed is .* or \[\[fraction of length, fraction of bending\], ...\]",
+    ),
+    (
+        with_effect("elongation_coupling", 'curvature_profile = "uniform"', "[effects.tendon_slack]"),
+        "cannot be combined with .*tendon_slack",
+    ),
+    # effects of tendons have no meaning without tendons
+    (f"{DRIVE}[effects.tendon_slack]\n", "has no meaning for a rigid_drive"),
+    (f"{DRIVE}[effects.backlash]\ngap = 0.1\n", "has no meaning for a rigid_drive"),
+    (GEARED, "ratio"),
+    (f"{GEARED}ratio = -9.0\n", "ratio"),
+    (f"{GEARED}ratio = 9.0\nefficiency = 90.0\n", "divide per cent by 100"),
+    (f"{GEARED}ratio = 9.0\n[effects.tendon_slack]\n", "has no meaning for a geared_drive"),
+    (f"{GEARED}ratio = 9.0\nstiffness = 1.0\n", "stiffness"),
+    ('[actuator]\nkind = "gears"\n', "give one of tendon_sheath, rigid_drive, geared_drive"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG, ids=[message for _, message in WRONG])
+def test_wrong_file_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    """The message contains the place, the value and the allowed values. Those of effects are from the catalogue."""
+    with pytest.raises(UsageError, match=message) as caught:
+        loaded(tmp_path, text)
     assert "\n" not in str(caught.value)
     assert "model.toml" in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ("[effects.stribek_friction]", "unknown effect; did you mean 'stribeck_friction'"),
-        ("[effects.viscous_friction]", "key 'coefficient' is missing; give a number at least 0"),
-        ("[effects.viscous_friction]\ncoefficient = -0.1", "coefficient = -0.1; allowed is a number at least 0"),
-        ("[effects.viscous_friction]\ncoeficient = 0.1", "unknown key 'coeficient'; did you mean 'coefficient'"),
-        ("[effects.viscous_friction]\ncoefficient = true", "allowed is a number"),
-        ("[effects.viscous_friction]\ncoefficient = nan", "give a finite number"),
-        ("[effects.load_dependent_friction]\ncoefficient = 1.0", "below 1"),
-        ("[effects.torque_ripple]\namplitude = 0.1\ncycles_per_revolution = 2.5", "a whole number at least 1"),
-        ('[effects.elongation_coupling]\ncurvature_profile = "flat"', 'allowed is "uniform" or "motor_end"'),
-        (
-            "[effects.elongation_coupling]\ncurvature_profile = [[0.0, 0.0], [0.5, 0.9]]",
-            r"\[\[0.0, 0.0\], \[0.5, 0.9\]\]; allowed is .* or \[\[fraction of length, fraction of bending\], ...\]",
-        ),
-        (
-            '[effects.elongation_coupling]\ncurvature_profile = "uniform"\n[effects.tendon_slack]',
-            "cannot be combined with .*tendon_slack",
-        ),
-    ],
-)
-def test_wrong_effect_is_one_line(tmp_path: Path, table: str, message: str) -> None:
-    """Names and bounds come from the catalogue."""
-    with pytest.raises(UsageError, match=message) as caught:
-        loaded(tmp_path, EXAMPLE.read_text(encoding="utf-8") + table + "\n")
-    assert "\n" not in str(caught.value)
-
-
-def test_written_model_is_the_same(tmp_path: Path) -> None:
-    """The model contains effects with defaults, choices and a series element."""
-    model = dataclasses.replace(ACTUATOR, series_stiffness=2e4).with_effects(
+PROFILE = [[0.0, 0.0], [0.3, 0.5], [0.7, 0.5], [1.0, 1.0]]
+MODELS = {
+    "effects with defaults and choices, and a series element": dataclasses.replace(
+        ACTUATOR, series_stiffness=2e4
+    ).with_effects(
         {
             "presliding_hysteresis": {"presliding_distance": 0.0313, "displacement": "joint"},
             "tension_dependent_friction": {"exponent": 0.1 + 0.2},
             "tendon_slack": {},
         }
-    )
+    ),
+    "points of the curvature profile and a spring at the joint": dataclasses.replace(
+        ACTUATOR, series_stiffness=2e4, series_at_joint=True
+    ).with_effects({"elongation_coupling": {"curvature_profile": PROFILE}}),
+    "rigid drive with absent keys": RigidDrive(
+        0.002, None, 0.01, -0.03, effects={"joint_stiffness": {"stiffness": 0.5, "rest_angle": 0.0}}
+    ),
+    "geared drive with absent keys": GearedDrive(
+        9.0,
+        0.9,
+        None,
+        0.05,
+        effects={"torque_saturation": {"limit": 2.0}, "torque_sensor_lag": {"time_constant": 0.1}},
+    ),
+}
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=list(MODELS))
+def test_written_model_is_the_same(tmp_path: Path, model: TendonSheath | RigidDrive) -> None:
     save_model(model, tmp_path / "out.toml", provenance={"logs": ["a.csv"], "rms": {"before": 0.1}})
-    assert bare(load_model(tmp_path / "out.toml")) == model
-
-
-def test_written_course_of_the_bending_is_the_same(tmp_path: Path) -> None:
-    """The model contains points of the curvature profile and a spring at the joint."""
-    profile = [[0.0, 0.0], [0.3, 0.5], [0.7, 0.5], [1.0, 1.0]]
-    model = dataclasses.replace(ACTUATOR, series_stiffness=2e4, series_at_joint=True)
-    model = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
-    save_model(model, tmp_path / "out.toml")
     assert bare(load_model(tmp_path / "out.toml")) == model
 
 
@@ -233,74 +228,21 @@ def test_straight_sheath_cannot_be_recalibrated_in_friction() -> None:
         dataclasses.replace(ACTUATOR, bending_angle=0.0).recalibrated(friction_angle=0.1)
 
 
-class TestReferenceTension:
-    """T_ref of tension_dependent_friction defaults to the file's pretension."""
-
-    def test_stays_when_the_pretension_is_recalibrated(self) -> None:
-        """Otherwise a new pretension would change the friction as well."""
-        model = ACTUATOR.with_effects({"tension_dependent_friction": {"exponent": 0.2}}).recalibrated(pretension=60.0)
-        assert model.effects["tension_dependent_friction"]["reference_tension"] == 45.0
-
-    def test_must_be_given_without_pretension(self) -> None:
-        """A power of T/0 is undefined."""
-        with pytest.raises(UsageError, match="give reference_tension"):
-            dataclasses.replace(ACTUATOR, pretension=0.0).with_effects(
-                {"tension_dependent_friction": {"exponent": 0.2}}
-            )
+def test_reference_tension_stays_when_the_pretension_is_recalibrated() -> None:
+    """It defaults to the file's pretension. Otherwise a new pretension would change the friction as well."""
+    power = {"tension_dependent_friction": {"exponent": 0.2}}
+    model = ACTUATOR.with_effects(power).recalibrated(pretension=60.0)
+    assert model.effects["tension_dependent_friction"]["reference_tension"] == 45.0
+    with pytest.raises(UsageError, match="give reference_tension"):  # a power of T/0 is undefined
+        dataclasses.replace(ACTUATOR, pretension=0.0).with_effects(power)
 
 
-class TestRigidDrive:
-    """Model files with [actuator] kind = "rigid_drive"."""
-
-    def test_absent_parameters_are_none(self, tmp_path: Path) -> None:
-        """An absent parameter is not 0, because it can be a cause."""
-        assert bare(loaded(tmp_path, DRIVE)) == RigidDrive(inertia=0.002, coulomb_friction=0.05)
-
-    def test_round_trip(self, tmp_path: Path) -> None:
-        """A written model is read again without a change."""
-        model = RigidDrive(0.002, None, 0.01, -0.03, effects={"joint_stiffness": {"stiffness": 0.5, "rest_angle": 0.0}})
-        save_model(model, tmp_path / "drive.toml")
-        assert bare(load_model(tmp_path / "drive.toml")) == model
-
-    @pytest.mark.parametrize("table", ["[effects.tendon_slack]", "[effects.backlash]\ngap = 0.1"])
-    def test_effects_of_tendons_are_refused(self, tmp_path: Path, table: str) -> None:
-        """These effects have no meaning without a transmission."""
-        with pytest.raises(UsageError, match="has no meaning for a rigid_drive"):
-            loaded(tmp_path, f"{DRIVE}{table}\n")
-
-    def test_is_no_tendon_sheath(self, tmp_path: Path) -> None:
-        """A rigid drive is rejected where a controller requires a tendon-sheath model."""
-        (tmp_path / "drive.toml").write_text(DRIVE, encoding="utf-8")
-        with pytest.raises(UsageError, match="give a tendon-sheath model"):
-            load_tendon_sheath(tmp_path / "drive.toml")
+def test_absent_parameters_of_a_rigid_drive_are_none(tmp_path: Path) -> None:
+    """An absent parameter is not 0, because it can be a cause."""
+    assert bare(loaded(tmp_path, DRIVE)) == RigidDrive(inertia=0.002, coulomb_friction=0.05)
 
 
-class TestGearedDrive:
-    """Model files with [actuator] kind = "geared_drive"."""
-
-    def test_round_trip(self, tmp_path: Path) -> None:
-        """A written model is read again without a change, and absent keys stay absent."""
-        effects = {"torque_saturation": {"limit": 2.0}, "torque_sensor_lag": {"time_constant": 0.1}}
-        model = GearedDrive(9.0, 0.9, None, 0.05, effects=effects)
-        save_model(model, tmp_path / "drive.toml")
-        assert bare(load_model(tmp_path / "drive.toml")) == model
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("", "ratio"),
-            ("ratio = -9.0", "ratio"),
-            ("ratio = 9.0\nefficiency = 90.0", "divide per cent by 100"),
-            ("ratio = 9.0\n[effects.tendon_slack]", "has no meaning for a geared_drive"),
-            ("ratio = 9.0\nstiffness = 1.0", "stiffness"),
-        ],
-    )
-    def test_what_is_wrong_is_said(self, tmp_path: Path, text: str, message: str) -> None:
-        """The message contains the key or the reason."""
-        with pytest.raises(UsageError, match=message):
-            loaded(tmp_path, f'[actuator]\nkind = "geared_drive"\n{text}\n')
-
-
-def test_an_unknown_kind_is_answered_with_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="give one of tendon_sheath, rigid_drive, geared_drive"):
-        loaded(tmp_path, '[actuator]\nkind = "gears"\n')
+def test_a_drive_is_rejected_where_a_controller_requires_tendons(tmp_path: Path) -> None:
+    (tmp_path / "drive.toml").write_text(DRIVE, encoding="utf-8")
+    with pytest.raises(UsageError, match="give a tendon-sheath model"):
+        load_tendon_sheath(tmp_path / "drive.toml")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -69,30 +70,31 @@ def test_numbers_that_contradict_each_other_are_rejected(changes: dict[str, dict
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("tension", [4.0, 10.0, 45.0, 150.0])
+def loaded(folder: Path, actuator: dict[str, Any], **axis: Any) -> TendonSheath:
+    """Return the model of a configuration whose actuator file and axis have these changes."""
+    path, _ = write(folder, controller(**axis))
+    file = folder / "actuator.toml"
+    document = merged(tomlkit.parse(file.read_text(encoding="utf-8")).unwrap(), actuator)
+    file.write_text(tomlkit.dumps(document), encoding="utf-8")
+    return load_configuration(path).models[0]
+
+
+@pytest.mark.parametrize("tension", [4.0, 45.0, 150.0])
 def test_gram_force_is_found_with_the_motor_at_every_pretension(tmp_path: Path, tension: float) -> None:
-    path, _ = write(tmp_path)
-    document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
-    document["pretension"] = {"value": tension / 0.00981}
-    (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
     with pytest.raises(UsageError, match=r"actuator.toml: .*gram-force times 0.00981"):
-        load_configuration(path)
+        loaded(tmp_path, {"pretension": {"value": tension / 0.00981}})
 
 
 @pytest.mark.parametrize("tension", [2.0, 45.0, 150.0])
 def test_the_same_in_newtons_is_loaded(tmp_path: Path, tension: float) -> None:
     # a tendon goes slack at a factor of 0.05
-    path, _ = write(tmp_path, controller(setpoint={"amplitude": 0.02 * tension}))
-    document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
-    document["pretension"] = {"value": tension}
-    (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
-    assert load_configuration(path).models[0].pretension == tension
+    model = loaded(tmp_path, {"pretension": {"value": tension}}, setpoint={"amplitude": 0.02 * tension})
+    assert model.pretension == tension
 
 
 def test_an_inertia_in_other_units_would_ring_as_no_motor_does(tmp_path: Path) -> None:
-    path, _ = write(tmp_path, controller(law={"motor_inertia": 1.0, "damping": 0.0}))  # in g*m^2 by mistake
     with pytest.raises(UsageError, match=r"motor_inertia 1 .* would ring at 1.0. Hz; allowed is 2 to 5000 Hz"):
-        load_configuration(path)
+        loaded(tmp_path, {}, law={"motor_inertia": 1.0, "damping": 0.0})  # in g*m^2 by mistake
 
 
 def test_soft_tendons_of_a_series_elastic_actuator_are_loaded() -> None:
@@ -129,19 +131,14 @@ def test_a_calibration_beyond_the_greatest_friction_coefficient_moves_the_angle_
 def test_a_number_that_contradicts_the_rest_of_the_files_is_rejected(
     tmp_path: Path, actuator: dict[str, Any], axis: dict[str, Any], words: str
 ) -> None:
-    path, _ = write(tmp_path, controller(**axis))
-    file = tmp_path / "actuator.toml"
-    file.write_text(tomlkit.dumps(merged(tomlkit.parse(file.read_text(encoding="utf-8")).unwrap(), actuator)))
     with pytest.raises(UsageError, match=words) as error:
-        load_configuration(path)
+        loaded(tmp_path, actuator, **axis)
     assert "\n" not in str(error.value)
 
 
 def test_a_model_without_friction_is_loaded_for_a_rig_that_compensates_none(tmp_path: Path) -> None:
-    path, _ = write(tmp_path, controller(law={"compensation": 0.0}, estimator={"kind": "fixed"}))
-    file = tmp_path / "actuator.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace("friction_coefficient = 0.10", "friction_coefficient = 0"))
-    assert load_configuration(path).models[0].friction_angle == 0.0
+    none = {"sheath": {"friction_coefficient": 0.0}}
+    assert loaded(tmp_path, none, law={"compensation": 0.0}, estimator={"kind": "fixed"}).friction_angle == 0.0
 
 
 @pytest.mark.parametrize(("phase", "loads"), [(0.0, False), (3.14159265, True)], ids=["in-phase", "opposite"])
@@ -150,11 +147,6 @@ def test_the_largest_value_of_a_sum_counts_not_the_sum_of_its_amplitudes(
 ) -> None:
     parts = [{"amplitude": 2.0, "frequency": 1.0}, {"amplitude": 1.5, "frequency": 1.0, "phase": phase}]
     setpoint = {"kind": "multi_sine", "amplitude": None, "frequency": None, "components": parts}
-    path, _ = write(tmp_path, controller(setpoint=setpoint))
-    file = tmp_path / "actuator.toml"
-    file.write_text(file.read_text(encoding="utf-8").replace("value = 45.0", "value = 90.0"))
-    if loads:
-        load_configuration(path)
-    else:
-        with pytest.raises(UsageError, match=r"reaches 3\.5 N.m .* allows 3.125"):
-            load_configuration(path)
+    expected = nullcontext() if loads else pytest.raises(UsageError, match=r"reaches 3\.5 N.m .* allows 3.125")
+    with expected:
+        loaded(tmp_path, {"pretension": {"value": 90.0}}, setpoint=setpoint)

@@ -12,7 +12,6 @@ import pytest
 
 from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.parameters import GearedDrive, RigidDrive
 from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
 from tsa_ctrl.model.signals import Signals
@@ -70,22 +69,8 @@ class TestBending:
         assert found == pytest.approx([1.25])
 
 
-class TestTwins:
-    """Exact relations between effects."""
-
-    LOG = signals(T, np.where(T < 1.0, 0.5, -0.5), tau_m=1.2 * np.sin(20.0 * T))
-
-    def test_asymmetric_sheaths_scale_by_direction(self) -> None:
-        """The torque equals exp(sigma k x/2) times (3.55)."""
-        found = predict(with_effect("sheath_asymmetry", relative_difference=0.3), self.LOG)
-        sigma = np.sign(self.LOG.omega_j)
-        np.testing.assert_allclose(found, np.exp(sigma * 0.15 * 0.26) * predict(ACTUATOR, self.LOG), atol=1e-12)
-
-    def test_load_dependent_friction_satisfies_its_equation(self) -> None:
-        """The torque satisfies tau_J = B - sigma k abs(tau_J)."""
-        found = predict(with_effect("load_dependent_friction", coefficient=0.2), self.LOG)
-        residual = found - predict(ACTUATOR, self.LOG) + np.sign(self.LOG.omega_j) * 0.2 * np.abs(found)
-        np.testing.assert_allclose(residual, 0.0, atol=1e-12)
+class TestDomain:
+    """The range in which one tendon is slack."""
 
     def test_slack_is_continuous_and_has_one_tendon_beyond(self) -> None:
         """Above 2 T_p r_M the slope in positive direction is r_J/r_M exp(-x)."""
@@ -94,16 +79,6 @@ class TestTwins:
         found = predict(with_effect("tendon_slack"), log)
         assert found[1] == pytest.approx(found[0], abs=1e-8)
         assert (found[3] - found[2]) / 0.1 == pytest.approx(1.25 * math.exp(-0.26), rel=1e-9)
-
-    def test_soft_series_element_makes_the_full_model_simple(self) -> None:
-        """For k_s -> 0 the elongation no longer changes the tensions."""
-        soft = dataclasses.replace(ACTUATOR, series_stiffness=1e-6)
-        coupled = soft.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
-        np.testing.assert_allclose(predict(coupled, self.LOG), predict(ACTUATOR, self.LOG), rtol=1e-6)
-
-
-class TestDomain:
-    """The range in which one tendon is slack."""
 
     def test_fraction_beyond(self) -> None:
         """The range is abs(tau_m) >= 2 T_p r_M = 1.8 N*m, including the bound."""
@@ -144,11 +119,6 @@ class TestColumns:
 
 class TestComposition:
     """Effects are applied in the order of their stages."""
-
-    def test_full_model_stands_alone(self) -> None:
-        """It cannot be combined with slack, for example."""
-        with pytest.raises(UsageError, match="cannot be combined"):
-            Stack.of({"elongation_coupling": {"curvature_profile": "uniform"}, "tendon_slack": {}})
 
     def test_order_in_the_file_does_not_matter(self) -> None:
         """Composition follows the order of the catalogue."""
@@ -201,10 +171,6 @@ class TestRigidDrive:
         found = predict(RigidDrive(0.01, 0.2, 0.03, 0.05), self.LOG)
         expected = 0.01 * self.W * np.cos(self.W * T) + 0.2 * np.sign(self.OMEGA) + 0.03 * self.OMEGA + 0.05
         np.testing.assert_allclose(found[100:-100], expected[100:-100], atol=1e-4 * 0.01 * self.W + 1e-12)
-
-    def test_absent_parameters_are_nothing(self) -> None:
-        """An empty file predicts no torque."""
-        np.testing.assert_array_equal(predict(RigidDrive(), self.LOG), 0.0)
 
     def test_joint_effects_are_added(self) -> None:
         """tau_J -= b omega becomes tau_M += b omega; tau_J += c becomes tau_M -= c."""
@@ -259,10 +225,6 @@ class TestGearedDrive:
         gain = np.where(self.TAU_M * self.OMEGA > 0.0, 0.8, 1.25)
         expected = gain * 50.0 * self.TAU_M - 0.5 * np.sign(self.OMEGA) - 0.2 * self.OMEGA
         np.testing.assert_allclose(found, expected, atol=1e-12)
-
-    def test_without_losses_it_is_the_ratio(self) -> None:
-        """The file contains only the ratio."""
-        np.testing.assert_allclose(predict(GearedDrive(9.0), self.LOG), 9.0 * self.TAU_M, atol=1e-14)
 
     def test_effects_of_the_catalogue_apply(self) -> None:
         """Effects apply at the motor before the gear, or at the joint behind it."""

@@ -95,33 +95,11 @@ class TestAgainstIntegration:
         assert min(pair_of(profile, spring).motor_tensions(tau_m, 1.0)) == pytest.approx(0.0, abs=1e-8)
 
 
-@pytest.mark.parametrize(("profile", "f"), [("joint_end", math.tanh(X)), ("uniform", X), ("motor_end", math.sinh(X))])
-def test_friction_at_the_motor_of_the_named_profiles(profile: str, f: float) -> None:
-    """h = 2 T_p r_M f with f = tanh x, x and sinh x."""
-    assert sliding(model_of(profile)).motor_half_loop == pytest.approx(2.0 * T_P * R_M * f, rel=1e-14)
-
-
 def test_simplified_model_is_all_bending_at_the_joint() -> None:
     """(3.55) has the slope r_J/r_M cosh x, the friction torque 2 T_p r_J sinh x and the centre at the joint."""
     assert sliding(ACTUATOR) == pytest.approx((R_J / R_M * math.cosh(X), 2.0 * T_P * R_J * math.sinh(X)), rel=1e-14)
     assert sliding(ACTUATOR).motor_half_loop == pytest.approx(2.0 * T_P * R_M * math.tanh(X), rel=1e-14)
     assert bending_centre(ACTUATOR) == 1.0
-
-
-def test_soft_spring_at_the_motor_leads_back_to_it() -> None:
-    """If EA/k_s is much longer than the tendon, the pretension at the motor is constant, as (3.55) assumes."""
-    soft = dataclasses.replace(model_of("uniform"), series_stiffness=1e-6)
-    assert sliding(soft) == pytest.approx(sliding(ACTUATOR), rel=1e-8)
-
-
-def test_soft_spring_at_the_joint_holds_the_pretension_there() -> None:
-    """T2 + T4 is constant for any profile.
-
-    The slope is r_J/(r_M cosh x) and the friction torque 2 T_p r_J tanh x.
-    """
-    soft = dataclasses.replace(model_of(S_BENT), series_stiffness=1e-6, series_at_joint=True)
-    expected = (R_J / R_M / math.cosh(X), 2.0 * T_P * R_J * math.tanh(X))
-    assert sliding(soft) == pytest.approx(expected, rel=1e-8)
 
 
 @pytest.mark.parametrize("sigma", [-1.0, 1.0])
@@ -154,17 +132,6 @@ def test_stiffness_at_the_motor(spring: str) -> None:
     per_newton = pair.along(0.0)[1]  # m/N
     torque = 2.0 * R_M * (R_M * 1e-3 / per_newton)
     assert motor_stiffness(model_of("uniform", spring)) == pytest.approx(torque / 1e-3, rel=1e-10)
-
-
-def test_stiffness_of_the_reference_actuator() -> None:
-    """The stiffness is 2 EA/l r_M^2 = 40 N*m/rad."""
-    assert motor_stiffness(ACTUATOR) == pytest.approx(40.0)
-
-
-@pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
-def test_centre_of_the_bending(profile: str, centre: float) -> None:
-    """The centre s_c follows from the model's own profile."""
-    assert bending_centre(model_of(profile)) == pytest.approx(centre)
 
 
 @pytest.mark.parametrize(

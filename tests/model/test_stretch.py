@@ -49,14 +49,6 @@ def test_a_series_spring_moves_the_centre(spring: str, place: bool) -> None:
     assert compliance_centre(model) == pytest.approx((0.5 * 2e-5 + (0.0 if place else 1e-5)) / 3e-5)
 
 
-def test_friction_hardly_matters() -> None:
-    """From x = 0 to 0.5, the line changes by less than 2.2 %, according to (x/2)/tanh(x/2)."""
-    none, much = (stretch_line(model_of(NAMED["uniform"], x)) for x in (1e-9, 0.5))
-    assert none.per_stretch == pytest.approx(4.0 * 60e3 / 1.2 * 0.025)
-    assert 1.0 < much.per_stretch / none.per_stretch < 1.022
-    assert much.per_torque == pytest.approx(0.025 / 0.020)
-
-
 def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
     """Values at and near the singularity are rejected. A model without a profile has even curvature."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))

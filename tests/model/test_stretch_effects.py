@@ -81,11 +81,12 @@ def test_no_torque_shows_them(name: str) -> None:
     np.testing.assert_array_equal(predict(model, log), predict(ACTUATOR, log))
 
 
-@pytest.mark.parametrize("name", stretch_effects.NAMES)
+@pytest.mark.parametrize("name", [*stretch_effects.NAMES, "pulley_eccentricity"])
 def test_the_stretch_tells_no_torque_beside_them(name: str) -> None:
     """The torque from an elongation that contains other terms would be wrong. The error states the remedy."""
-    with pytest.raises(UsageError, match=f"effects.{name}.*(series_stiffness|remove it)"):
-        stretch_line(ACTUATOR.with_effects({name: EFFECTS[name]}))
+    parameters = EFFECTS.get(name, {"relative_eccentricity": 0.1})
+    with pytest.raises(UsageError, match=f"effects.{name}.*(series_stiffness|remove it|winds other lengths)"):
+        stretch_line(ACTUATOR.with_effects({name: parameters}))
 
 
 def test_a_pulley_off_its_centre_winds_up_what_its_arm_says() -> None:
@@ -99,9 +100,3 @@ def test_a_pulley_off_its_centre_winds_up_what_its_arm_says() -> None:
     beside = stretch(ACTUATOR.with_effects({**even, **off}), log) - stretch(ACTUATOR.with_effects(even), log)
     wound = ACTUATOR.joint_pulley_radius * np.concatenate(([0.0], np.cumsum(0.5 * np.diff(q) * (arm[1:] + arm[:-1]))))
     np.testing.assert_allclose(beside - beside[0], wound - ACTUATOR.joint_pulley_radius * (q - q[0]), atol=1e-9)
-
-
-def test_with_a_pulley_off_its_centre_the_stretch_tells_no_torque() -> None:
-    off = {"pulley_eccentricity": {"relative_eccentricity": 0.1}}
-    with pytest.raises(UsageError, match=r"\[effects.pulley_eccentricity\] winds other lengths"):
-        stretch_line(ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}, **off}))

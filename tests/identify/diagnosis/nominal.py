@@ -1,4 +1,4 @@
-"""A nominal model and a time axis for synthetic logs."""
+"""A nominal model and a time axis for synthetic logs, and the diagnosis of blind cases."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import tomllib
 
 import numpy as np
 
+from tests.blind.cases import Case
+from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.model.parameters import TendonSheath, model_from
 
 T = np.arange(0.0, 20.0, 0.005)
@@ -29,3 +31,14 @@ def model(text: str = MODEL) -> TendonSheath:
     made = model_from(tomllib.loads(text), "nominal.toml")
     assert isinstance(made, TendonSheath)
     return made
+
+
+def diagnosed(hidden: Case) -> Diagnosis:
+    """Return the diagnosis of the logs of a blind case with its nominal model."""
+    logs = {log.name: log.columns for log in hidden.logs}
+    return diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+
+
+def named(found: Diagnosis) -> list[set[str]]:
+    """Return one set per cause: the identified effect and its alternatives."""
+    return [{cause.effect, *cause.alternatives} for cause in found.causes]

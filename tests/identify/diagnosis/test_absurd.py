@@ -35,15 +35,6 @@ def constant(*names: str) -> Callable[[Columns], Columns]:
     return lambda columns: {**columns, **{name: np.full_like(columns[name], columns[name].mean()) for name in names}}
 
 
-def lone_nan(name: str) -> Callable[[Columns], Columns]:
-    def made(columns: Columns) -> Columns:
-        values = columns[name].copy()
-        values[100] = np.nan
-        return {**columns, name: values}
-
-    return made
-
-
 def first(rows: int) -> Callable[[Columns], Columns]:
     return lambda columns: {name: values[:rows] for name, values in columns.items()}
 
@@ -80,26 +71,13 @@ ENERGY = ("q_j", "omega_m", "q_m")  # columns that a log of torques and one velo
         (swapped("omega_j", "omega_m"), "omega_m and omega_j seem to be swapped"),
         (swapped("t", "tau_m"), "column t"),
         (times(tau_m=-1.0), "column tau_m is reversed"),
-        (times(tau_j=-1.0), "column tau_j is reversed"),
         (times(omega_j=-1.0), "omega_j runs against dq_j/dt"),
-        (times(q_m=-1.0), "omega_m runs against dq_m/dt"),
         (times(q_m=-1.0, omega_m=-1.0), "q_m|omega_m"),
-        (times(tau_m=1e3), "tau_m.*mm"),
         (times(tau_j=1e3), "tau_j.*mm"),
         (times(tau_m=1e3, tau_j=1e3), "tau_[mj].*mm"),
-        (times(t=1e3), "t seems to be in milliseconds"),
-        (times(omega_j=180.0 / np.pi), "omega_j.*degrees"),
         (times(q_j=180.0 / np.pi), "q_j.*degrees"),
         (without("tau_j"), 'tau_j is missing.*kind = "rigid_drive"'),
-        (without("tau_m"), "tau_m is missing"),
         (without("tau_m", "tau_j"), "tau_m is missing"),
-        (without("omega_j", "q_j", "omega_m", "q_m"), "omega_j or q_j is missing"),
-        (lone_nan("t"), "column t, row 101"),
-        (lone_nan("tau_m"), "column tau_m, row 101"),
-        (lone_nan("tau_j"), "column tau_j, row 101"),
-        (lone_nan("omega_j"), "column omega_j, row 101"),
-        (first(5), "holds 5 rows"),
-        (constant("t"), "column t"),
     ],
 )
 def test_a_log_that_cannot_be_right_is_refused_in_one_line_that_names_the_suspicion(

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.blind.routed import Gains, routed_case
+from tests.blind.routed import routed_case
+from tests.identify.diagnosis.nominal import diagnosed
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.report.page import write
@@ -23,17 +23,12 @@ from tsa_ctrl.model.routing import Routing
 NAME = "routing_by_joint"
 
 
-def diagnosed(name: str, seed: int) -> tuple[Diagnosis, Gains]:
-    case, gains = routed_case(name, seed, short=True)
-    logs = {log.name: log.columns for log in case.logs}
-    return diagnose(logs, model_from(tomllib.loads(case.model), "nominal")), gains
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["absent", "wrong", "two"])
 def test_the_missing_gain_of_each_joint_is_found(name: str, tmp_path: Path) -> None:
     """The [routing] of the extended file contains the sums of the file's gains and the missing gains."""
-    result, gains = diagnosed(name, 0)
+    case, gains = routed_case(name, 0, short=True)
+    result = diagnosed(case)
     (cause,) = result.causes
     assert cause.effect == NAME
     assert not cause.alternatives
@@ -51,7 +46,7 @@ def test_the_missing_gain_of_each_joint_is_found(name: str, tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_nothing_is_found_where_the_file_states_the_routing() -> None:
-    assert diagnosed("right", 0)[0].causes == ()
+    assert diagnosed(routed_case("right", 0, short=True)[0]).causes == ()
 
 
 def one_log(gains: dict[str, float] | None) -> tuple[Dataset, TendonSheath]:

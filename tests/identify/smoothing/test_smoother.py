@@ -91,15 +91,6 @@ def test_a_log_may_begin_and_end_in_full_motion() -> None:
     assert np.max(np.abs(found.second + w**2 * np.sin(w * t))) < 0.1 * w**2
 
 
-def test_a_cutoff_may_be_given() -> None:
-    rng = np.random.default_rng(3)
-    recorded = record(motion("noise", 10.0, SECONDS, rng), 14, rng)
-    found = smoothed(recorded.q, 1.0 / RATE, cutoff=4.0)
-    assert found.smooth is not None
-    assert found.smooth.cutoff == 4.0
-    assert found.errors[1] > smoothed(recorded.q, 1.0 / RATE).errors[1]
-
-
 @pytest.mark.parametrize("values", [np.zeros(500), np.arange(20.0)])
 def test_what_never_changes_or_is_short_stays_as_it_is(values: np.ndarray) -> None:  # type: ignore[type-arg]
     found = smoothed(values, 1.0 / RATE)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.blind import case
+from tests.identify.diagnosis.nominal import diagnosed
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
@@ -143,8 +144,7 @@ def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
 )
 def test_hidden_directions_are_no_structure(name: str, seed: int) -> None:
     hidden = case("hidden_direction", name, seed, short=True)
-    logs = {log.name: log.columns for log in hidden.logs}
-    assert diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml")).verdict.value == "consistent"
+    assert diagnosed(hidden).verdict.value == "consistent"
 
 
 def _on_a_spring(seed: int) -> dict[str, Array]:

@@ -50,13 +50,6 @@ def test_what_differs_stays_and_what_repeats_goes() -> None:
     assert names(kept) == [name for name in names([*same[:20], *rare, *same[20:]]) if name in names(kept)]
 
 
-def test_more_of_the_same_does_not_push_out_what_is_rare() -> None:
-    rare = [log("fast", 4.0), log("loaded", 1.0, 2.0)]
-    for count in (20, 100):
-        kept = informative([*(log(f"s{number}", 1.0) for number in range(count)), *rare], None, 200.0)
-        assert {"fast", "loaded"} <= set(names(kept))
-
-
 def test_what_is_held_out_has_its_share() -> None:
     logs = [log(f"a{number:02d}", 1.0 + 0.1 * number) for number in range(20)]
     logs += [log(f"held{number:02d}", 1.0 + 0.1 * number) for number in range(20)]

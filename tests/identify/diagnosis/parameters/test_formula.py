@@ -5,7 +5,6 @@ The data are synthetic.
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -16,14 +15,14 @@ from numpy.typing import NDArray
 
 from tests.blind import case
 from tests.blind.score import mark
-from tsa_ctrl.identify.dataset import Dataset
+from tests.identify.diagnosis.nominal import diagnosed
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Moment, Nuisance
 from tsa_ctrl.identify.diagnosis.parameters.formula import with_direction
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import regressed
-from tsa_ctrl.model.parameters import RigidDrive, load_model, model_from, save_model
+from tsa_ctrl.model.parameters import RigidDrive, load_model, save_model
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
@@ -126,8 +125,7 @@ def test_deviations_of_twin_terms_are_numbers(values: float, sure: bool) -> None
 def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: int, starts: str) -> None:
     """Blind logs: every cause has alternatives, and the formula explains most of the error above the noise."""
     hidden = case("outside", kind, seed, short=True)
-    logs = [Dataset.from_arrays(log.columns, log.name) for log in hidden.logs]
-    found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+    found = diagnosed(hidden)
     assert all(cause.alternatives for cause in found.causes)
     assert found.formula is not None
     assert found.formula.expression.startswith(starts)

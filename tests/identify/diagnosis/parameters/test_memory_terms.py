@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,15 +11,11 @@ from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from tests.blind.memory import bristle, first_order_lag
-from tests.identify.diagnosis.parameters.swinging import swinging
-from tests.model.actuator import ACTUATOR
+from tests.identify.diagnosis.parameters.swinging import NOMINAL, PERIOD, recorded
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
-from tsa_ctrl.model.parameters import TendonSheath
 
 Array = NDArray[np.float64]
-PERIOD, NOISE = 4e-3, 2e-3  # s, N*m
-X, RATIO = ACTUATOR.friction_angle, ACTUATOR.joint_pulley_radius / ACTUATOR.motor_pulley_radius
-HALF_LOOP = 2.0 * ACTUATOR.pretension * ACTUATOR.joint_pulley_radius * math.sinh(X)
+NOISE = 2e-3  # N*m
 
 
 def lagging(tau: Array) -> Array:
@@ -37,27 +33,10 @@ def loop(tau: Array) -> Array:
     return np.asarray(tau + 0.15 * bristle(tau, 0.4, 0.0))
 
 
-def nothing(tau: Array) -> Array:
-    return tau
-
-
-def diagnosed(sensor: object, seed: int = 3) -> Diagnosis:
-    """Return the diagnosis of two logs of 20 s: a swinging joint, torques of both signs, and `sensor` applied to the
-    torque.
-    """
-    logs = {}
-    for k in range(2):
-        rng = np.random.default_rng([seed, k])
-        t = PERIOD * np.arange(5000)
-        q, omega, tau_m = swinging(rng, t)
-        tendons = RATIO * math.cosh(X) * tau_m - HALF_LOOP * np.sign(omega)
-        measured = sensor(tendons) + rng.normal(0.0, NOISE, len(t))  # type: ignore[operator]
-        logs[f"{k}.csv"] = {"t": t, "tau_m": tau_m, "tau_j": measured, "omega_j": omega, "q_j": q}
-    return diagnose(logs, model())
-
-
-def model() -> TendonSheath:
-    return dataclasses.replace(ACTUATOR, source="nominal.toml")
+def diagnosed(sensor: Callable[[Array], Array]) -> Diagnosis:
+    """Return the diagnosis of two logs of 20 s with `sensor` applied to the torque."""
+    logs = {f"{k}.csv": recorded(np.random.default_rng([3, k]), 5000, NOISE, sensor) for k in range(2)}
+    return diagnose(logs, NOMINAL)
 
 
 @pytest.mark.slow
@@ -82,6 +61,6 @@ def test_it_is_found_with_its_constants(sensor: object, expression: str, constan
 
 @pytest.mark.slow
 def test_where_there_is_none_there_is_no_formula() -> None:
-    found = diagnosed(nothing)
+    found = diagnosed(lambda tau: tau)
     assert found.formula is None
     assert not found.causes

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.identify.diagnosis.test_pipeline import diagnosed
+from tests.blind import case
+from tests.identify.diagnosis.nominal import diagnosed
 from tsa_ctrl.identify.diagnosis import pipeline
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_simulation_error
@@ -22,7 +23,7 @@ def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatc
         return reported
 
     monkeypatch.setattr(pipeline, "profile_refined", keep)
-    diagnosed("single", "presliding_hysteresis", 9005)
+    diagnosed(case("single", "presliding_hysteresis", 9005, short=True))
     problem, reported = seen[0]
     monkeypatch.setattr(
         profile_refinement.np.linalg, "lstsq", lambda columns, *_, **__: (np.full(columns.shape[1], 0.2),)

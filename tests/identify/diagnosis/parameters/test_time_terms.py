@@ -5,70 +5,38 @@ The data are synthetic.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 import tomllib
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.identify.diagnosis.parameters.swinging import swinging
-from tests.model.actuator import ACTUATOR
+from tests.identify.diagnosis.parameters.swinging import HALF_LOOP, NOMINAL, PERIOD, recorded
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.parameters.terms import _likely
 from tsa_ctrl.identify.diagnosis.report.words import remarks
 
 Array = NDArray[np.float64]
-PERIOD, NOISE = 4e-3, 4e-3  # s, N*m
-X, RATIO = ACTUATOR.friction_angle, ACTUATOR.joint_pulley_radius / ACTUATOR.motor_pulley_radius
-HALF_LOOP = 2.0 * ACTUATOR.pretension * ACTUATOR.joint_pulley_radius * math.sinh(X)
+NOISE = 4e-3  # N*m
+T = PERIOD * np.arange(6000)
 
 
-def slipped(t: Array) -> tuple[Array, Array]:
-    """After 12.3 s an anchor slips and a quarter of the friction is lost.
-
-    Return the friction factor and the added torque.
-    """
-    return np.where(t > 12.3, 0.75, 1.0), np.zeros(len(t))
-
-
-def beating(t: Array) -> tuple[Array, Array]:
-    """Return the friction factor for a pretension that oscillates at 0.63 Hz, and no added torque."""
-    return 1.0 + 0.2 * np.sin(2.0 * np.pi * 0.63 * t + 1.0), np.zeros(len(t))
-
-
-def walking(t: Array) -> tuple[Array, Array]:
-    """Return a constant friction factor and the drift of the torque sensor's zero (N*m)."""
-    return np.ones(len(t)), np.cumsum(np.random.default_rng(8).normal(0.0, 8e-4, len(t)))
-
-
-def diagnosed(change: Callable[[Array], tuple[Array, Array]], start: float = 0.0) -> Diagnosis:
+def diagnosed(factor: Array | float, start: float = 0.0, zero: Array | float = 0.0) -> Diagnosis:
     """Return the diagnosis of a log of 24 s whose clock begins at `start` (s).
 
-    `change` maps time (s) to the factor of the friction and to an added torque (N*m).
+    `factor` (n,) multiplies the friction, and `zero` (n,) in N*m adds to the measured torque.
     """
-    rng = np.random.default_rng(6)
-    t = PERIOD * np.arange(6000)
-    q, omega, tau_m = swinging(rng, t)
-    factor, beside = change(t)
-    tau_j = RATIO * math.cosh(X) * tau_m - HALF_LOOP * factor * np.sign(omega) + beside
-    columns = {
-        "t": start + t,
-        "tau_m": tau_m,
-        "tau_j": tau_j + rng.normal(0.0, NOISE, len(t)),
-        "omega_j": omega,
-        "q_j": q,
-    }
-    return diagnose({"log.csv": columns}, dataclasses.replace(ACTUATOR, source="nominal.toml"))
+    columns = recorded(np.random.default_rng(6), len(T), NOISE, lambda tau: tau + zero, factor)
+    return diagnose({"log.csv": {**columns, "t": start + T}}, NOMINAL)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("start", [0.0, pytest.param(1.7e9, marks=pytest.mark.soak)], ids=["from 0", "Unix time"])
 def test_a_step_is_told_with_its_moment(start: float) -> None:
-    found = diagnosed(slipped, start)
+    """After 12.3 s an anchor slips and a quarter of the friction is lost."""
+    found = diagnosed(np.where(T > 12.3, 0.75, 1.0), start)
     assert all(cause.alternatives for cause in found.causes)
     assert found.formula is not None
     assert found.formula.expression == "a*(1 + tanh((t - b)/0.05))*sigma"
@@ -81,7 +49,8 @@ def test_a_step_is_told_with_its_moment(start: float) -> None:
 
 @pytest.mark.slow
 def test_a_wave_is_told_with_its_frequency() -> None:
-    found = diagnosed(beating)
+    """The pretension oscillates at 0.63 Hz."""
+    found = diagnosed(1.0 + 0.2 * np.sin(2.0 * np.pi * 0.63 * T + 1.0))
     assert found.formula is not None
     assert found.formula.expression.startswith("a*sin(6.283185*b*(t - 0))*sigma + c*cos(")
     assert found.formula.constants["b"].value == pytest.approx(0.63, rel=0.01)
@@ -91,7 +60,7 @@ def test_a_wave_is_told_with_its_frequency() -> None:
 
 @pytest.mark.slow
 def test_a_zero_that_walks_has_no_rhythm() -> None:
-    found = diagnosed(walking)
+    found = diagnosed(1.0, zero=np.cumsum(np.random.default_rng(8).normal(0.0, 8e-4, len(T))))
     assert found.formula is None or "t" not in found.formula.expression.replace("tau", "").replace("tanh", "")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
 import matplotlib
@@ -11,11 +10,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from tests.blind import case
-from tsa_ctrl.identify import Diagnosis, diagnose
+from tests.identify.diagnosis.nominal import diagnosed
+from tsa_ctrl.identify import Diagnosis
 from tsa_ctrl.identify.diagnosis.report import pictures
 from tsa_ctrl.identify.diagnosis.report.page import drawing, drawn_here
 from tsa_ctrl.identify.diagnosis.report.pictures import _span
-from tsa_ctrl.model.parameters import model_from
 
 
 def test_single_samples_do_not_set_the_axis() -> None:
@@ -33,9 +32,7 @@ def test_a_residual_without_spread_has_an_axis(value: float) -> None:
 
 
 def shown(family: str, name: str) -> Diagnosis:
-    hidden = case(family, name, seed=3, short=True)
-    columns = {log.name: log.columns for log in hidden.logs}
-    return diagnose(columns, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+    return diagnosed(case(family, name, seed=3, short=True))
 
 
 @pytest.mark.slow

@@ -5,27 +5,18 @@ The logs are independent of the package.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.blind.cases import Case
 from tests.blind.stretch_effects import NAMES
 from tests.blind.two_encoders import NOTHING, two_encoder_case, without_motor_angle
-from tsa_ctrl.identify import diagnose
-from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
+from tests.identify.diagnosis.nominal import diagnosed
+from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.parameters import model_from
 
 MOST_WORDS = 35
-
-
-def diagnosed(case: Case) -> Diagnosis:
-    logs = [Dataset.from_arrays(log.columns, log.name) for log in case.logs]
-    return diagnose(logs, model_from(tomllib.loads(case.model), "nominal.toml"))
 
 
 @pytest.mark.slow

@@ -5,24 +5,13 @@ The logs are independent of the package.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.blind.cases import Case
 from tests.blind.two_encoders import two_encoder_case, without_motor_angle
-from tsa_ctrl.identify import diagnose
-from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.model.parameters import model_from
-
-
-def names(case: Case) -> list[set[str]]:
-    """Return one set per cause: the identified effect and its alternatives."""
-    logs = [Dataset.from_arrays(log.columns, log.name) for log in case.logs]
-    found = diagnose(logs, model_from(tomllib.loads(case.model), "nominal.toml"))
-    return [{cause.effect, *cause.alternatives} for cause in found.causes]
+from tests.identify.diagnosis.nominal import diagnosed, named
 
 
 @pytest.mark.slow
@@ -35,15 +24,15 @@ def test_the_stretch_parts_shape_from_torque_constant(seed: int) -> None:
     Friction ahead of the bends elongates the tendons. A scale error of the motor torque does not.
     """
     case = two_encoder_case("elongation_or_gain:joint", seed, short=True)
-    (group,) = names(without_motor_angle(case))
+    (group,) = named(diagnosed(without_motor_angle(case)))
     assert {"elongation_coupling", "torque_constant_error"} <= group
-    assert names(case) == [{"elongation_coupling"}]
+    assert named(diagnosed(case)) == [{"elongation_coupling"}]
 
 
 @pytest.mark.slow
 def test_a_cause_that_the_stretch_contradicts_gives_its_place_to_a_rival() -> None:
     case = two_encoder_case("gain_or_elongation:joint", 0, short=True)
-    (group,) = names(case)
+    (group,) = named(diagnosed(case))
     assert "torque_constant_error" in group
     assert "elongation_coupling" not in group
 
@@ -60,10 +49,5 @@ def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
         assert rig is not None
         other = rig.joint_radius / rig.motor_radius * log.columns["q_j"] + 0.05 * np.sin(2.0 * np.pi * 0.37 * t)
         logs.append(replace(log, columns={**log.columns, "q_m": other}))
-    (group,) = names(replace(case, logs=logs))
+    (group,) = named(diagnosed(replace(case, logs=logs)))
     assert {"elongation_coupling", "torque_constant_error"} <= group
-
-
-ALL_ALONG = [40.0, 2.0, 2.5, 3.0, 2.2, 1.8, 9.0, 2.1, 2.6, 3.1, 1.9, 2.4]  # gain of each block, very unequal
-# two blocks account for the whole gain
-NOW_AND_THEN = [40.0, -2.0, 2.5, -3.0, 2.2, -1.8, 9.0, -2.1, 2.6, -3.1, 1.9, -2.4]

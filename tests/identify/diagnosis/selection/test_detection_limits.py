@@ -3,39 +3,44 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.blind import case
+from tests.identify.diagnosis.nominal import diagnosed
+from tsa_ctrl.identify import Diagnosis
 from tsa_ctrl.identify.diagnosis import pipeline
 from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import DetectionLimits, detection_limits
 from tsa_ctrl.identify.diagnosis.selection.entry import LEAST_ERROR_REDUCTION
-from tsa_ctrl.model.parameters import model_from
+
+
+@pytest.fixture(scope="module")
+def asked() -> tuple[Diagnosis, Any, float]:
+    """Return a diagnosis without a cause, with the selection and the unexplained share that its limits came from."""
+    calls: list[tuple[Any, float]] = []
+
+    def noted(chosen: Any, structure: float) -> DetectionLimits:
+        calls.append((chosen, structure))
+        return detection_limits(chosen, structure)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "detection_limits", noted)
+        found = diagnosed(case("none", "free", seed=4, short=True))
+    ((chosen, structure),) = calls
+    return found, chosen, structure
 
 
 @pytest.mark.slow
-def test_what_is_left_unexplained_hides_what_is_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_left_unexplained_hides_what_is_smaller(asked: tuple[Diagnosis, Any, float]) -> None:
     """A cause that explains less than the unexplained residual would be a guess.
 
     It is neither identified nor given a detection limit that small.
     """
-    asked: list[tuple[Any, float]] = []
-
-    def noted(chosen: Any, structure: float) -> DetectionLimits:
-        asked.append((chosen, structure))
-        return detection_limits(chosen, structure)
-
-    monkeypatch.setattr(pipeline, "detection_limits", noted)
-    hidden = case("none", "free", seed=4, short=True)
-    found = pipeline.diagnose(
-        {log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal.toml")
-    )
-    ((chosen, structure),) = asked
+    found, chosen, structure = asked
     assert structure == 0.0
     noise = chosen.problem.noise.rms
     clean, messy = (detection_limits(chosen, share).sizes for share in (0.0, 0.9))
@@ -46,20 +51,9 @@ def test_what_is_left_unexplained_hides_what_is_smaller(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_what_the_logs_hold_of_an_effect_must_first_be_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_logs_hold_of_an_effect_must_first_be_made_up_for(asked: tuple[Diagnosis, Any, float]) -> None:
     """An unidentified spring of 0.2 N*m hides a spring of -0.2 N*m, for either sign."""
-    asked: list[Any] = []
-
-    def noted(chosen: Any, structure: float) -> DetectionLimits:
-        asked.append(chosen)
-        return detection_limits(chosen, structure)
-
-    monkeypatch.setattr(pipeline, "detection_limits", noted)
-    hidden = case("none", "free", seed=4, short=True)
-    pipeline.diagnose(
-        {log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal.toml")
-    )
-    (chosen,) = asked
+    chosen = asked[1]
     effect, first = "joint_stiffness", chosen.rounds[0]
     found = next(response for response in first.responses if response.variant.effect == effect)
     white = orthonormal(
