@@ -13,7 +13,7 @@ from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.readiness import Nodes
-from tsa_ctrl.virtual.simulation import Run
+from tsa_ctrl.virtual.simulation import Run, simulate_loop
 
 
 @pytest.mark.parametrize("speed", [4.0, 6.4])
@@ -57,3 +57,10 @@ def test_what_a_bring_up_found_is_judged_before_any_drive_is_enabled(
         assert not run.rig.has_commanded
     finally:
         run.close()
+
+
+def test_a_simulated_run_reports_a_torque_limit_of_the_drive(tmp_path: Path) -> None:
+    """The drive limits negative torque to 0. A bring-up of `tsa run` prints the same note."""
+    paths = write(tmp_path, None, plant(drive={"objects": {"0x60E1:0": 0}}))
+    notes = simulate_loop(*paths[:2], 0.1).notes
+    assert any("negative torque limit (0x60E1) is 0 per mille" in note for note in notes)

@@ -91,6 +91,7 @@ class Lifecycle:
         self._rig = rig
         self._axes = axes
         self._loop = loop
+        self.node_notes: list[str] = []  # of the last bring-up: limits of the nodes, and checks that were not possible
         self._say = say
         self._no_loop = no_loop
         self._configured = configured
@@ -158,6 +159,7 @@ class Lifecycle:
                 self._tell("")
             for line in (*report.lines(), *self._joint_files.notes()):
                 self._say(line)
+            self.node_notes = [f"{node.name}: {text}" for node in report.nodes for text in node.notes]
             self._admit(self._joint_files.nodes, any(node.digital_inputs for node in report.nodes))
             self._rig.look_after(report, stop_bit(file.safety))
         for axis in self._axes:

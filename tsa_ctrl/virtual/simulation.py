@@ -382,7 +382,8 @@ class Run:
         if log is not None:
             keep(log.with_suffix(".json"))
         summary.save()
-        return Simulation(self._seconds, self._results(), summary, self._record, self._notes())
+        notes = (*lifecycle.node_notes, *self._notes())
+        return Simulation(self._seconds, self._results(), summary, self._record, notes)
 
     def close(self) -> None:
         self._opened.close()
