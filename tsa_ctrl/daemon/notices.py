@@ -196,8 +196,8 @@ class AxisNotices:
 
     def _update_torque(self, t: float) -> None:
         law, known = self._axis.law, self._axis.joint_torque
-        if law.cut > self._cut and self._may_report_cut.permits(t):
-            self._cut = law.cut
+        cut, self._cut = law.cut > self._cut, law.cut  # a limit that is over by the next report is not reported
+        if cut and self._may_report_cut.permits(t):
             self._add(
                 t,
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
