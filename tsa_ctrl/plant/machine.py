@@ -10,7 +10,7 @@ import dataclasses
 import random
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.wire.bus import ERROR_FLAG, Bus, BusFault, Frame, next_frame
@@ -130,6 +130,8 @@ class DriveNode(Node):
     def _apply_quirks(self, drive: Drive) -> None:
         settings, dictionary = drive.settings, self.dictionary
         offset = (settings.slot - 1) * AXIS_OFFSET
+        self._check_known("absent", settings.absent, offset)
+        self._check_known("read_only", settings.read_only, offset)
         for absent in settings.absent:
             index, sub = (absent, None) if isinstance(absent, int) else _place(absent)
             dictionary.remove(shifted((index, 0), offset)[0], sub)
@@ -145,6 +147,21 @@ class DriveNode(Node):
             for key in [key for key in dictionary.entries if key[0] == shifted((index, 0), offset)[0]]:
                 if sub in (None, key[1]):
                     self._replace(key, access=Access.RO)
+
+    def _check_known(self, key: str, names: Iterable[int | str], offset: int) -> None:
+        """Raise UsageError if a name of an object in `[axis.drive] key` matches no object of the drive."""
+        known = self.dictionary.entries
+        for name in names:
+            index, sub = (name, None) if isinstance(name, int) else _place(name)
+            there = shifted((index, 0), offset)[0]
+            if any(entry[0] == there and sub in (None, entry[1]) for entry in known):
+                continue
+            subs = [f"0x{index:04X}:{entry[1]}" for entry in known if entry[0] == there]
+            here = {entry[0] for entry in known}
+            indices = [other for other in range(0x1000, 0x10000) if shifted((other, 0), offset)[0] in here]
+            words = subs or [f"0x{other:04X}" for other in indices]
+            shown = f"0x{name:04X}" if isinstance(name, int) else name
+            raise UsageError(f"[axis.drive] {key}: this drive has no {shown}; its objects are {', '.join(words)}")
 
     def _replace(self, key: Key, **changes: object) -> None:
         entry = self.dictionary.entries[key]
