@@ -157,7 +157,9 @@ class DriveNode(Node):
             if any(entry[0] == there and sub in (None, entry[1]) for entry in known):
                 continue
             subs = [f"0x{index:04X}:{entry[1]}" for entry in known if entry[0] == there]
-            words = subs or [f"0x{other:04X}" for other in sorted({entry[0] - offset for entry in known})]
+            here = {entry[0] for entry in known}
+            indices = [other for other in range(0x1000, 0x10000) if shifted((other, 0), offset)[0] in here]
+            words = subs or [f"0x{other:04X}" for other in indices]
             shown = f"0x{name:04X}" if isinstance(name, int) else name
             raise UsageError(f"[axis.drive] {key}: this drive has no {shown}; its objects are {', '.join(words)}")
 
