@@ -19,12 +19,13 @@ from tsa_ctrl.errors import UsageError
 
 DELAYED = [(1e-4, 0.42), (1e-5, 0.042)]  # s, physics.step and a delay that is too long for it
 APART = {"velocity_lag"}  # an effect of a sensor in the plant, tested below
+MOTION = ("tau_m", "omega_j", "q_j", "acceleration_j", "temperature", "t")  # of a state
 WINDOW = 0.05  # s of motion before the evaluated state
 
 
-def delivered(folder: Path, effects: dict[str, dict[str, Any]], state: tuple[float, ...], phase_shift: float) -> float:
+def delivered(folder: Path, effects: dict[str, dict[str, Any]], state: dict[str, float], phase_shift: float) -> float:
     """Return the plant's joint torque in one state of the table, reached by a motion with constant acceleration."""
-    tau_m, omega, q, _, acceleration, temperature, t = state
+    tau_m, omega, q, acceleration, temperature, t = (state[name] for name in MOTION)
     motion = folder / "motion.csv"
     rows = []
     for at in (0.0, 2.0, 4.0, 7.0):
@@ -68,10 +69,10 @@ def test_the_plant_agrees_with_the_definitions(
         if "torque_ripple" in effects:  # the plant's motor angle contains the tendon elongation
             ripple = effects["torque_ripple"]
             gain = 1.0 + effects.get("torque_constant_error", {}).get("relative_error", 0.0)
-            acting = gain * state[0] + ripple["amplitude"] * math.sin(
-                ripple["cycles_per_revolution"] * state[3] + ripple["phase"]
+            acting = gain * state["tau_m"] + ripple["amplitude"] * math.sin(
+                ripple["cycles_per_revolution"] * state["q_m"] + ripple["phase"]
             )
-            acting -= effects.get("motor_side_friction", {}).get("coulomb", 0.0) * math.copysign(1.0, state[1])
+            acting -= effects.get("motor_side_friction", {}).get("coulomb", 0.0) * math.copysign(1.0, state["omega_j"])
             stretch = acting / R_M * 1.2 / (2 * 60e3) / R_M
             shift = -ripple["cycles_per_revolution"] * stretch
         assert delivered(tmp_path, effects, state, shift) == pytest.approx(value, abs=2e-6)
