@@ -122,13 +122,15 @@ def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> Non
     """k sin(3 q) + 0.1 tau tanh(omega) + 0.02 sigma reduces the torque at the joint or at the motor."""
     custom = {"expression": "k*sin(3*q_j) + 0.1*tau*tanh(omega_j) + 0.02*sigma", "stage": stage, "k": 0.05}
     for state in STATES[:4]:
-        tau_m, omega, q, *_ = state
+        tau_m, omega, q = (state[name] for name in ("tau_m", "omega_j", "q_j"))
         plain = delivered(tmp_path, {}, state, 0.0)
         found = delivered(tmp_path, {"custom": custom}, state, 0.0)
         tau = plain if stage == "joint" else tau_m
         taken = 0.05 * math.sin(3.0 * q) + 0.1 * tau * math.tanh(omega) + 0.02 * math.copysign(1.0, omega)
         # At the motor it changes the input of the slope, cosh x, which follows from two motor torques.
-        slope = 1.0 if stage == "joint" else (delivered(tmp_path, {}, (tau_m + 0.1, *state[1:]), 0.0) - plain) / 0.1
+        slope = (
+            1.0 if stage == "joint" else (delivered(tmp_path, {}, {**state, "tau_m": tau_m + 0.1}, 0.0) - plain) / 0.1
+        )
         assert plain - found == pytest.approx(slope * taken, abs=5e-6)
 
 
