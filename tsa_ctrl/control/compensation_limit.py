@@ -19,9 +19,9 @@ longer than the joint can move on its momentum. Motion in the direction of the s
 because that torque may have caused it. A changed set-point also fills an empty or partly spent credit once the joint
 rests, because each request has one credit.
 
-Without a sensor at the joint, friction is never proven. A set-point that changes by a share of the friction within a
-second then suspends the account, because a person requests motion. A smaller change does not: noise and the ripple of
-an outer loop would suspend it for ever. The change also fills a partly spent credit, even on a moving joint: a sine
+Without a sensor at the joint, friction is never proven. A changing set-point then suspends the account, because a
+person requests motion, if it moves by a share of the friction within a second. A smaller change does not: noise and the
+ripple of an outer loop would suspend it for ever. The change also fills a partly spent credit, even on a moving joint: a sine
 whose peaks look constant never empties it.
 """
 
@@ -394,7 +394,7 @@ class CompensationLimit:
             high = math.inf if grown else high + AGING * (self._unread - OUTDATED) * half_loop
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
-        suspended = self._requests.update(tau_j_des, request) and not proven.usable
+        suspended = self._requests.update(tau_j_des, request) and asked and not proven.usable
         unproven = self._gearing * (along - low)
         excess = tau_j - tau_j_des if omega_j >= 0.0 else tau_j_des - tau_j
         if unproven > 0.0 and excess < unproven:  # nan without a sensor
