@@ -21,8 +21,8 @@ rests, because each request has one credit.
 
 Without a sensor at the joint, friction is never proven. A changing set-point then suspends the account, because a
 person requests motion, if it moves by a share of the friction within a second. A smaller change does not: noise and the
-ripple of an outer loop would suspend it for ever. The change also fills a partly spent credit, even on a moving joint: a sine
-whose peaks look constant never empties it.
+ripple of an outer loop would suspend it for ever. The change also fills a partly spent credit, even on a moving joint:
+a sine whose peaks look constant never empties it.
 """
 
 from __future__ import annotations
