@@ -249,6 +249,7 @@ class TestTablesAsTheyCome:
     @pytest.mark.parametrize(
         ("t", "words"),
         [
+            (np.full(N, 5.0), "column t: all 400 times are 5 s; log the time of each row with more digits"),
             (0.128 * np.arange(24_001), r"of a log of 3072 s .*t seems to be in milliseconds.*or cut the log"),
             (
                 (np.arange(100)[:, None] + np.arange(20) * 1e-3).ravel(),
@@ -259,7 +260,7 @@ class TestTablesAsTheyCome:
                 r"column t, row 401: time 0 s does not increase .*sort the rows by time$",
             ),
         ],
-        ids=["slow log of hours", "mostly holes", "time that runs back"],
+        ids=["constant", "slow log of hours", "mostly holes", "time that runs back"],
     )
     def test_time_that_cannot_be_right_is_an_error(self, t: NDArray[np.float64], words: str) -> None:
         with pytest.raises(UsageError, match=words):

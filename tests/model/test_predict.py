@@ -12,6 +12,7 @@ import pytest
 
 from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.parameters import GearedDrive, RigidDrive
 from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
 from tsa_ctrl.model.signals import Signals
@@ -119,6 +120,11 @@ class TestColumns:
 
 class TestComposition:
     """Effects are applied in the order of their stages."""
+
+    def test_full_model_stands_alone(self) -> None:
+        """It cannot be combined with slack, for example."""
+        with pytest.raises(UsageError, match="cannot be combined"):
+            Stack.of({"elongation_coupling": {"curvature_profile": "uniform"}, "tendon_slack": {}})
 
     def test_order_in_the_file_does_not_matter(self) -> None:
         """Composition follows the order of the catalogue."""

@@ -91,7 +91,6 @@ def test_a_log_that_cannot_be_right_is_refused_in_one_line_that_names_the_suspic
     assert re.search(suspected, said.err), said.err
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("absurd", "suspected"),
     [
