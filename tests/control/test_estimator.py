@@ -328,7 +328,7 @@ def test_what_the_effects_take_is_not_taken_for_the_sheaths(kind: Any, name: str
     model, samples = with_effect(name, 0.0 if kind == "motor" else 0.8)
     estimator = KalmanEstimator(model, EstimatorSettings(kind=kind, attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
-        if kind == "motor":  # the joint's friction is what the motor moves it against
+        if kind == "motor":  # the motor moves the joint against its friction
             tau_m, tau_j = tau_m + R_M / R_J * FRICTION * omega / math.cosh(1.2 * X), math.nan
         estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True, angle))
     assert estimator.state is EstimateState.ESTIMATED

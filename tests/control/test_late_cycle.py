@@ -17,7 +17,7 @@ STALL = 100  # number of the late cycle
 def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
     """Return the smallest `reversal.force` around one late cycle of a joint that moves at SPEED.
 
-    The law gets the lateness if `told` is set.
+    The law receives the lateness if `told` is set.
     """
     lowest, number = 1.0, 0
     while number < STALL + 60:

@@ -1,4 +1,4 @@
-"""Defaults and bounds of the tables of an axis. `tests.safety.test_limiter` tests those of [axis.limits]."""
+"""Defaults and bounds of the tables of an axis. `tests.safety.test_limiter` tests [axis.limits]."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def test_the_file_that_is_written_loads_again_and_says_where_it_came_from(
     assert low <= new.pretension <= high
     derived = [line.split(":")[1] for line in capsys.readouterr().out.splitlines() if "is derived" in line]
     assert derived
-    assert len(derived) == len(set(derived))  # what was done to several logs is printed once
+    assert len(derived) == len(set(derived))  # a note on several logs is printed once
 
 
 def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -153,7 +153,7 @@ def test_parameters_can_be_read_and_only_with_settable_be_set(loop: Loop) -> Non
 
 @pytest.mark.parametrize("loop", [True], indirect=True)
 def test_a_settable_parameter_passes_the_daemon_and_its_bounds(loop: Loop) -> None:
-    """A value that is no number is rejected with this reason."""
+    """A value that is not a number is rejected with this reason."""
     reader = Reader(loop.publisher.port)
     for value, taken in ((0.5, [Command(0, 0, 0.5)]), (9.0, []), ("on", []), (True, [])):
         change = {"op": "setParameters", "parameters": [{"name": "knee.compensation", "value": value}], "id": "2"}

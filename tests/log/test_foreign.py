@@ -32,7 +32,7 @@ def run(*line: str) -> int:
 
 
 def test_a_german_table_becomes_a_log_in_si(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The written mapping gives the same log again. The JSON object lists what was taken and what not."""
+    """The written mapping gives the same log again. The JSON object lists the imported and the omitted columns."""
     (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
     given = ("--column", "tau_m=Strom Motor [A]|A*0.12", "--out", str(tmp_path / "out"), "--json")
     assert run(str(tmp_path / "mess.txt"), *given) == 0

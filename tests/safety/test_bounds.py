@@ -41,7 +41,7 @@ def test_shipped_defaults_are_not_loose() -> None:
 
 @pytest.mark.parametrize(("section", "key"), [(section, key) for section, keys in KEYS.items() for key in keys])
 def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
-    """A larger number, a slower filter or a changed flag is one finding, and the opposite is none."""
+    """A larger number, a slower filter or a changed flag is one finding. A tighter bound is not reported."""
     default = getattr(SECTIONS[section], key)
     if isinstance(default, bool):
         looser: object = not default

@@ -29,7 +29,7 @@ WORDS = {
 class Bench:
     """A supervisor, an image, and a drive that obeys each controlword in the next cycle.
 
-    `words` are the statuswords of the drive by its state. `arguments` are those of the supervisor.
+    `words` are the statuswords of the drive by its state. The supervisor receives `arguments`.
     """
 
     def __init__(self, settings: SupervisionSettings | None = None, **arguments: Any) -> None:

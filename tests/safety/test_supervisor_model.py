@@ -161,7 +161,7 @@ class Model(RuleBasedStateMachine):
 
     @rule(obeys=st.booleans(), state=st.sampled_from(PowerState), request=st.sampled_from(Request))
     def go_astray(self, obeys: bool, state: PowerState, request: Request) -> None:
-        """The drive goes to any state by itself, and may ignore commands for 20 cycles."""
+        """The drive may change to any state, and may ignore commands for 20 cycles."""
         bench = self.bench
         bench.state = state if state in bench.words else bench.state
         bench.obeys = obeys

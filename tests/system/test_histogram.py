@@ -26,7 +26,7 @@ def test_each_duration_has_one_bin(duration: int, index: int) -> None:
 
 
 def test_percentiles_are_upper_edges() -> None:
-    """p50 and p99 of a hundred samples are upper edges of bins. Without samples there is no percentile."""
+    """p50 and p99 of a hundred samples are upper edges of bins. A percentile requires samples."""
     found = distribution(filled(*[12_000] * 98, 52_000, 10**9))
     assert (found.p50, found.p99) == pytest.approx((15e-6, 55e-6))
     assert (found.samples, found.above) == (100, 1)

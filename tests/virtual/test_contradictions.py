@@ -57,7 +57,7 @@ def spread(line: str, first: float, step: float, count: int) -> list[str]:
     return [f"{line}@{first + step * n}" for n in range(count)]
 
 
-SHORT_LOSSES = [  # losses, set-point, seconds, and the words of the only event, which is no fault
+SHORT_LOSSES = [  # losses, set-point, seconds, and the text of the only event, which does not stop the axis
     # a twelfth of the answers is lost
     (spread("missing_tpdo node=encoder duration=0.001", 0.8, 0.0125, 120), CONSTANT, 2.6, "joint encoder node 32"),
     # five commands in a row are lost every 33 ms; a tenth of the values is three cycles old

@@ -54,7 +54,7 @@ def test_the_same_run_gives_the_same_bytes_and_another_seed_gives_other_noise(
 
 
 def test_files_of_before_are_kept(tmp_path: Path) -> None:
-    """A log of before is kept beside, a file that is read is not written over, and a run that fails leaves no file."""
+    """An earlier log is kept, input files are not overwritten, and a failed run leaves no file."""
     files = write(tmp_path)
     simulate_loop(*files, 0.3, out=tmp_path, seed=1)
     before = (tmp_path / "tsa.mcap").read_bytes()

@@ -24,7 +24,7 @@ NAMES = sorted(path.stem for path in (CONFIG / "drives").glob("*.toml"))
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name: str) -> None:
-    """It also lists its sources, and what they do not document."""
+    """It also lists its sources and their gaps."""
     profile, axis = load_profile(name, CONFIG), axis_nodes()
     assert profile.name
     assert profile.sources

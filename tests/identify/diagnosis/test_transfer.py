@@ -134,7 +134,7 @@ def test_one_level_of_load_is_refused_in_a_sentence_that_is_read_at_once(data_di
 
 
 def test_the_share_of_a_drift_refers_to_the_residual() -> None:
-    """A drift of a tenth of the mean square is no drift of 100 %, even if it exceeds the noise."""
+    """A drift with a tenth of the mean square has the share 0.1, even if it exceeds the noise."""
     t = np.arange(6000) * 8e-3
     residual = 0.1 * np.sin(2.0 * np.pi * 1.7 * t) + 0.033 * np.sin(2.0 * np.pi * t / 40.0)
     residual += 1e-3 * np.random.default_rng(0).standard_normal(len(t))
