@@ -147,7 +147,7 @@ def test_a_recovery_that_fails_or_does_not_last_is_told(
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:
-    """A waiting time that is not a number is rejected before the request. A daemon that does not end in time is an error."""
+    """A wrong waiting time is rejected before the request. A daemon that does not end in time is an error."""
     for wait in ("nan", "-1", "inf", "soon"):
         assert call(serving, "stop", "--wait", wait).exit_code == 2
     assert not serving.mailbox.stop_requested

@@ -98,7 +98,7 @@ def test_each_limit_that_may_act_on_a_torque_is_explained() -> None:
 
 
 def test_is_kept_beside_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The summary with its events is saved as a JSON file with the name of the log. No file is written without a log."""
+    """The summary with its events is saved as a JSON file with the name of the log. Without a log, none is written."""
     monkeypatch.chdir(tmp_path)
     replace(summary(), log=None).save()
     assert not list(tmp_path.iterdir())

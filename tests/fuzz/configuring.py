@@ -33,7 +33,7 @@ PATIENCE = DriveProfile(boot_timeout=0.3, answer_timeout=0.05)
 
 
 class SpoiledBus:
-    """A `Bus` that corrupts some received frames and fails to send some frames. The other attributes are those of `bus`."""
+    """A `Bus` that corrupts some received frames and fails to send some frames. Other attributes are those of `bus`."""
 
     def __init__(self, bus: Bus, draw: random.Random, rate: float, part: Part) -> None:
         self.sent: list[Frame] = []
