@@ -125,6 +125,7 @@ AGAIN = 10.0  # s between two notices of one kind on one axis; the log has the r
 LESS, AS_SAID = 0.93, 0.97  # of the file's friction torque: reported below LESS, and again only after more than AS_SAID
 LOST_SHARE = 0.05  # share of the cycles since the last check; a sound bus loses fewer than one in 10,000
 LEAST_LOST = 2  # lost commands of a drive; a single one may be lost by a bus error
+SENSOR_FAILS = 0.3  # s of a contradiction until an event reports it; an unknown effect ends it within 0.2 s
 SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
 BITS = (  # bits of the statusword that are reported without a stop
     (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, has the reason"),
@@ -159,6 +160,7 @@ class AxisNotices:
         self._cut = self._repeated = self._missed = self._statusword = 0
         self._slack = self._contradicted = self._less = False
         self._confirmed = self._passes = True
+        self._passes_since = 0.0  # s, when the torque sensor last was as reported
         self._reason = ""
         self._missing: tuple[str, ...] = ()
         self._heard = (0, 0)
@@ -203,7 +205,9 @@ class AxisNotices:
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
                 "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
             )
-        if known.sensor_passes is not self._passes:
+        if known.sensor_passes is self._passes:
+            self._passes_since = t
+        elif t - self._passes_since > SENSOR_FAILS:
             self._passes = known.sensor_passes
             self._add(
                 t,

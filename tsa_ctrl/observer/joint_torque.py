@@ -207,9 +207,9 @@ AFTER_REVERSAL = 0.1  # s in which the sensor is not compared with the band: twi
 class SensorCheck:
     """Check that the joint torque sensor follows the tendon elongation: an unplugged or reversed one does not.
 
-    The sensor fails if the elongation changes without it. It also fails if it is outside the band of the elongation on
-    the side of more friction: a joint that is driven in one direction shows only this. On the other side, the sensor
-    shows less friction than the elongation, and is used.
+    The sensor fails if the elongation changes without it, and passes if it follows the changes. A joint that is driven
+    in one direction shows no changes. The sensor then fails if it is outside the band of the elongation on the side of
+    more friction. On the other side, the sensor shows less friction than the elongation, and is used.
     """
 
     def __init__(self, half_loop: float, period: float, band: bool) -> None:
@@ -248,7 +248,6 @@ class SensorCheck:
         if self._since > AFTER_REVERSAL:
             distance = (low - sensor if omega_j > 0.0 else sensor - high) - SENSOR * abs(sensor)
             self._distance += self._soon * (max(0.0, distance) - self._distance)
-        self._outside = self._distance > (self._within if self._outside else self._beyond)
         if self._sensor != self._sensor:
             self._sensor, self._elongation = sensor, elongation
         forget = self._forget
@@ -257,8 +256,12 @@ class SensorCheck:
         self._elongation += forget * by_elongation
         self._square += forget * (by_elongation * by_elongation - self._square)
         self._product += forget * (by_sensor * by_elongation - self._product)
-        if self._square > self._least:
-            self._astray = 0.0 if self._product > SHOWN * self._square else self._astray + self._period
+        if self._square <= self._least:
+            self._outside = self._distance > (self._within if self._outside else self._beyond)
+        elif self._product > SHOWN * self._square:
+            self._astray, self._outside = 0.0, False
+        else:
+            self._astray += self._period
 
 
 class Measured(Protocol):
@@ -359,8 +362,12 @@ class JointTorque:
 
     @property
     def sensor_passes(self) -> bool:
-        """Return True unless the tendon elongation shows that the joint torque sensor is unplugged or reversed."""
-        return self.sensor_check is None or self.sensor_check.passed
+        """Return True unless the tendon elongation shows that the joint torque sensor is unplugged or reversed.
+
+        The elongation is no evidence while it contradicts the motor torque, for example with an unknown effect.
+        """
+        check, stretch = self.sensor_check, self.stretch
+        return check is None or stretch is None or check.passed or not stretch.confirmation.confirmed
 
     @property
     def contradiction(self) -> str | None:
