@@ -139,4 +139,4 @@ def test_the_share_of_a_drift_refers_to_the_residual() -> None:
     residual = 0.1 * np.sin(2.0 * np.pi * 1.7 * t) + 0.033 * np.sin(2.0 * np.pi * t / 40.0)
     residual += 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     found = drift(residual, np.ones(6000, dtype=np.bool_), [slice(0, 6000)], 8e-3, 1e-3)
-    assert 0.05 < found.share < 0.15
+    assert 0.05 < found.shown < 0.15

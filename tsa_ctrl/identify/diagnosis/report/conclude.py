@@ -58,7 +58,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     }
     unasked = dict.fromkeys(of_the_stretch(model.effects)[1] if beside.unasked else (), beside.unasked)
     not_testable = {**outcome.testable.not_testable, **unasked, **nothing, **hidden}
-    left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
+    left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.shown)
     held = at_bounds(reported)
     worse = not by_torque and errors.recalibrated > errors.as_given  # keep the better model
     extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)

@@ -276,7 +276,7 @@ def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
     if not left:
         return ""
     first, *others = left[:3]
-    share = f"({first.share:.0%} of its mean square)"
+    share = f"({first.shown:.0%} of its mean square)"
     told = [
         f"the residual depends on {first.what} {share}" if _drives(first) else f"the residual is {first.what} {share}"
     ]

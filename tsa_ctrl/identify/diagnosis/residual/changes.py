@@ -27,7 +27,7 @@ BURST_SHARE = 0.03  # largest share of the time that bursts may take: more would
 # Least share of the mean square in the bursts, beyond the share for pure noise: in a picture, a reader notices bursts
 # of this size first
 BURST_ENERGY = 0.12
-DRIFT = "a slow drift"
+DRIFT = "a slow drift"  # its share refers to the mean square of the noise, without whitening
 REFERENCE_BAND = (0.4, 5.0)  # Hz: the noise is extrapolated from here downwards; noise.autoregressive begins at 0.7 Hz
 STEEPEST = 1.2  # largest exponent of 1/f noise in the extrapolation, as in noise.autoregressive
 DRIFT_SHARE = 0.55  # least drift relative to the noise RMS: a user does not notice less than a third of the noise power
@@ -129,7 +129,14 @@ def bursts(residual: Array, period: float) -> Finding:
     return Finding("bursts of large errors", share, score, share > BURST_ENERGY and score > 8.0)
 
 
-def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, rms: float) -> Finding:
+def drift(
+    residual: Array,
+    mask: NDArray[np.bool_],
+    slices: Sequence[slice],
+    period: float,
+    rms: float,
+    factors: Sequence[Array] = (),
+) -> Finding:
     """Return the finding of slow drift beyond the extrapolated 1/f noise.
 
     Args:
@@ -138,8 +145,14 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         slices: place of each log among the samples.
         period: period of the samples, s.
         rms: RMS of the noise, N*m.
+        factors: signals whose constant multiples are no drift, (n,) each: a load that changes slowly shows an error of
+            the gain at low frequencies.
     """
-    excess, expected, whole, lines_ = 0.0, 0.0, 0.0, 0
+    excess, expected, slowly, whole, lines_ = 0.0, 0.0, 0.0, 0.0, 0
+    apart = residual
+    if factors and mask.any():
+        columns = np.column_stack(factors)
+        apart = residual - columns @ np.linalg.lstsq(columns[mask], residual[mask], rcond=None)[0]
     for part in slices:
         y = residual[part]
         if not mask[part].any() or len(y) < 64:
@@ -157,11 +170,14 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         level = float(np.mean(np.log(power[band]) + 0.5772 - slope * x))
         expected += float(np.sum(np.exp(level + slope * np.log(np.maximum(frequency[slow], 0.2)))))
         excess += float(np.sum(power[slow]))
-        whole += float(np.sum(power))
+        other = np.abs(np.fft.rfft((apart[part] - apart[part].mean()) * np.hanning(len(y)))) ** 2
+        slowly, whole = slowly + float(np.sum(other[slow])), whole + float(np.sum(other))
         lines_ += int(slow.sum())
     if lines_ == 0 or expected <= 0.0:
         return Finding(DRIFT, 0.0, 0.0, False)
     ratio = excess / expected
-    share = (excess - expected) / whole
-    sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_) and excess - expected > (DRIFT_SHARE * rms) ** 2
-    return Finding(DRIFT, share, ratio, bool(sure and share > LEAST_SHARE))
+    share = min((excess - expected) / rms**2, 1.0)  # the drift may exceed the noise
+    of_residual = slowly / max(whole, 1e-300)
+    sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
+    found = bool(sure and share > DRIFT_SHARE**2 and of_residual > LEAST_SHARE)
+    return Finding(DRIFT, share, ratio, found, of_residual)

@@ -37,6 +37,12 @@ class Finding:
     share: float  # part of the mean square of the residual; for a family, the part predicted on blocks outside the fit
     score: float  # test statistic; for a family, standard deviations above the null
     found: bool  # True if the result is significant and large enough to matter
+    of_residual: float | None = None  # part of the residual's mean square, if `share` refers to the noise
+
+    @property
+    def shown(self) -> float:
+        """Return the part of the mean square of the residual, for reports."""
+        return self.share if self.of_residual is None else self.of_residual
 
 
 def dependence(

@@ -94,15 +94,12 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     noise = rng.standard_normal((problem.count, changes.DRAWS))
     told = problem.nuisance.told(len(frame)) & problem.mask
     rest = _interpolated(frame.target - predicted, told, frame.period)
-    # A constant error of gain or friction, with a load that changes slowly, is no drift.
-    constant = np.column_stack([np.ones(len(frame)), sigma, load])
-    rest = rest - constant @ np.linalg.lstsq(constant[told], rest[told], rcond=None)[0] if told.any() else rest
     return [
         *dependences,
         changes.steps(problem, fitted.residual, known, factors, noise),
         changes.lines(fitted.residual, masked, problem.mask, frame.period),
         changes.bursts(fitted.residual, frame.period),
-        changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms),
+        changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms, tuple(factors.values())),
     ]
 
 
