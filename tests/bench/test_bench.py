@@ -181,7 +181,9 @@ def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
     assert set(heard) <= ({0x611} if "drive node" in words else set())
 
 
+@pytest.mark.hil
 def test_real_nodes_are_measured_and_never_enabled(tmp_path: Path) -> None:
+    """The nodes answer in real time, so nothing else may use the processors."""
     with served(tmp_path, "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\n") as channel:
         run = bench(tmp_path, VIRTUAL, *SLOW, ('"vcan0"', f'"{channel}"'))
     assert run.exit_code == 0, run.output
