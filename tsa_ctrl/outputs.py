@@ -98,7 +98,7 @@ def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
 
 
 def save_picture(figure: Any, path: Path, dpi: int, keeping: bool = True) -> None:
-    """Write a matplotlib figure in the format of the suffix; `keeping` as in `beside`.
+    """Write a matplotlib figure in the format of the suffix; `keeping` has the meaning of `beside`.
 
     Raises:
         UsageError: The format is not supported, or the file cannot be written. No part of it remains.

@@ -79,7 +79,7 @@ def test_separator_decimal_sign_and_encoding_are_told_from_the_text(
 def test_a_line_of_units_below_the_names_is_taken_for_that(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("time;motor torque;motor speed\ns;mNm;rpm\n0;500;60\n0.01;600;60\n")
     table = read_foreign(tmp_path / "x.csv")
-    found = {m.name: m.scale for m in mapping.resolve(table, mapping.guess(table, {}), "x")}
+    found = {m.name: m.scale for m in mapping.resolve(table, mapping.identify(table, {}).columns, "x")}
     assert found == pytest.approx({"t": 1.0, "tau_m": 1e-3, "omega_m": math.pi / 30})
 
 
@@ -88,7 +88,7 @@ def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
         "Timestamp,motor torque [Nm]\n2025-01-31 14:25:01.500,1\n2025-01-31 14:25:01.625,2\n"
     )
     table = read_foreign(tmp_path / "x.csv")
-    (time,) = [m for m in mapping.resolve(table, mapping.guess(table, {}), "x") if m.name == "t"]
+    (time,) = [m for m in mapping.resolve(table, mapping.identify(table, {}).columns, "x") if m.name == "t"]
     np.testing.assert_allclose(time.values(table), [0.0, 0.125], atol=1e-6)
 
 

@@ -251,7 +251,7 @@ def bench(
 
     With real nodes on the bus nothing is enabled. They are brought up, answer every SYNC with the drives off, and are
     left as after a run. On a virtual bus without nodes, simulated nodes answer, and the loop runs as with torque.
-    `say` receives a line for each drive that does not confirm that it is off.
+    `say` is called with a line for each drive that does not confirm that it is off.
 
     Raises:
         BusError: the bus or its nodes are not suitable.

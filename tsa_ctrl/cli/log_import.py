@@ -134,11 +134,10 @@ def understand(
 
 def _with_rate(table: ForeignTable, said: Mapping[str, mapping.ColumnSettings], rate: float) -> ForeignTable:
     """Return the table with a time column from the sampling rate. Raise UsageError if it has a time column."""
-    source = said["t"].source if "t" in said else mapping.identify(table, said).columns.get("t")
-    if source is not None:
-        name = source if isinstance(source, str) else source.source
+    time = {**mapping.identify(table, said).columns, **said}.get("t")
+    if time is not None:
         raise UsageError(
-            f"{table.path}: a rate of {rate:g} Hz is given, but the column '{name}' is the time; omit the rate"
+            f"{table.path}: a rate of {rate:g} Hz is given, but the column '{time.source}' is the time; omit the rate"
         )
     return table.with_rate(rate)
 

@@ -187,9 +187,8 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
-        self._path_arm = (
-            model.lever / model.motor_pulley_radius
-        )  # rad of the motor per rad of `Bending.path_difference`
+        # rad of the motor per rad of `Bending.path_difference`
+        self._path_arm = model.lever / model.motor_pulley_radius
         self.limiter.ceiling = self.polarity_check.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._imbalance = 0.0  # 1, of the two tendons' friction angles
@@ -263,8 +262,8 @@ class ControlAxis:
         """Store this cycle's motion of motor and joint in `terms`."""
         image, terms = self.image, self.terms
         terms.q_j, terms.omega_j = self.joint()
-        apart, rate = self.bending.path_difference()
-        terms.routed = self._path_arm * apart
+        difference, rate = self.bending.path_difference()
+        terms.routed = self._path_arm * difference
         terms.q_m, terms.omega_m = image.q_m - terms.routed, image.omega_m - self._path_arm * rate
 
     def since_enable(self, now: float) -> float:
@@ -330,9 +329,9 @@ class ControlAxis:
             excess = self._sensed - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.reversal.turning)
             law.learn(excess)
-        outdated = self._lost_commands.update(now)
-        if outdated is not None:
-            self.supervisor.trip(outdated, now)
+        lost = self._lost_commands.update(now)
+        if lost is not None:
+            self.supervisor.trip(lost, now)
         if terms.reason in _TRIPPING:
             detail = f"joint {terms.omega_j:.1f} rad/s, motor {image.omega_m:.1f} rad/s, at the limiter"
             self.supervisor.trip(Finding(_TRIPPING[terms.reason], detail), now)

@@ -232,9 +232,9 @@ class ReversalSlip:
         if self._left > 0.0:
             self._left = max(0.0, self._left - share)
 
-    def turn(self, turn: FrictionReversal) -> None:
+    def turn(self, reversal: FrictionReversal) -> None:
         """Store the start of a reversal of the friction term; call this before `slide` or `begin`."""
-        self._turned = (turn.force, turn.stretch, self.torque, self._lack)
+        self._turned = (reversal.force, reversal.stretch, self.torque, self._lack)
 
     def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
         """Reverse the slip at the motor of a joint at rest.
@@ -256,17 +256,17 @@ class ReversalSlip:
         if x > 0.0 and min(a[0], a[-1], b[0], b[-1]) > 0.0:
             self._start(a, b, sigma)
 
-    def update(self, tau_j: float, x: float, pretension: float, turn: FrictionReversal) -> None:
+    def update(self, tau_j: float, x: float, pretension: float, reversal: FrictionReversal) -> None:
         """Update torque and elongation for the joint torque `tau_j` (N*m), friction angle (1) and pretension (N)."""
         if x != self._x or pretension != self._pretension:
             self._use(x, pretension)
         difference = tau_j * self._per_r_j
         half = self._half + self._half_slope * difference
         middle = self._middle + self._middle_slope * difference
-        if self._left <= 0.0 and not turn.turning:
+        if self._left <= 0.0 and not reversal.turning:
             self.torque = self._lack = 0.0
-            self.bend = half * turn.bend
-            self.stretch = middle + half * turn.stretch
+            self.bend = half * reversal.bend
+            self.stretch = middle + half * reversal.stretch
             return
         torque = lack = 0.0
         if self._left > 0.0:
@@ -280,15 +280,15 @@ class ReversalSlip:
                 pull = max(min(0.0, most), min(max(0.0, most), pull))
                 torque = self._left * self._r_m * pull
                 lack = self._left * self._angle * (self._start_b + self._sigma * self._gone - slid)
-        self.bend = half * turn.bend
-        if turn.turning:
+        self.bend = half * reversal.bend
+        if reversal.turning:
             way = self._sigma - self._turned[1]
             rise = (lack - self._turned[3]) / way if way != 0.0 else 0.0
-            lack += rise * (turn.stretch - self._sigma)
-            self.bend += rise * turn.bend
-            torque += self._between(torque, difference, turn.force)
+            lack += rise * (reversal.stretch - self._sigma)
+            self.bend += rise * reversal.bend
+            torque += self._between(torque, difference, reversal.force)
         self.torque, self._lack = torque, lack
-        self.stretch = middle + half * turn.stretch + lack
+        self.stretch = middle + half * reversal.stretch + lack
 
     def _between(self, torque: float, difference: float, now: float) -> float:
         """Return the torque that leads a reversal from the tensions before it to those after it, N*m at the motor."""

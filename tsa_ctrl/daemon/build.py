@@ -328,9 +328,7 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         compensation=settings.law.compensation,
     )
     notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
-    if (
-        reason_for_fixed and not joint_torque.unsupported_reason
-    ):  # unsupported_reason has the same effect and is reported
+    if reason_for_fixed and not joint_torque.unsupported_reason:  # the latter has the same effect and is reported
         notes.append(reason_for_fixed)
     if settings.oscillation is not None:
         notes.append("[axis.oscillation] no longer has an effect: the guard of [axis.passivity] replaces it; remove it")

@@ -159,13 +159,13 @@ class AxisNotices:
         self._events = events
         self._cut = self._repeated = self._missed = self._statusword = 0
         self._slack = self._contradicted = self._less = False
-        self._confirmed = self._passes = True
-        self._passes_since = 0.0  # s, when the torque sensor last was as reported
+        self._confirmed = self._sensor_passes = True
+        self._sensor_since = 0.0  # s, when the torque sensor last was as reported
         self._reason = ""
         self._missing: tuple[str, ...] = ()
-        self._heard = (0, 0)
+        self._read_back = (0, 0)  # commands that were read back, and old ones among them
         self._may_report_cut, self._may_report_repeated = Seldom(), Seldom()
-        self._may_report_missed, self._may_report_unheard = Seldom(), Seldom()
+        self._may_report_missed, self._may_report_outdated = Seldom(), Seldom()
         self._may_report_bit = {bit: Seldom() for bit, _ in BITS}
 
     def _add(self, t: float, text: str) -> None:
@@ -205,14 +205,14 @@ class AxisNotices:
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
                 "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
             )
-        if known.sensor_passes is self._passes:
-            self._passes_since = t
-        elif t - self._passes_since > SENSOR_FAILS:
-            self._passes = known.sensor_passes
+        if known.sensor_passes is self._sensor_passes:
+            self._sensor_since = t
+        elif t - self._sensor_since > SENSOR_FAILS:
+            self._sensor_passes = known.sensor_passes
             self._add(
                 t,
                 "the joint torque sensor proves friction again"
-                if self._passes
+                if self._sensor_passes
                 else "the joint torque sensor does not follow the tendons' elongation and proves no friction; until it "
                 "does, an energy credit limits the compensation: check its cable, sign and gain",
             )
@@ -294,9 +294,9 @@ class AxisNotices:
         """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last call."""
         axis = self._axis
         image, readback, permitted = axis.image, axis.io.readback, axis.terms.permitted
-        before, self._heard = self._heard, (readback.asked, readback.outdated)
+        before, self._read_back = self._read_back, (readback.asked, readback.outdated)
         asked, outdated = readback.asked - before[0], readback.outdated - before[1]
-        if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_unheard.permits(t):
+        if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_outdated.permits(t):
             self._add(
                 t,
                 f"{image.nodes[0]} held an older command {outdated} of the last {asked} times that 0x6071 was read "

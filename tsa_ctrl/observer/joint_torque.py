@@ -153,7 +153,7 @@ class ModelTorque:
     @property
     def half_loop(self) -> float:
         """Return the friction torque at the joint, N*m."""
-        return self._half_loops[0]
+        return abs(self._half_loops[0])
 
     def set_parameters(self, friction_angle: float, pretension: float, imbalance: float = 0.0) -> None:
         """Use another friction angle (1), pretension (N) and imbalance (1) of the two tendons from now on."""
@@ -320,7 +320,7 @@ class JointTorque:
         self._shape_known = shape_known
         self._period = period
         self.stretch = stretch
-        self.sensor_check = None if stretch is None else SensorCheck(abs(model.half_loop), period, shape_known)
+        self.sensor_check = None if stretch is None else SensorCheck(model.half_loop, period, shape_known)
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
         self._most_friction_angle = self._friction_angle if stretch is None else stretch.most_friction_angle
         self.unsupported_reason = unsupported_reason
@@ -364,7 +364,8 @@ class JointTorque:
     def sensor_passes(self) -> bool:
         """Return True unless the tendon elongation shows that the joint torque sensor is unplugged or reversed.
 
-        The elongation is no evidence while it contradicts the motor torque, for example with an unknown effect.
+        While the elongation contradicts the motor torque, for example by an unknown effect, it does not judge the
+        sensor.
         """
         check, stretch = self.sensor_check, self.stretch
         return check is None or stretch is None or check.passed or not stretch.confirmation.confirmed

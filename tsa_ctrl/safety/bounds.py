@@ -93,11 +93,14 @@ def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped
                 continue
             if unit == "" and value != default:
                 yield Loose(name, key, value, math.nan, unit)
-            elif key in SLOWER and default is not None:
-                if not value >= default * (1.0 - 1e-9):
-                    yield Loose(name, key, value, default, unit)
-            elif default is None or not value <= default * (1.0 + 1e-9):
+            elif default is None or _is_looser(key, value, default):
                 yield Loose(name, key, value, math.nan if default is None else default, unit)
+
+
+def _is_looser(key: str, value: float, default: float) -> bool:
+    if key in SLOWER:
+        return not value >= default * (1.0 - 1e-9)
+    return not value <= default * (1.0 + 1e-9)
 
 
 def _size(value: object) -> float | None:

@@ -190,17 +190,17 @@ class ReadBack:
         bus: Bus,
         bitrate: int,
         held: Iterable[Held],
-        heard: Sequence[ReadTarget] = (),
+        targets: Sequence[ReadTarget] = (),
         lost_share: float = 1.0,
         stops: Sequence[StopInput] = (),
     ) -> None:
-        """Prepare to read `held`, `heard` and `stops`.
+        """Prepare to read `held`, `targets` and `stops`.
 
         Args:
             bus: bus of the nodes.
             bitrate: bit/s.
             held: objects that must keep their values.
-            heard: objects with the last received command.
+            targets: objects with the last received command.
             lost_share: share of the answers within a second, 1, that may hold too old a command.
             stops: emergency stop inputs.
         """
@@ -209,22 +209,22 @@ class ReadBack:
         slower = max(1.0, BITRATE / bitrate)
         self._interval, self._listen = INTERVAL * slower, LISTEN * slower
         self._round = _rotation(tuple(held))
-        self._drives = itertools.cycle(heard)
+        self._drives = itertools.cycle(targets)
         self._stops = itertools.cycle(stops)
         self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))
         self._asked: Held | ReadTarget | StopInput | None = None
         self._again: Held | None = None  # differed once, and counts only if it differs again
         self._next = -math.inf
-        self._next_heard = -math.inf if heard else math.inf
+        self._next_target = -math.inf if targets else math.inf
         self._next_stop = -math.inf if stops else math.inf
         self._asked_at = -math.inf
-        for each in heard:
-            asked = 1.0 / (self._listen * len(heard))  # requests per second
+        for each in targets:
+            asked = 1.0 / (self._listen * len(targets))  # requests per second
             each.readback.begin(max(LEAST_OUTDATED, math.ceil(lost_share * asked)))
 
     def update(self, now: float) -> None:
         """Request the next object when it is due; `now` is monotonic time in s."""
-        if now < self._next and now < self._next_heard and now < self._next_stop:
+        if now < self._next and now < self._next_target and now < self._next_stop:
             return
         if now >= self._next_stop and (self._asked is None or now >= self._asked_at + STOP_PATIENCE):
             self._next_stop = now + self._stop_interval
@@ -235,14 +235,14 @@ class ReadBack:
         if self._asked is not None and now < self._asked_at + PATIENCE:
             return
         asked: Held | ReadTarget
-        if now < self._next and now < self._next_heard:
+        if now < self._next and now < self._next_target:
             return
         if now >= self._next:
             self._next = now + self._interval
             asked = self._again or next(self._round)
         else:
-            behind = now - self._next_heard  # keeps the grid of `LISTEN`, which matches no cycle
-            self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
+            behind = now - self._next_target  # keeps the grid of `LISTEN`, which matches no cycle
+            self._next_target = now + self._listen - (behind if behind < self._listen else 0.0)
             asked = next(self._drives)
             asked.readback.ask()
         self._ask(asked, now)

@@ -146,11 +146,11 @@ class Rig:
         held = held_by(report)
         if held:
             settings = self._settings
-            heard = [ReadTarget(axis.nodes.drive.node_id, axis.target, axis.readback) for axis in self.axes]
+            targets = [ReadTarget(axis.nodes.drive.node_id, axis.target, axis.readback) for axis in self.axes]
             share = settings.supervision.lost_share
             stops = self._stops(report, stop)
-            self._read_back = ReadBack(self.bus, settings.bitrate, held, heard, share, stops)
-            for node_id in {each.node_id for each in held} | {each.node_id for each in heard}:
+            self._read_back = ReadBack(self.bus, settings.bitrate, held, targets, share, stops)
+            for node_id in {each.node_id for each in held} | {each.node_id for each in targets}:
                 self._messages[cia301.SDO_ANSWER + node_id] = partial(self._compare, node_id)
 
     def _stops(self, report: Report, wiring: StopBit | None) -> list[StopInput]:

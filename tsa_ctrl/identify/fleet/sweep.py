@@ -109,7 +109,7 @@ def sweep(
     Each report is written to out/NAME, and each result to out/fleet.jsonl as soon as it is available. The table is
     written to out/verdicts.csv at the end or at an interruption. Results in fleet.jsonl for the same log, model, seed
     and version are reused. progress(done, total, row) is called at the start (row None) and after each result. `say`
-    receives a line if earlier reports will be kept under other names.
+    is called with a line if the run renames earlier reports.
 
     Raises:
         UsageError: a file cannot be read or written.

@@ -146,11 +146,6 @@ class Identified:
     questions: list[tuple[str, str]]
 
 
-def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
-    """Return the columns that their names determine, except those in `taken`. The unit is "" if the file has none."""
-    return identify(table, taken).columns
-
-
 def identify(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> Identified:
     """Determine the columns from their names, except those in `taken`.
 
@@ -233,8 +228,8 @@ def _proposal(column: str, name: Name, unit: str) -> str:
 def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
     """Return the proposal for a column that no name determines, in the form of --column.
 
-    Time is the first column that increases in every row and is no row number. The torque is the first remaining column
-    whose name and unit do not contradict it. A column without a unit is in SI.
+    Time is the first column that increases in every row and does not count the rows. The torque is the first remaining
+    column whose name and unit do not contradict it. A column without a unit is in SI.
     """
     si = COLUMNS[missing].unit
     for source in table.names:

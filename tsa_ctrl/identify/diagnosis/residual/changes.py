@@ -145,8 +145,8 @@ def drift(
         slices: place of each log among the samples.
         period: period of the samples, s.
         rms: RMS of the noise, N*m.
-        factors: signals whose constant multiples are no drift, (n,) each: a load that changes slowly shows an error of
-            the gain at low frequencies.
+        factors: signals whose constant multiples do not count as drift, (n,) each. An error of the gain follows a slow
+            load at low frequencies.
     """
     excess, expected, slowly, whole, lines_ = 0.0, 0.0, 0.0, 0.0, 0
     apart = residual
