@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.control.compensation_limit import AGING, OUTDATED, Bound, CompensationLimit, EnergyCredit, Requests
-from tsa_ctrl.observer.proven_friction import ProvenFriction
+from tsa_ctrl.observer.friction_proof import FrictionProof
 
 PERIOD = 1e-3
 FRICTION = 0.5  # N*m at the motor
@@ -24,9 +24,13 @@ class Proof:
         self.low, self.high, self.reads = 0.0, math.inf, False
         self.modelled = FRICTION
 
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.low + self.high)
+
 
 def limit(proof: Proof, capacity: float = 0.4, seen: float = 0.95) -> CompensationLimit:
-    return CompensationLimit(Bound(seen, 0.6), cast(ProvenFriction, proof), capacity, GEARING, PERIOD)
+    return CompensationLimit(Bound(seen, 0.6), cast(FrictionProof, proof), capacity, GEARING, PERIOD)
 
 
 def move(
@@ -285,7 +289,7 @@ def test_a_file_that_is_not_of_this_joint_has_the_smaller_credit_until_the_frict
     A proven friction above 60 % of the file's value confirms the file, and the credit becomes 0.4 J.
     """
     proof = Proof()
-    chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
+    chosen = CompensationLimit(Bound(1.0, 0.6), cast(FrictionProof, proof), 0.4, GEARING, PERIOD, 0.1)
     chosen.trusted = trusted
     chosen.reset()
     proof.low, proof.reads = proven * FRICTION, proven > 0.0
@@ -298,7 +302,7 @@ def test_a_file_that_is_not_of_this_joint_has_the_smaller_credit_until_the_frict
 def test_a_confirmed_file_is_doubted_again_after_the_next_bring_up() -> None:
     """After a new bring-up the nodes may belong to another joint, so the credit is small again."""
     proof = Proof()
-    chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
+    chosen = CompensationLimit(Bound(1.0, 0.6), cast(FrictionProof, proof), 0.4, GEARING, PERIOD, 0.1)
     proof.low, proof.reads = FRICTION, True
     chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 1.0)
     assert chosen.credit.capacity == 0.4

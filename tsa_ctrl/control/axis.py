@@ -198,7 +198,6 @@ class ControlAxis:
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
         self._has_torque_sensor = has_torque_sensor
-        self._sensor_passes = True
         self._sample = Sample(0.0, 0.0, math.nan, math.nan, math.nan, False)
         self._observed = Observed()
         law.bound = self.compensation_limit.share
@@ -299,10 +298,9 @@ class ControlAxis:
             image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted, terms.routed
         )
         proven, law = self.compensation_limit.proven, self.law
-        passes, passed = self.joint_torque.sensor_passes, self._sensor_passes
-        self._sensor_passes = passes
-        if passed and not passes:
-            proven.reset()
+        stretch = self.joint_torque.stretch
+        if stretch is not None and image.fresh and stretch.state is StretchState.ESTIMATED:
+            proven.compare(instruments.tau_j, stretch.torque, stretch.confirmation.confirmed, terms.omega_j)
         if not image.fresh:
             proven.miss(self._period)
         elif not terms.permitted:
@@ -313,7 +311,7 @@ class ControlAxis:
                 image.omega_m,
                 terms.q_m,
                 terms.q_j,
-                self._sensed,
+                instruments.tau_j,
                 law.velocity,
                 law.reversal.turning,
                 law.half_loop if self._measures_wrap_angle else self._nominal_half_loop,
@@ -354,7 +352,7 @@ class ControlAxis:
             self.plausibility.skip_cycles()
         sample = self._sample
         sample.sigma, sample.omega_j, sample.theta = terms.sigma, terms.omega_j, theta
-        sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
+        sample.tau_m, sample.tau_j, sample.admit = image.tau_m, self._sensed, image.fresh
         sample.q_j, sample.q_m, sample.t1, sample.t3 = terms.q_j, image.q_m, instruments.t1, instruments.t3
         sample.fading = self.bending.fading
         sample.temperature = self.law.temperature
@@ -416,13 +414,13 @@ class ControlAxis:
     @property
     def _sensed(self) -> float:
         """Return the torque of the joint torque sensor, N*m; nan while the tendon elongation contradicts it."""
-        return self.instruments.tau_j if self._sensor_passes else math.nan
+        return math.nan if self.compensation_limit.proven.contradicted else self.instruments.tau_j
 
     def _delivered(self) -> float:
         """Return the joint torque by its sensor, or else by the tendon elongation, N*m; nan while it is unknown."""
         if not self.image.fresh:
             return math.nan
-        if self._has_torque_sensor and self._sensor_passes:
+        if self._has_torque_sensor and not self.compensation_limit.proven.contradicted:
             return self.instruments.tau_j
         stretch = self.joint_torque.stretch
         return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.ESTIMATED else math.nan
@@ -450,7 +448,7 @@ class ControlAxis:
             terms.tau_j_des,
             self.set_point.rate,
             law.compensation,
-            self._sensed,
+            self._sensed if limit.proven.confirms_sensor else math.nan,
         )
         law.room = limit.room
 
@@ -479,4 +477,4 @@ class ControlAxis:
                 self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
             self.joint_torque.set_parameters(*parameters, imbalance, bent=self._measures_wrap_angle)
             if self._measures_wrap_angle:
-                self.compensation_limit.proven.slopes = self.joint_torque.model.slopes
+                self.compensation_limit.proven.set_slopes(self.joint_torque.model.slopes)

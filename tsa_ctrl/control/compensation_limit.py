@@ -35,7 +35,7 @@ from tsa_ctrl.control.settings import BendingSettings
 from tsa_ctrl.control.torque_feedback import MORE
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import sliding
-from tsa_ctrl.observer.proven_friction import ProvenFriction
+from tsa_ctrl.observer.friction_proof import FrictionProof
 from tsa_ctrl.safety.limiter import Reason
 
 # The share of the friction that may be compensated, so that c h_model <= h_true holds for every possible h_true.
@@ -301,7 +301,7 @@ class CompensationLimit:
     def __init__(
         self,
         bound: Bound,
-        proven: ProvenFriction,
+        proven: FrictionProof,
         capacity: float,
         gearing: float,
         period: float,
@@ -376,10 +376,10 @@ class CompensationLimit:
             omega_j: joint velocity, rad/s, 0 within its noise.
             tau_j_des, rate: set-point and its slope, N*m and N*m/s.
             compensation: desired share of the friction.
-            tau_j: torque of a joint torque sensor, N*m, nan without one.
+            tau_j: torque of a joint torque sensor that the elongation confirms, N*m, nan without one.
         """
         proven, credit = self.proven, self.credit
-        low, high = proven.low, proven.high
+        low, middle, high = proven.low, proven.middle, proven.high
         if proven.reads and not self._confirmed and low >= self.bound.unseen * proven.modelled:
             self._confirmed = True
             self.credit.capacity = self._capacity
@@ -391,7 +391,8 @@ class CompensationLimit:
             self._unread += self._period
         if self._unread > OUTDATED:
             grown = half_loop > MORE_THAN_FILE * proven.modelled  # an estimator has found that the friction has grown
-            high = math.inf if grown else high + AGING * (self._unread - OUTDATED) * half_loop
+            rise = math.inf if grown else AGING * (self._unread - OUTDATED) * half_loop
+            middle, high = middle + 0.5 * rise, high + rise
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
         suspended = self._requests.update(tau_j_des, request) and asked and not proven.usable
@@ -401,7 +402,6 @@ class CompensationLimit:
             unproven = excess if excess > 0.0 else 0.0
         credit.update(unproven, omega_j, tau_j_des, request, suspended)
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
-        middle = 0.5 * (low + high)
         friction = half_loop if half_loop < middle else middle
         if self._driven < math.inf:
             self._driven_for += self._period

@@ -94,7 +94,6 @@ def _half_loop_of(model: TendonSheath, at_motor: bool) -> Callable[[float], floa
 
 
 JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor with 20 values per second
-DOWN = 5.0  # times the rate for a falling parameter, because too much compensation moves the joint in the meantime
 
 
 class EstimateState(IntEnum):
@@ -215,15 +214,19 @@ class ConfigurationMap:
         return self._mu * theta, max(0.0, self._pretension + self._slope * (theta - self._theta))
 
 
+DOWN = 5.0  # times the rate for a falling parameter, because too much compensation moves the joint in the meantime
+
+
 class GatedEstimator:
     """Hold the outputs of an estimator that uses measurements; they approach a target at the rate of the settings.
 
     Contradictory data never raise the friction torque, because it is unknown which signal is wrong.
     """
 
-    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        """Prepare the outputs; `period` in s."""
+    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float, down: float = DOWN) -> None:
+        """Prepare the outputs; `period` in s; `down`: rate of a falling parameter over that of a rising one."""
         self.use = bool(settings.use)
+        self._down = down
         self._sliding = sliding_by(model)
         self._nominal = (model.friction_angle, model.pretension)
         self._half_loop = self._sliding(1.0, *self._nominal).half_loop
@@ -239,9 +242,11 @@ class GatedEstimator:
         """Move the outputs towards the target by one cycle."""
         (angle, pretension), (for_angle, for_pretension) = self._target, self._steps
         if self.friction_angle != angle:
-            self.friction_angle = rate_limit_fast_down(self.friction_angle, angle, for_angle)
+            down = self._down if angle < self.friction_angle else 1.0
+            self.friction_angle = rate_limit(self.friction_angle, angle, down * for_angle)
         if self.pretension != pretension:
-            self.pretension = rate_limit_fast_down(self.pretension, pretension, for_pretension)
+            down = self._down if pretension < self.pretension else 1.0
+            self.pretension = rate_limit(self.pretension, pretension, down * for_pretension)
 
     def _accept(self, angle: float, pretension: float) -> None:
         """Use an estimate of friction angle (1) and pretension (N)."""
@@ -261,8 +266,3 @@ def rate_limit(value: float, target: float, step: float) -> float:
     if change > step:
         return value + step
     return value - step if change < -step else target
-
-
-def rate_limit_fast_down(value: float, target: float, step: float) -> float:
-    """Return `value` moved towards `target` by at most `step`, or by `DOWN` steps if it falls."""
-    return rate_limit(value, target, DOWN * step if target < value else step)

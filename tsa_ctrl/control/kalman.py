@@ -135,7 +135,8 @@ class KalmanEstimator(GatedEstimator):
     """Implement the estimator kinds "sensor" and "motor"."""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        super().__init__(model, settings, period)
+        # The errors of reversals make this estimate rise and fall. If it fell faster, it would be too small on average.
+        super().__init__(model, settings, period, down=1.0)
         self._motor = settings.kind == "motor"
         self._removal = EffectRemoval(model, period) if model.effects else None
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)

@@ -34,6 +34,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre, profile_of
+from tsa_ctrl.observer.friction_proof import FrictionProof, SensorEvidence
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
@@ -107,7 +108,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         )
         limit = CompensationLimit(
             bound_for(settings, model, joint_torque, reason_for_fixed),
-            proven_friction_of(settings, model, joint_torque, plan.inertia, period),
+            friction_proof_of(settings, model, joint_torque, plan.inertia, period),
             UNPROVEN_ENERGY[file.safety.use_class],
             model.joint_pulley_radius / model.motor_pulley_radius,
             period,
@@ -302,15 +303,20 @@ def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float,
     return JointTorque(by_model, stretch, "", period, ElongationTorque(model, period, counts), shape_known(model))
 
 
-def proven_friction_of(
+def friction_proof_of(
     settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, inertia: float, period: float
-) -> ProvenFriction:
-    """Return the measurement of the friction torque: by the sensor on the bus, the elongation, or a serial sensor.
+) -> FrictionProof:
+    """Return the proof of the friction torque by a sensor on the bus and by the elongation.
 
-    A serial sensor comes last, because its values are delayed, and a changing torque then looks like friction.
+    A serial sensor counts only without an elongation, because its values are delayed, and a changing torque then looks
+    like friction.
     """
-    by_sensor = settings.torque_sensor is not None or (settings.has_torque_sensor and joint_torque.stretch is None)
-    return ProvenFriction(model, period, inertia, by_sensor, joint_torque.stretch)
+    stretch = joint_torque.stretch
+    by_elongation = None if stretch is None else ProvenFriction(model, period, inertia, False, stretch)
+    by_sensor = None
+    if settings.torque_sensor is not None or (settings.has_torque_sensor and stretch is None):
+        by_sensor = ProvenFriction(model, period, inertia, True)
+    return FrictionProof(by_sensor, by_elongation, SensorEvidence(joint_torque.model.half_loop, period))
 
 
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, reason_for_fixed: str) -> Bound:

@@ -159,7 +159,7 @@ class AxisNotices:
         self._events = events
         self._cut = self._repeated = self._missed = self._statusword = 0
         self._slack = self._contradicted = self._less = False
-        self._confirmed = self._sensor_passes = True
+        self._confirmed, self._sensor_fails = True, False
         self._sensor_since = 0.0  # s, when the torque sensor last was as reported
         self._reason = ""
         self._missing: tuple[str, ...] = ()
@@ -205,16 +205,17 @@ class AxisNotices:
                 f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
                 "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
             )
-        if known.sensor_passes is self._sensor_passes:
+        fails = self._axis.compensation_limit.proven.contradicted
+        if fails is self._sensor_fails:
             self._sensor_since = t
         elif t - self._sensor_since > SENSOR_FAILS:
-            self._sensor_passes = known.sensor_passes
+            self._sensor_fails = fails
             self._add(
                 t,
-                "the joint torque sensor proves friction again"
-                if self._sensor_passes
-                else "the joint torque sensor does not follow the tendons' elongation and proves no friction; until it "
-                "does, an energy credit limits the compensation: check its cable, sign and gain",
+                "the joint torque sensor shows more friction than the tendons' elongation, which counts instead; check "
+                "the sensor's cable, sign and gain"
+                if fails
+                else "the joint torque sensor shows the friction of the tendons' elongation again",
             )
         if known.contradicted is not self._contradicted:
             self._contradicted = known.contradicted

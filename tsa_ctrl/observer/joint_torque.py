@@ -190,80 +190,6 @@ LEAST_FRICTION = 0.5  # 1, of the file's friction; a motor with twice the report
 OFTEN, SELDOM = 0.5, 0.2  # share of samples outside the band above which a contradiction is set, and below it cleared
 
 
-LATELY = 1.0  # s over which changes of sensor and elongation are compared: a stroke
-# 1, of the friction torque: standard deviation of the torque by the elongation above which the sensor must show it,
-# too. Half of it is the noise of an encoder with 12 bit; 0.75 of the file's friction causes 0.1 at a set-point of 0.
-EVIDENT = 0.07
-# 1, of the change by the elongation: least share that the sensor must show. Lag, noise of the elongation and an
-# inaccurate file leave more than half; an unplugged sensor shows nothing, and a reversed one the negative.
-SHOWN = 0.2
-# 1, of the friction torque, and s over which it is averaged: distance of the sensor from the 95 % band of the
-# elongation above which it is wrong, and below which it is right again
-BEYOND, WITHIN, BEYOND_FOR = 0.1, 0.02, 0.1
-LAGS = 0.05  # s by which a correct sensor may lag: it must contradict the elongation for longer
-AFTER_REVERSAL = 0.1  # s in which the sensor is not compared with the band: twice its lag
-
-
-class SensorCheck:
-    """Check that the joint torque sensor follows the tendon elongation: an unplugged or reversed one does not.
-
-    The sensor fails if the elongation changes without it, and passes if it follows the changes. A joint that is driven
-    in one direction shows no changes. The sensor then fails if it is outside the band of the elongation on the side of
-    more friction. On the other side, the sensor shows less friction than the elongation, and is used.
-    """
-
-    def __init__(self, half_loop: float, period: float, band: bool) -> None:
-        """Prepare the check.
-
-        Args:
-            half_loop: friction torque at the joint, N*m.
-            period: s.
-            band: True if the band is valid, because the model file states where the sheath bends.
-        """
-        self._least = (EVIDENT * half_loop) ** 2
-        self._beyond, self._within = (BEYOND * half_loop, WITHIN * half_loop) if band else (math.inf, math.inf)
-        self._period = period
-        self._soon = period / BEYOND_FOR
-        self._forget = period / LATELY
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget all measurements."""
-        self._astray, self._outside = 0.0, False
-        self._distance = 0.0  # N*m
-        self._direction, self._since = 0, 0.0  # s since the joint reversed
-        self._sensor = self._elongation = math.nan  # N*m, means
-        self._square = self._product = 0.0  # (N*m)^2
-
-    @property
-    def passed(self) -> bool:
-        """Return True unless the sensor is wrong."""
-        return self._astray < LAGS and not self._outside
-
-    def update(self, sensor: float, elongation: float, low: float, high: float, omega_j: float) -> None:
-        """Compare the sensor with the torque by the elongation and its 95 % band, N*m; `omega_j` in rad/s."""
-        direction = 1 if omega_j > 0.0 else -1
-        self._since = self._since + self._period if direction == self._direction else 0.0
-        self._direction = direction
-        if self._since > AFTER_REVERSAL:
-            distance = (low - sensor if omega_j > 0.0 else sensor - high) - SENSOR * abs(sensor)
-            self._distance += self._soon * (max(0.0, distance) - self._distance)
-        if self._sensor != self._sensor:
-            self._sensor, self._elongation = sensor, elongation
-        forget = self._forget
-        by_sensor, by_elongation = sensor - self._sensor, elongation - self._elongation
-        self._sensor += forget * by_sensor
-        self._elongation += forget * by_elongation
-        self._square += forget * (by_elongation * by_elongation - self._square)
-        self._product += forget * (by_sensor * by_elongation - self._product)
-        if self._square <= self._least:
-            self._outside = self._distance > (self._within if self._outside else self._beyond)
-        elif self._product > SHOWN * self._square:
-            self._astray, self._outside = 0.0, False
-        else:
-            self._astray += self._period
-
-
 class Measured(Protocol):
     """Define the measurements of an axis that this module uses, in SI units; a missing one is nan."""
 
@@ -320,7 +246,6 @@ class JointTorque:
         self._shape_known = shape_known
         self._period = period
         self.stretch = stretch
-        self.sensor_check = None if stretch is None else SensorCheck(model.half_loop, period, shape_known)
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
         self._most_friction_angle = self._friction_angle if stretch is None else stretch.most_friction_angle
         self.unsupported_reason = unsupported_reason
@@ -361,16 +286,6 @@ class JointTorque:
         return LEAST_FRICTION * self._friction_angle < friction_angle < self._most_friction_angle
 
     @property
-    def sensor_passes(self) -> bool:
-        """Return True unless the tendon elongation shows that the joint torque sensor is unplugged or reversed.
-
-        While the elongation contradicts the motor torque, for example by an unknown effect, it does not judge the
-        sensor.
-        """
-        check, stretch = self.sensor_check, self.stretch
-        return check is None or stretch is None or check.passed or not stretch.confirmation.confirmed
-
-    @property
     def contradiction(self) -> str | None:
         """Return the finding that the motor delivers more torque than it reports, or None without that finding."""
         if self._soft < SOFT or self.stretch is None:
@@ -388,8 +303,6 @@ class JointTorque:
             self.stretch.reset()
         if self.elongation is not None:
             self.elongation.reset()
-        if self.sensor_check is not None:
-            self.sensor_check.reset()
         self._outside = self.difference = 0.0
         self._combine()
 
@@ -459,8 +372,6 @@ class JointTorque:
         else:
             self._combine()
         if tau_j == tau_j and stretch.state is StretchState.ESTIMATED and fresh:
-            if self.sensor_check is not None and stretch.confirmation.confirmed:
-                self.sensor_check.update(tau_j, stretch.torque, stretch.low, stretch.high, omega_j)
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)
             room = SENSOR * abs(tau_j)

@@ -147,10 +147,19 @@ class ProvenFriction:
         self._spread = [math.inf, math.inf]
         self._held = math.nan  # N*m, `modelled` of bounds that come from earlier readings; nan after a reading
         self.low, self.high, self.reads = 0.0, math.inf, False
+        self._forward = True
         self._direction, self._gap, self._until = 0, 0.0, FIT_EVERY
         self._sums: tuple[float, ...] = ()
         self._begin_stroke()
         self.pause()
+
+    @property
+    def certain(self) -> bool:
+        """Return True while strokes in both directions determine the friction to `CERTAIN`.
+
+        A long motion in one direction ends this, because the zero of the elongation may depend on the angle.
+        """
+        return self._settled and self._spread[1 if self._forward else 0] < CERTAIN
 
     def pause(self) -> None:
         """Skip a cycle without torque; the gate after a reversal starts again."""
@@ -202,6 +211,7 @@ class ProvenFriction:
             self._way += way
             if self._way > self._gate and not turning and last == last:
                 tau = tau_m - self._inertia * (omega_m - last) / self._period
+                self._forward = direction > 0
                 if self._has_sensor:
                     self._take(direction, direction * (tau - tau_j / self.slopes[direction < 0]), way, tau_j)
                 else:

@@ -1,0 +1,187 @@
+"""Combine the friction torque by the joint torque sensor with that by the tendon elongation.
+
+A torque sensor alone proves nothing: an unplugged, reversed or miscalibrated one shows the compensation itself as
+friction. Two measurements that agree prove the friction, because they share only the motor torque. Hence:
+
+* The sensor counts up to the upper bound of the elongation. Beyond it, the elongation counts instead.
+* Until the tendons have slid in both directions, the elongation cannot contradict the sensor. The sensor then limits
+  the compensation, but does not prove it: an energy credit covers the whole term (`control.compensation_limit`). It
+  proves friction as soon as it has followed the motor torque within one stroke, as (3.55) requires: an unplugged or
+  reversed sensor does not, and one that shows the compensation as friction does not either.
+* An axis without a usable elongation has the sensor alone.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.observer.proven_friction import MEMORY, ProvenFriction
+
+LATELY = 1.0  # s over which changes of sensor and elongation are compared: a stroke
+# 1, of the friction torque: standard deviation of the torque by the elongation from which the sensor must follow it.
+# Half of it is the noise of an encoder with 12 bit; 0.75 of the file's friction causes 0.1 at a set-point of 0.
+EVIDENT = 0.07
+# 1, of the change by the elongation: least share that the sensor must show. Lag, noise of the elongation and an
+# inaccurate file leave more than half; an unplugged sensor shows nothing, and a reversed one the negative.
+SHOWN = 0.2
+
+
+class SensorEvidence:
+    """Compare the changes of the joint torque by its sensor and by the elongation."""
+
+    def __init__(self, half_loop: float, period: float) -> None:
+        """Prepare the comparison; `half_loop`: friction torque at the joint, N*m; `period` in s."""
+        self._least = (EVIDENT * half_loop) ** 2
+        self._forget = period / LATELY
+        self._period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all measurements."""
+        self._sensor = self._elongation = math.nan  # N*m, means
+        self._square = self._product = 0.0  # (N*m)^2
+        self._since = math.inf  # rad of travel since the sensor last followed the elongation
+
+    @property
+    def follows(self) -> bool:
+        """Return True if the sensor has followed the elongation within the last `MEMORY` of travel."""
+        return self._since < MEMORY
+
+    def update(self, sensor: float, elongation: float, confirmed: bool, omega_j: float) -> None:
+        """Process a cycle.
+
+        Args:
+            sensor, elongation: joint torque by both, N*m.
+            confirmed: True unless the elongation contradicts the motor torque, for example by an unknown effect. It is
+                then no evidence against the sensor.
+            omega_j: joint velocity, rad/s.
+        """
+        self._since += abs(omega_j) * self._period
+        if self._sensor != self._sensor:
+            self._sensor, self._elongation = sensor, elongation
+        forget = self._forget
+        by_sensor, by_elongation = sensor - self._sensor, elongation - self._elongation
+        self._sensor += forget * by_sensor
+        self._elongation += forget * by_elongation
+        self._square += forget * (by_elongation * by_elongation - self._square)
+        self._product += forget * (by_sensor * by_elongation - self._product)
+        if self._square > self._least:
+            if self._product > SHOWN * self._square:
+                self._since = 0.0
+            elif confirmed:
+                self._since = math.inf
+
+
+class FrictionProof:
+    """Bound the friction torque of an axis by the measurements that it has.
+
+    Attributes: `low`, `middle`, `high`: proven lower bound, estimate and upper bound of the friction torque at the
+    motor, N*m; 0, inf and inf while unproven. `reads`: True if this cycle has a reading, False if the bounds come from
+    earlier cycles. `contradicted`: True while the sensor shows more friction than the elongation permits.
+    """
+
+    def __init__(
+        self, by_sensor: ProvenFriction | None, by_elongation: ProvenFriction | None, evidence: SensorEvidence
+    ) -> None:
+        """Combine the measurements that the axis has; None is a missing one."""
+        self._sensor, self._elongation = by_sensor, by_elongation
+        self._parts = tuple(part for part in (by_sensor, by_elongation) if part is not None)
+        self._first = self._parts[0] if self._parts else None
+        self._both = len(self._parts) == 2
+        self._trusted = False
+        self.evidence = evidence
+        self.contradicted = False
+        self._combine()
+
+    @property
+    def usable(self) -> bool:
+        """Return True if a sensor at the joint can prove friction."""
+        return self._first is not None
+
+    @property
+    def confirms_sensor(self) -> bool:
+        """Return True unless the sensor contradicts the elongation, or has not been compared with it yet."""
+        elongation = self._elongation
+        return elongation is None or not self._both or (not self.contradicted and self._compared)
+
+    @property
+    def _compared(self) -> bool:
+        return self.evidence.follows or (self._elongation is not None and self._elongation.certain)
+
+    @property
+    def modelled(self) -> float:
+        """Return the friction torque of the model file at the present wrap angle, N*m at the motor."""
+        return 0.0 if self._first is None else self._first.modelled
+
+    @property
+    def trusted(self) -> bool:
+        """Return True if a tuning of this joint wrote the model file."""
+        return self._trusted
+
+    @trusted.setter
+    def trusted(self, value: bool) -> None:
+        self._trusted = value
+        for part in self._parts:
+            part.trusted = value
+
+    def set_slopes(self, slopes: tuple[float, float]) -> None:
+        """Use d tau_J / d tau_M of a joint that moves forward and backward, 1."""
+        if self._sensor is not None:
+            self._sensor.slopes = slopes
+
+    def reset(self) -> None:
+        """Forget all measurements, including the zero of the elongation."""
+        for part in self._parts:
+            part.reset()
+        self.evidence.reset()
+        self.contradicted = False
+        self._combine()
+
+    def pause(self) -> None:
+        """Skip a cycle without torque."""
+        for part in self._parts:
+            part.pause()
+        self.reads = False
+
+    def miss(self, seconds: float) -> None:
+        """Skip `seconds` without measurements."""
+        for part in self._parts:
+            part.miss(seconds)
+        self._combine()
+
+    def update(
+        self,
+        tau_m: float,
+        omega_m: float,
+        q_m: float,
+        q_j: float,
+        tau_j: float,
+        velocity: float,
+        turning: bool,
+        modelled: float,
+    ) -> None:
+        """Process the measurements of one cycle, see `ProvenFriction.update`."""
+        for part in self._parts:
+            part.update(tau_m, omega_m, q_m, q_j, tau_j, velocity, turning, modelled)
+        self._combine()
+
+    def compare(self, sensor: float, elongation: float, confirmed: bool, omega_j: float) -> None:
+        """Compare the changes of both measurements, see `SensorEvidence.update`."""
+        if sensor == sensor and elongation == elongation:
+            self.evidence.update(sensor, elongation, confirmed, omega_j)
+
+    def _combine(self) -> None:
+        used = self._first
+        if used is None:
+            self.low, self.middle, self.high, self.reads = 0.0, math.inf, math.inf, False
+            return
+        elongation, proven = self._elongation, True
+        if self._both and elongation is not None:
+            proven = self._compared
+            if used.reads:
+                shown = 0.5 * (used.low + used.high)
+                self.contradicted = shown > elongation.high and not self.evidence.follows
+            if self.contradicted:
+                used = elongation
+        self.low, self.middle, self.high = used.low if proven else 0.0, 0.5 * (used.low + used.high), used.high
+        self.reads = used.reads
