@@ -28,7 +28,7 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
         "axis bending compensation_limit cycle damping direction estimator kalman law motion_filter reversal setpoint "
         "stretch_estimator temperature tension_estimator torque_feedback"
     ),
-    "observer": "joint_torque proven_friction stretch",
+    "observer": "friction_proof joint_torque proven_friction stretch",
     "safety": "debounce guard lost_commands passivity plausibility polarity_check residuals supervisor",
     "bus/live": "axis image read_back rig",
     "bus/canopen": "cia301 cia402 pdo",
