@@ -1,13 +1,15 @@
 """Combine the friction torque by the joint torque sensor with that by the tendon elongation.
 
 A torque sensor alone proves nothing: an unplugged, reversed or miscalibrated one shows the compensation itself as
-friction. Two measurements that agree prove the friction, because they share only the motor torque. Hence:
+friction. A second measurement must agree:
 
-* The sensor counts up to the upper bound of the elongation. Beyond it, the elongation counts instead.
-* Until the tendons have slid in both directions, the elongation cannot contradict the sensor. The sensor then limits
-  the compensation, but does not prove it: an energy credit covers the whole term (`control.compensation_limit`). It
-  proves friction as soon as it has followed the motor torque within one stroke, as (3.55) requires: an unplugged or
-  reversed sensor does not, and one that shows the compensation as friction does not either.
+* The sensor counts while it follows the changes of the torque by the elongation (`SensorEvidence`). An unplugged
+  sensor shows no changes, and a reversed one the opposite changes.
+* Without such changes, the sensor counts up to the upper bound of the friction by the elongation. If it shows more, the
+  elongation counts instead.
+* Before the sensor has followed a change, and before the tendons have slid in both directions, nothing can contradict
+  the sensor. It then limits the compensation, but does not prove it: an energy credit covers the whole term
+  (`control.compensation_limit`).
 * An axis without a usable elongation has the sensor alone.
 """
 

@@ -84,7 +84,7 @@ class Elongation:
         self._inertia = give.inertia / period
         self._unsure = compliance * (LIGHT * give.inertia if give.inertia > 0.0 else HEAVY) / period
         self._play = give.play  # rad of the joint: a smaller change may be encoder counts only
-        self._response = RESPONSE + give.play
+        self._response = RESPONSE + 2.0 * give.play  # once in the elongation, once in a joint motion that is not seen
         self._bound = BOUND + give.play
         half = 0.5 * give.free * give.wound
         self._most_friction = half * (1.0 + give.friction)
