@@ -14,8 +14,10 @@ from xml.etree import ElementTree
 
 import msgspec
 import pytest
+from mcap.reader import make_reader
 
 from tests.daemon.serving import PATIENCE, Serving, loop_taking
+from tests.log.logs import HEADER, write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.connection import CLIENTS
@@ -187,11 +189,34 @@ def test_a_port_that_is_taken_is_one_line(loop: Loop) -> None:
         Publisher(loop.serving.path, loop.publisher.port, False)
 
 
-def test_layouts_show_the_signals_of_each_axis(tmp_path: Path) -> None:
-    foxglove, plotjuggler = write_layouts(tmp_path / "new", ["knee", "hip"])
+def drawn(foxglove: Path, plotjuggler: Path) -> tuple[set[tuple[str, str]], set[tuple[str, str]]]:
+    """Return topic and signal of each curve of both layouts."""
     panels = json.loads(foxglove.read_text(encoding="utf-8"))["configById"]
-    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
-    curves = [curve.get("name") for curve in ElementTree.parse(plotjuggler).iter("curve")]
-    for axis in ("knee", "hip"):
-        assert f"/{axis}/signals.tau_j_des" in paths
-        assert f"/{axis}/signals/tau_j_des" in curves
+    paths = [path["value"].rpartition(".") for panel in panels.values() for path in panel.get("paths", ())]
+    curves = [curve.attrib["name"].rpartition("/") for curve in ElementTree.parse(plotjuggler).iter("curve")]
+    return {(topic, name) for topic, _, name in paths}, {(topic, name) for topic, _, name in curves}
+
+
+def test_layouts_show_signals_that_the_server_has(loop: Loop, tmp_path: Path) -> None:
+    foxglove, plotjuggler, *_ = write_layouts(tmp_path / "new", ["knee", "hip"])
+    both = drawn(foxglove, plotjuggler)
+    assert both[0] == both[1]
+    assert {("/knee/signals", "tau_j_des"), ("/hip/status", "friction_term")} <= both[0]
+    channels = Reader(loop.publisher.port).channels
+    assert all(name in json.loads(channels[topic]["schema"])["properties"] for topic, name in both[0])
+
+
+def test_layouts_of_a_log_show_columns_that_a_log_has(tmp_path: Path) -> None:
+    write_log(tmp_path / "log.mcap")
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    columns = {
+        channel.topic: {line.split()[1] for line in summary.schemas[channel.schema_id].data.decode().splitlines()}
+        for channel in summary.channels.values()
+    }
+    *_, foxglove, plotjuggler = write_layouts(tmp_path, HEADER.axes)
+    both = drawn(foxglove, plotjuggler)
+    assert both[0] == both[1]
+    assert {topic for topic, _ in both[0]} == {f"/{axis}" for axis in HEADER.axes}
+    assert all(name in columns[topic] for topic, name in both[0])

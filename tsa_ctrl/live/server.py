@@ -243,20 +243,33 @@ def topic_of(axis: str, signal: Signal) -> str:
     return f"/{axis}/{'signals' if Place.CLIENT in signal.where else 'status'}"
 
 
-def foxglove_layout(axes: Sequence[str]) -> str:
-    """Return a Foxglove layout: a column of plots for each axis, and the events."""
-    panels: dict[str, object] = {"Log!events": {"topicToRender": "/events"}, "Parameters!live": {}}
+def log_topic_of(axis: str, signal: Signal) -> str:
+    """Return the topic of a signal of an axis in a recorded log, which has one topic for each axis."""
+    return f"/{axis}"
+
+
+def _charts(recorded: bool) -> tuple[Callable[[str, Signal], str], dict[str, list[Signal]]]:
+    """Return the function for the topic of a signal, and the charts with the signals that the source has."""
+    place = Place.LOG if recorded else Place.CLIENT | Place.STATUS
+    found = {title: [each for each in signals if each.where & place] for title, signals in CHARTS.items()}
+    return log_topic_of if recorded else topic_of, {title: signals for title, signals in found.items() if signals}
+
+
+def foxglove_layout(axes: Sequence[str], recorded: bool = False) -> str:
+    """Return a Foxglove layout: a column of plots for each axis, and the events; `recorded`: of a log, not live."""
+    panels: dict[str, object] = {"Log!events": {"topicToRender": EVENTS}, "Parameters!live": {}}
     columns: list[object] = []
+    topic, charts = _charts(recorded)
     for axis in axes:
         names = []
-        for title, signals in CHARTS.items():
+        for title, signals in charts.items():
             name = f"Plot!{axis}-{title.replace(' ', '-')}"
             names.append(name)
             panels[name] = {
                 "title": f"{axis}: {title}",
                 "paths": [
                     {
-                        "value": f"{topic_of(axis, signal)}.{signal.name}",
+                        "value": f"{topic(axis, signal)}.{signal.name}",
                         "enabled": True,
                         "timestampMethod": "receiveTime",
                     }
@@ -298,29 +311,39 @@ def _split(panels: Sequence[object], direction: str) -> object:
     }
 
 
-def plotjuggler_layout(axes: Sequence[str]) -> str:
+def plotjuggler_layout(axes: Sequence[str], recorded: bool = False) -> str:
     """Return a PlotJuggler layout: a tab for each axis, with the same plots one below the other."""
+    topic, charts = _charts(recorded)
     root = ElementTree.Element("root")
     tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     for axis in axes:
         tab = ElementTree.SubElement(tabs, "Tab", containers="1", tab_name=axis)
-        share = ";".join(f"{1.0 / len(CHARTS):.4f}" for _ in CHARTS)
-        sizes = {"sizes": share, "count": str(len(CHARTS)), "orientation": "-"}
+        share = ";".join(f"{1.0 / len(charts):.4f}" for _ in charts)
+        sizes = {"sizes": share, "count": str(len(charts)), "orientation": "-"}
         splitter = ElementTree.SubElement(ElementTree.SubElement(tab, "Container"), "DockSplitter", sizes)
-        for title, signals in CHARTS.items():
+        for title, signals in charts.items():
             area = ElementTree.SubElement(splitter, "DockArea", name=f"{axis}: {title}")
             plot = ElementTree.SubElement(area, "plot", style="Lines", mode="TimeSeries")
             for signal in signals:
-                ElementTree.SubElement(plot, "curve", name=f"{topic_of(axis, signal)}/{signal.name}")
+                ElementTree.SubElement(plot, "curve", name=f"{topic(axis, signal)}/{signal.name}")
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def write_layouts(folder: Path, axes: Sequence[str]) -> list[Path]:
-    """Write both layouts into a folder and return their paths; raise UsageError if it cannot be written."""
+    """Write the layouts for the live signals and for a log into a folder and return their paths.
+
+    Raises:
+        UsageError: a file cannot be written.
+    """
     written = []
-    for name, text in (("foxglove.json", foxglove_layout(axes)), ("plotjuggler.xml", plotjuggler_layout(axes))):
+    for name, text in (
+        ("foxglove.json", foxglove_layout(axes)),
+        ("plotjuggler.xml", plotjuggler_layout(axes)),
+        ("foxglove-log.json", foxglove_layout(axes, recorded=True)),
+        ("plotjuggler-log.xml", plotjuggler_layout(axes, recorded=True)),
+    ):
         with beside(folder / name) as path:
             folder.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
