@@ -46,6 +46,11 @@ from tsa_ctrl.control.settings import DirectionSettings
 NOISE = 1.5  # least zone over the velocity noise of one count, because the mechanics also vibrate
 LEAST_ZONE = 0.002  # rad/s, smallest zone that may be set while running
 LITTLE = 0.05  # of the travel after which the whole tendons slide: a shorter motion has not reversed them
+STOOD = 0.05  # s of rest after which a joint stands: a swinging leg reverses in less time
+# 1, of that travel, and of the friction torque: a standing joint that moves less, with a smaller set-point, only
+# crosses its backlash. On 4 random rigs with 1.1 to 1.9 mrad of it, a small sine has an error of 8 to 20 mN*m instead
+# of 76 to 87.
+BACKLASH, UNLOADED = 0.1, 0.1
 UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at 10 N*m/s, as in a gait
 # Share of the friction torque. With 0.12, a random rig with prescribed motion had twice the error, and a
 # human-in-the-loop load had no smaller error.
@@ -75,6 +80,7 @@ class Direction:
         give: float | None = None,
         way: float = 0.0,
         unsure: float = math.inf,
+        friction: float = 0.0,
     ) -> None:
         """Prepare the rules.
 
@@ -89,6 +95,7 @@ class Direction:
             way: joint travel after which the whole tendons slide, rad.
             unsure: excess of the delivered over the desired torque above which the joint torque sensor decides at rest
                 (`measure`), N*m.
+            friction: friction torque at the joint, N*m.
         """
         self.lead = lead
         self._motion = motion
@@ -101,6 +108,8 @@ class Direction:
         self._radius = joint_radius
         self._period = period
         self._little = LITTLE * way
+        self._play_of_joint = BACKLASH * way
+        self._unloaded = UNLOADED * friction
         self._fade = math.exp(-period / REMEMBERED)
         self._mean = period / MEAN if period < MEAN else 1.0
         self._settled = max(1, round(SETTLED * MEAN / period))
@@ -135,6 +144,7 @@ class Direction:
         self.sigma = 0.0
         self.age = 0.0
         self.rest = math.inf  # the joint has never moved
+        self._stood_at = math.nan  # rad, angle of a joint that has stood for `STOOD`
         self._before, self._turned_at = 0.0, math.nan  # direction before the joint's last reversal, and its angle there
         self._follows = False
         self._since = TREMOR  # s since the last reversal
@@ -197,8 +207,11 @@ class Direction:
         self.age = 0.0
         self._since += self._period
         self._gap *= self._fade
+        if self._crosses_play(ahead):
+            omega = 0.0
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
+            self._stood_at = math.nan
             if self._needed != 0.0 or self._tried:
                 self._needed, self._tried = 0.0, False
             if not abs(motion.angle - self._turned_at) < self._little:
@@ -220,6 +233,8 @@ class Direction:
                 self.age = since / self._period if since < self._period else 1.0
             return self.sigma
         self.rest += self._period
+        if self.rest > STOOD and self._stood_at != self._stood_at:
+            self._stood_at = motion.angle
         if self.rest > AT_REST and self._little_since_turn():
             self._turn(self._before or self.sigma, self._follows)
         if ahead != ahead:
@@ -261,6 +276,10 @@ class Direction:
             self._gap = min(MOST_PLAY, BEYOND * way)
         self._swung_at = angle
         return False
+
+    def _crosses_play(self, ahead: float) -> bool:
+        """Return True if a joint that stood has moved only within its backlash, which it crosses with little torque."""
+        return abs(ahead) < self._unloaded and abs(self._motion.angle - self._stood_at) < self._play_of_joint
 
     def _turn(self, sigma: float, follows: bool = False) -> None:
         if sigma != self.sigma:

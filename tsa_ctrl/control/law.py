@@ -44,6 +44,9 @@ from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
 CLOSING = 5.0  # Hz, rate at which the missing torque by the sensor is added at rest; a step throws a hand-held joint
+# 1, duration of a reversal at rest over that of a moving joint. The joint torque changes only at its end, so this costs
+# little time. With 1, the inertia of the motor carried reversals on random rigs up to 25 % of the friction too far.
+AT_REST = 3.0
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as at rest
 SLOW = 0.5  # rad/s of the joint, below which an oscillation may be settled
 STANDS = 0.02  # N*m/s; a set-point that changes more slowly counts as constant
@@ -235,7 +238,8 @@ class Law:
             self._slip.move()
         elif direction.missing > 0.0 and self.half_loop > 0.0:
             self._slip.release(self._closing * direction.missing / self.half_loop)
-        reversal.update(sigma, direction.age)
+        slower = AT_REST if sigma != old and direction.rest > STOOD else 1.0
+        reversal.update(sigma, direction.age, slower)
 
     def skip_cycles(self, periods: int) -> None:
         """Account for periods without a cycle: extrapolate the joint motion and continue a planned reversal."""

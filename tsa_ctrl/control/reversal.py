@@ -127,11 +127,20 @@ class FrictionReversal:
         self.turning = False
         self._ramps.clear()
 
-    def update(self, sigma: float, age: float = 0.0) -> None:
-        """Advance by one period; a new `sigma` starts a transition to it, which is already `age` periods old."""
+    def update(self, sigma: float, age: float = 0.0, slower: float = 1.0) -> None:
+        """Advance by one period.
+
+        Args:
+            sigma: direction; a new one starts a transition to it.
+            age: age of a new transition, periods.
+            slower: its duration over that of a whole reversal, 1. A faster one accelerates those that have not ended.
+        """
         ramps = self._ramps
         if sigma != self._end:
-            ramps.append([sigma - self._end, age * self._step])
+            pace = 1.0 / slower
+            for ramp in ramps:
+                ramp[2] = pace = max(pace, ramp[2])
+            ramps.append([sigma - self._end, age * self._step * pace, pace])
             self._end = sigma
         elif not ramps:
             self.force = self.stretch = self._end
@@ -141,14 +150,14 @@ class FrictionReversal:
         bend = 0.0
         two_pi = 2.0 * math.pi
         for ramp in ramps:
-            size, y = ramp
+            size, y, pace = ramp
             sine = math.sin(two_pi * y)
             place = y * _STEPS
             i = int(place)
-            force += size * (self._force[i] + (place - i) * (self._force[i + 1] - self._force[i]))
+            force += size * (self._force[i] + (place - i) * (self._force[min(i + 1, _STEPS)] - self._force[i]))
             stretch += size * (y - sine / two_pi)
-            bend += size * sine
-            ramp[1] = y + self._step
+            bend += size * sine * pace * pace
+            ramp[1] = min(1.0, y + self._step * pace)
         self.force, self.stretch = force, stretch
         self.bend = two_pi * bend / (self.duration * self.duration)
         while ramps and ramps[0][1] >= 1.0:

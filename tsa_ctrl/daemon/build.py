@@ -202,10 +202,9 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
         signals.add("temperature")
     inverse = Feedforward(model, period, signals)
     way = wound_by_friction(model) * r_m / r_j
-    unsure = UNSURE
-    if not bent_at_joint(model):
-        unsure += OVERSHOOT * abs(sliding(model).half_loop)
-    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure)
+    friction = abs(sliding(model).half_loop)
+    unsure = UNSURE if bent_at_joint(model) else UNSURE + OVERSHOOT * friction
+    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure, friction)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None, joint_angle)
 
 
