@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.names import Name, split_words
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable
+from tsa_ctrl.log.foreign.units import quantities_of, scale_of
 
 CASES = [
     # canonical names
@@ -43,6 +46,14 @@ CASES = [
     ("i_q_m [A]", "tau_m", "A"), ("iq_m", "tau_m", None), ("dq_j", "omega_j", None), ("w_m", "omega_m", None),
     ("phi_j [deg]", "q_j", "deg"), ("tau_motor (Nm)", "tau_m", "Nm"), ("theta_joint (rad)", "q_j", "rad"),
     ("q_knee", "q_j", None), ("trq_j", "tau_j", None),
+    ("M_Motor [Nm]", "tau_m", "Nm"), ("M_Gelenk", "tau_j", None), ("M_J", "tau_j", None), ("F_N_motor", "", None),
+    ("T_mot [Nm]", "tau_m", "Nm"), ("T_mot [°C]", "temperature", "°C"), ("T_Motor_degC", "temperature", "degC"),
+    ("n_Motor [1/min]", "omega_m", "1/min"), ("I_mot [A]", "tau_m", "A"), ("qd_joint", "omega_j", None),
+    ("Moment_Gelenk", "tau_j", None), ("Winkel_Antrieb", "q_m", None), ("motor_rpm", "omega_m", "rpm"),
+    # units of several words
+    ("motor_torque_N_m", "tau_m", "N_m"), ("motor torque lbf in", "tau_m", "lbf in"), ("torque_nm", "", "nm"),
+    ("omega_j_rad_s", "omega_j", "rad_s"), ("joint_vel_deg_per_s", "omega_j", "deg_per_s"),
+    ("joint_angle_rad_min", "", None), ("motor angle velocity [rpm]", "omega_m", "rpm"),
     # time
     ("t_s", "t", "s"), ("t_ms", "t", "ms"), ("t_us", "t", "us"), ("t_min", "t", "min"), ("s", "t", None),
     ("time (h:m:s)", "t", "h:m:s"), ("timestamp_ms", "t", "ms"), ("Clock [s]", "t", "s"), ("T [degC]", "", "degC"),
@@ -132,6 +143,7 @@ def test_of_several_names_the_best_is_used_or_a_question_is_open(names: list[str
     [
         (["torque_mNm"], "tau_m", "tau_m=torque_mNm|mNm"),
         (["torque"], "tau_m", "tau_m=torque|N*m"),
+        (["i_q", "iq", "Strom", "I", "i_sd", "voltage", "U", "force"], "tau_m", ""),
         (["torque error", "motor torque command", "torque limit", "angle", "speed", "x [deg]", "i [A]"], "tau_m", ""),
         (["knee torque", "x"], "tau_m", "tau_m=x|N*m"),
         (["angle", "x"], "t", "t=x|s"),
@@ -144,3 +156,51 @@ def test_a_proposal_uses_the_unit_and_no_other_quantity(names: list[str], missin
 
 def test_a_row_number_is_not_proposed_as_time() -> None:
     assert mapping.propose(table(["sample"], sample=["0", "1", "2"]), "t", set()) == ""
+
+
+@pytest.mark.parametrize("source", ["i_q_m", "Motorstrom", "I_mot", "motor current"])
+def test_a_current_without_a_unit_is_no_torque(source: str) -> None:
+    found = mapping.identify(table([source]), {})
+    with pytest.raises(UsageError, match=r"give scale \(N\*m per A\)"):
+        mapping.resolve(table([source]), found.columns, "x")
+    assert mapping.without_unit(table([source]), []) == []
+
+
+def test_a_name_of_two_quantities_is_a_question_without_a_proposal() -> None:
+    found = mapping.identify(table(["T_mot"]), {})
+    assert found.columns == {}
+    ((question, proposal),) = found.questions
+    assert "--column 'tau_m=T_mot|N*m' or --column 'temperature=T_mot|degC'" in question
+    assert proposal == ""
+
+
+UNITS = [
+    ("N*m", 1.0, ["N*m", "Nm", "N m", "N.m", "N-m", "N·m", "N⋅m", "N × m", "nm", "NM", "N_m", "newton meters"]),
+    ("N*m", 4.4482216152605 * 0.0254, ["lbf·in", "lbf*in", "lbf-in", "in-lbf", "lbf in", "lbin", "in·lb", "lbf_in"]),
+    ("N*m", 4.4482216152605 * 0.3048, ["lbf·ft", "ft-lbs", "ft.lb", "lbft", "pound-feet"]),
+    ("N*m", 0.0980665, ["kgf*cm", "kgf·cm", "kg-cm", "kgcm", "kp cm"]),
+    ("N*m", 9.80665, ["kgf·m", "kg.m", "kgfm"]),
+    ("N*m", 4.4482216152605 / 16.0 * 0.0254, ["ozf·in", "oz-in", "ozin", "in oz"]),
+    ("N*m", 1e-3, ["mNm", "mN·m", "N·mm", "Nmm", "mN m", "mnm"]),
+    ("N*m", 1e-6, ["mN·mm", "uN*m"]),
+    ("N*m", 1e-2, ["N·cm", "Ncm"]),
+    ("rad/s", 2.0 * math.pi, ["rev/s", "rps", "U/s", "turns/sec", "rev·s⁻¹", "rev s^-1", "rev_s"]),
+    ("rad/s", math.pi / 30.0, ["rpm", "RPM", "1/min", "r/min", "min^-1", "min-1", "U/min", "rev per min"]),
+    ("rad/s", math.pi / 180.0, ["°/s", "deg/s", "Deg/s", "dps", "deg_per_sec", "deg s-1", "mdeg/ms"]),
+    ("rad/s^2", math.pi / 180.0, ["deg/s^2", "°/s²", "deg/s/s", "deg·s⁻²", "deg_s2"]),
+    ("rad/s^2", math.pi / 30.0, ["rpm/s"]),
+]
+
+
+@pytest.mark.parametrize(("si", "scale", "spellings"), UNITS)
+def test_each_spelling_of_a_unit_has_the_same_value(si: str, scale: float, spellings: list[str]) -> None:
+    for unit in spellings:
+        assert scale_of(unit, si) == pytest.approx(scale, rel=1e-9), unit
+        assert quantities_of(unit) == {si}, unit
+
+
+@pytest.mark.parametrize(
+    "unit", ["MNm", "Nm/A", "N*m*s", "N/m", "kg", "kg*m^2", "1/s", "rads", "in", "m", "N*", "/s", "1", "lbf*in*in"]
+)
+def test_another_quantity_and_an_ambiguous_unit_have_no_value(unit: str) -> None:
+    assert quantities_of(unit) == set()

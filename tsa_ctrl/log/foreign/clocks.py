@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign.names import Name
-from tsa_ctrl.log.foreign.units import UNITS
+from tsa_ctrl.log.foreign.units import scale_of
 
 Columns = dict[str, NDArray[Any]]
 TIME = "time [s]"  # time column of a format that stores time separately from the columns
@@ -123,7 +123,7 @@ def _clock_above(group: str, clocks: Mapping[str, str]) -> str | None:
 def _seconds(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
     if values.dtype.kind == "M":
         return np.asarray(values.astype("datetime64[ns]").astype(np.float64) * 1e-9, dtype=np.float64)
-    return np.asarray(values.astype(np.float64) * UNITS["s"].get(Name(name).unit or "s", 1.0), dtype=np.float64)
+    return np.asarray(values.astype(np.float64) * (scale_of(Name(name).unit or "s", "s") or 1.0), dtype=np.float64)
 
 
 def _is_equal(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:

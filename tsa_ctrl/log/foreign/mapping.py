@@ -14,7 +14,7 @@ import re
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -27,7 +27,16 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.foreign.names import Name, listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, Shape
-from tsa_ctrl.log.foreign.units import DATE, DEVICE_UNITS, LEVER_ARM, SHIFT, UNITS, needs_scale
+from tsa_ctrl.log.foreign.units import (
+    DATE,
+    DEVICE_UNITS,
+    EXAMPLES,
+    LEVER_ARM,
+    SHIFT,
+    needs_scale,
+    quantities_of,
+    scale_of,
+)
 from tsa_ctrl.signals import COLUMNS, INPUTS
 
 Separator = Annotated[str, Meta(pattern=r'^[^"\r\n]?\Z', description='one character, or " " for any white space')]
@@ -182,8 +191,12 @@ def identify(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> Identi
             questions.append((f"{column} may be {listed([n.source for n in best])}", _proposal(column, best[0], unit)))
     for columns, names in unclear.items():
         column = next((c for c in columns if c not in taken and c not in found), "")
-        if column:
-            unit = _unit(names[0], table, column) or ""
+        unit = _unit(names[0], table, column) or ""
+        if not unit and len({COLUMNS[c].unit for c in columns}) > 1:  # neither the name nor a unit states the quantity
+            if column in ("t", "tau_m"):
+                remedy = " or ".join(f"--column '{c}={names[0].source}|{COLUMNS[c].unit}'" for c in columns)
+                questions.append((f"'{names[0].source}' may be {' or '.join(columns)}; give {remedy}", ""))
+        elif column:
             found[column] = ColumnSettings(source=names[0].source, unit=unit)
             question = f"{listed([n.source for n in names])} may be {' or '.join(columns)}"
             questions.append((question, _proposal(column, names[0], unit)))
@@ -196,7 +209,7 @@ def without_unit(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
     found: dict[str, str] = {}
     for source in table.names:
         name = Name(source)
-        if source in used or len(name.columns) != 1 or name.columns & have or name.unit is not None:
+        if source in used or len(name.columns) != 1 or name.columns & have or name.unit is not None or name.is_current:
             continue
         (column,) = name.columns
         found.setdefault(column, f"{column}={source}|{COLUMNS[column].unit}")
@@ -204,7 +217,9 @@ def without_unit(table: ForeignTable, mapped: list[Mapped]) -> list[str]:
 
 
 def _unit(name: Name, table: ForeignTable, column: str) -> str | None:
-    return DATE if column == "t" and table.is_date(name.source) else name.unit
+    if column == "t" and table.is_date(name.source):
+        return DATE
+    return "A" if name.unit is None and name.is_current else name.unit
 
 
 def _best(names: list[Name], table: ForeignTable, column: str) -> list[Name]:
@@ -286,7 +301,7 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
             continue
         entry = tomlkit.table()
         entry["from"], entry["unit"] = column.source, column.unit
-        if column.unit != DATE and UNITS.get(COLUMNS[column.name].unit, {}).get(column.unit) != column.scale:
+        if column.unit != DATE and scale_of(column.unit, COLUMNS[column.name].unit) != column.scale:
             entry["scale"] = column.scale
         offset = column.offset - SHIFT.get(column.unit, 0.0)
         if offset:
@@ -306,24 +321,23 @@ def _source(table: ForeignTable, wanted: str, where: str) -> str:
 
 def _mapped(name: str, source: str, unit: str, scale: float | None, offset: float, where: str) -> Mapped:
     si = COLUMNS[name].unit
-    known: Mapping[str, Any] = UNITS.get(si, {"1": 1.0})
+    known = scale_of(unit, si)
     here = f"{where}: {name} from '{source}'"
     if scale is None and unit.lower() in DEVICE_UNITS:
         raise UsageError(f"{here}: the unit '{unit}' depends on the device; give scale ({DEVICE_UNITS[unit.lower()]})")
-    other = any(unit in units for quantity, units in UNITS.items() if {quantity, si} != LEVER_ARM)
-    if unit not in known and (scale is None or other):
+    other = any({quantity, si} != LEVER_ARM for quantity in quantities_of(unit))
+    value = known if scale is None else scale
+    if value is None or (known is None and other):
         wrong = f"unit '{unit}' belongs to another quantity" if other else f"unknown unit '{unit}'"
         found = wrong if unit else "no unit"
         raise UsageError(
-            f"{here}: {found}; allowed are {', '.join(known)}, or a unit of your device with scale ({si} per unit)"
+            f"{here}: {found}; allowed are {EXAMPLES.get(si, si)}, or a unit of your device with scale ({si} per unit)"
         )
-    if scale is None:
-        scale = float(known[unit])
-    if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):
+    if not math.isfinite(value) or value == 0.0 or not math.isfinite(offset):
         raise UsageError(
-            f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers and a scale other than 0"
+            f"{here}: scale {value:g} with offset {offset:g}; give finite numbers and a scale other than 0"
         )
-    return Mapped(name, source, unit, scale, offset + SHIFT.get(unit, 0.0))
+    return Mapped(name, source, unit, value, offset + SHIFT.get(unit, 0.0))
 
 
 POINTS = 4000  # least number of drawn points of a longer curve

@@ -12,13 +12,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-from tsa_ctrl.log.foreign.units import UNITS, brackets_in, is_known, quantities_of, tail_of
+from tsa_ctrl.log.foreign.units import brackets_in, is_known, needs_scale, quantities_of, tails_of
 from tsa_ctrl.signals import COLUMNS
 
-TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME = (
-    "torque", "current", "angle", "speed", "temperature", "bending", "time",
+TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME, OTHER = (
+    "torque", "current", "angle", "speed", "temperature", "bending", "time", "other quantity",
 )  # fmt: skip
-QUANTITIES = frozenset({TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME})
+QUANTITIES = frozenset({TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME, OTHER})
+_SI = {TORQUE: "N*m", ANGLE: "rad", SPEED: "rad/s", TEMPERATURE: "degC", BENDING: "rad", TIME: "s"}
 MOTOR, JOINT, BODY, DESIRED, COMMANDED, EXCLUDED, NEUTRAL = (
     "motor", "joint", "body part", "desired", "commanded", "excluded", "neutral",
 )  # fmt: skip
@@ -26,12 +27,13 @@ NO_CLOCK = "no clock"  # a duration instead of the time of a row
 
 _CLASSES: dict[str, str] = {
     TORQUE: "torque drehmoment moment tau trq mom torq",
-    CURRENT: "current strom iq",
+    CURRENT: "current strom iq isq amps ampere",
     ANGLE: "angle winkel position pos theta phi lage",
     SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq",
     TEMPERATURE: "temperature temperatur temp",
     BENDING: "bending biegung biegewinkel sheath",
     TIME: "time zeit timestamp zeitstempel clock uhrzeit",
+    OTHER: "voltage spannung power leistung force kraft pressure druck energy energie frequency frequenz fieldcurrent",
     MOTOR: "motor drive antrieb driver mot input actuator aktor aktuator eingang",
     JOINT: "joint gelenk load output abtrieb jaw last",
     BODY: "hip knee ankle elbow shoulder wrist finger thumb huefte hüfte knie knöchel knoechel sprunggelenk kniegelenk "
@@ -48,6 +50,7 @@ VOCABULARY: dict[str, str] = {word: kind for kind, text in _CLASSES.items() for 
 # "m" and "j" directly after one of these are motor and joint.
 _SYMBOLS = frozenset({"tau", "q", "omega", "theta", "phi", "dq", "qd", "w", "trq", "iq"})
 _SHORT = {"q": ANGLE, "w": SPEED}  # a quantity only directly before a motor or joint word
+_FIRST = {"m": TORQUE, "n": SPEED, "i": CURRENT, "u": OTHER, "p": OTHER, "f": OTHER}  # the same at the start, or alone
 _WHOLE = frozenset({"t", "s", "sec", "seconds"})  # time, as a whole name
 _PARTS = tuple(word for word, kind in VOCABULARY.items() if len(word) >= 3 and kind != NO_CLOCK)
 _MEASURED = {
@@ -77,7 +80,8 @@ def _decomposed(word: str) -> tuple[str, ...] | None:
 
 def split_words(bare: str) -> list[str]:
     """Split a name without its unit into lower-case words, and compounds into the words of the vocabulary."""
-    text = re.sub(r"(?i)(?<![a-z0-9])i_q(?![a-z])", "iq", bare)
+    text = re.sub(r"(?i)(?<![a-z0-9])i_?s?_?q(?![a-z])", "iq", bare)
+    text = re.sub(r"(?i)(?<![a-z0-9])i_s?_?d(?![a-z])", "fieldcurrent", text)
     text = re.sub(r"(?i)set[-_ ]point", "setpoint", text)
     text = re.sub(r"(?i)\bdes (motor|antrieb|gelenk|abtrieb|aktor|knie)e?s\b", r"\1", text)  # German genitive
     text = re.sub(r"(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])", " ", text)
@@ -94,11 +98,15 @@ def _kinds(words: list[str]) -> list[str]:
     """Return the class of each word, or "" for an unknown word."""
     kinds = [VOCABULARY.get(word, "") for word in words]
     for i, word in enumerate(words[1:], start=1):
-        if word in ("m", "j") and words[i - 1] in _SYMBOLS:
+        if word in ("m", "j") and (words[i - 1] in _SYMBOLS or words[:i] == ["m"]):
             kinds[i] = MOTOR if word == "m" else JOINT
     for i, word in enumerate(words[:-1]):
         if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
             kinds[i] = _SHORT[word]
+    first = next((i for i, kind in enumerate(kinds) if kind != NEUTRAL), None)
+    rest = [] if first is None else [word for word in words[first + 1 :] if not word.isdigit()]
+    if first is not None and words[first] in _FIRST and (not rest or kinds[first + 1] in (MOTOR, JOINT, BODY)):
+        kinds[first] = _FIRST[words[first]]
     # "current" in front of another quantity is the adjective: "current motor position".
     ranked = [i for i, kind in enumerate(kinds) if kind in (TORQUE, ANGLE, SPEED)]
     if ranked and "current" in words and words.index("current") < ranked[0]:
@@ -140,15 +148,20 @@ class Name:
         named = self.source.strip()
         while (last := re.search(r"[ _]([^\W_]+)$", named)) and VOCABULARY.get(last[1].lower()) == NEUTRAL:
             named = named[: last.start()]  # motor_torque_mNm_filtered
-        tail = tail_of(named)
-        if tail is not None and self.source not in COLUMNS:
-            bare, unit = tail
-            quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)}
+        for bare, unit in () if self.source in COLUMNS else tails_of(named):
+            kinds = _kinds(split_words(bare))
+            quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)} | {_SI[k] for k in kinds if k in _SI}
             device = not quantities_of(unit)
             if (quantities and device) or quantities & quantities_of(unit):
                 return bare, unit
-            # A letter may also be a phase of a motor or a channel.
-            if unit.lower() not in VOCABULARY and (len(unit) > 1 or not (quantities or f" {unit}" in self.source)):
+            # A letter may also be a phase of a motor or a channel, and several words may belong to the name.
+            if re.search("[ _]", unit):
+                continue
+            if unit.lower() in VOCABULARY:  # motor_rpm
+                if {COLUMNS[name].unit for name in _fitting(named, None)} & quantities_of(unit):
+                    return self.source.strip(), unit
+                continue
+            if len(unit) > 1 or not (quantities or f" {unit}" in self.source):
                 return bare, unit
         return self.source.strip(), None
 
@@ -180,6 +193,11 @@ class Name:
         return frozenset(_kinds(split_words(self.bare)))
 
     @property
+    def is_current(self) -> bool:
+        """Return True if the name is a current, which is a torque only with a scale in N*m per A."""
+        return CURRENT in self.kinds and TORQUE not in self.kinds
+
+    @property
     def unknown(self) -> int:
         """Return the number of words that are not in the vocabulary."""
         if self.bare in COLUMNS or self.bare.lower() in _WHOLE:
@@ -193,9 +211,9 @@ class Name:
         if self.kinds & {EXCLUDED, DESIRED, COMMANDED}:
             return False
         unit, si = self._split[1], COLUMNS[column].unit
-        if unit is not None and is_known(unit) and unit not in UNITS.get(si, {}):
+        if unit is not None and is_known(unit) and needs_scale(unit, si):
             return False
-        own = {TIME} if column == "t" else {TORQUE, CURRENT}
+        own = {TIME} if column == "t" else {TORQUE}
         place = {"tau_m": JOINT, "tau_j": MOTOR}.get(column)
         return not (self.kinds & QUANTITIES) - own and place not in self.kinds
 
@@ -221,13 +239,28 @@ def _is_of_commands(folders: list[str]) -> bool:
 
 
 def _fitting(bare: str, unit: str | None) -> frozenset[str]:
-    """Return the columns that a name without its unit fits. In a path, the last component decides if it fits alone."""
+    """Return the columns that a name without its unit fits. If there are several, the unit decides if it can.
+
+    "T" before a place is a torque or a temperature.
+    """
+    found = _fitting_by_words(bare, unit)
+    if not found and (short := re.match(r"T(?![a-z])", bare)):
+        readings = [_fitting_by_words(quantity + " " + bare[short.end() :], unit) for quantity in (TORQUE, TEMPERATURE)]
+        found = readings[0] | readings[1] if readings[0] else found
+    quantities = quantities_of(unit or "")
+    if len(found) > 1 and quantities:
+        found = frozenset(name for name in found if COLUMNS[name].unit in quantities) or found
+    return found
+
+
+def _fitting_by_words(bare: str, unit: str | None) -> frozenset[str]:
+    """Return the columns that the words of a name fit. In a path, the last component decides if it fits alone."""
     canonical = _canonical(bare)
     if canonical is not None:
         return frozenset({canonical})
     parts = _components(bare)
     for part in [parts[-1]] if parts else []:
-        if part.lower() in _WHOLE and (unit is None or not is_known(unit) or unit in UNITS["s"]):
+        if part.lower() in _WHOLE and (unit is None or not is_known(unit) or not needs_scale(unit, "s")):
             return frozenset({"t"})
         found = _columns(_kinds(split_words(part)))
         if found and not (len(parts) > 1 and _is_of_commands(parts[:-1])):
