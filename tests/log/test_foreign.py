@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tsa_ctrl.cli import main
+from tsa_ctrl.cli import log_import, main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.text import read_foreign
@@ -163,3 +163,144 @@ def test_a_separator_is_one_character_other_than_a_quote(tmp_path: Path) -> None
         (tmp_path / "map.toml").write_text(f'[table]\nseparator = "{separator}"\n')
         with pytest.raises(UsageError, match="one character"):
             mapping.load_map(tmp_path / "map.toml")
+
+
+N = 40
+TIME, TORQUE = np.arange(N) * 0.01, 1.5 * np.sin(0.2 * np.arange(N))
+PAIRS = list(zip(TIME.tolist(), TORQUE.tolist(), strict=True))
+
+
+def imported(path: Path, text: str, encoding: str = "utf-8") -> log_import.Understood:
+    path.write_bytes(text.encode(encoding))
+    (done,), _ = log_import.understand_all([path], None, (), False)
+    return done
+
+
+def comma(value: float, digits: int = 6) -> str:
+    return f"{value:.{digits}f}".replace(".", ",")
+
+
+def grouped(value: float, group: str, decimal: str) -> str:
+    return f"{value:,.3f}".translate(str.maketrans(",.", group + decimal))
+
+
+MARKERS = ["OVLD", "OVR", "---", "#N/A", "Inf", "-INF", "#DIV/0!", "1.#INF", "9,9E+37", "-9,90000E37", "> 10,5", "∞"]
+
+
+@pytest.mark.parametrize("marker", MARKERS)
+def test_a_marker_instead_of_a_number_is_a_hole_and_is_reported_once(
+    marker: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = [marker if i in (0, 5, 6) else comma(x) for i, x in enumerate(TORQUE)]
+    rows = "".join(f"{comma(t)};{x}\n" for t, x in zip(TIME, values, strict=True))
+    done = imported(tmp_path / "x.csv", "t;Motormoment [Nm]\n" + rows)
+    np.testing.assert_allclose(done.columns["tau_m"], np.delete(TORQUE, [0, 5, 6]), atol=1e-6)
+    assert done.markers == {"Motormoment [Nm]": {marker: 3}}
+    assert run(str(tmp_path / "x.csv"), "--out", str(tmp_path / "out")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.count(f"column 'Motormoment [Nm]' has 3 cells without a number ('{marker}')") == 1
+
+
+def test_first_rows_of_markers_are_no_names(tmp_path: Path) -> None:
+    rows = "".join(f"{t};{'OVLD;OVLD' if i < 4 else f'{x};{x}'}\n" for i, (t, x) in enumerate(PAIRS))
+    np.testing.assert_array_equal(imported(tmp_path / "x.csv", "t;tau_m;tau_j\n" + rows).columns["tau_m"], TORQUE[4:])
+
+
+def test_a_column_of_words_and_a_damaged_number_are_rejected_with_their_line(tmp_path: Path) -> None:
+    for cell, rows in (("low", range(1, 30)), ("1.2.3", (7,)), ("12 Nm", (7,)), ("1_000", (7,)), ("0,5", (7,))):
+        text = "".join(f"{t:.3f};{cell if i in rows else x}\n" for i, (t, x) in enumerate(PAIRS))
+        with pytest.raises(UsageError, match=f"column 'tau_m', line {rows[0] + 2}: '{cell}' is not a number"):
+            imported(tmp_path / "x.csv", "t;tau_m\n" + text)
+
+
+@pytest.mark.parametrize(("separator", "quote"), [(",", '"'), (";", '"'), (";", ""), ("\t", "")])
+@pytest.mark.parametrize(
+    ("group", "decimal"), [("", ","), (".", ","), ("'", "."), ("’", "."), ("\u202f", ","), ("\xa0", ","), (",", ".")]
+)
+def test_decimal_commas_and_grouped_thousands(
+    separator: str, quote: str, group: str, decimal: str, tmp_path: Path
+) -> None:
+    values = 1e3 * (TORQUE + 1.0)
+    cells = [grouped(value, group or "_", decimal).replace("_", "") for value in values]
+    if group == "," and not quote:
+        return
+    rows = "".join(f"{t:.3f}{separator}{quote}{cell}{quote}\n" for t, cell in zip(TIME, cells, strict=True))
+    done = imported(tmp_path / "x.csv", f"t{separator}Motormoment [mNm]\n{rows}")
+    np.testing.assert_allclose(done.columns["tau_m"], TORQUE + 1.0, atol=1e-6)
+
+
+def test_three_digits_after_a_comma_are_read_by_the_other_cells(tmp_path: Path) -> None:
+    """Next to "0,5" they are decimals, next to 999 in a table with points they are thousands, or else not clear."""
+    near = imported(tmp_path / "x.csv", '"t","tau_m"\n"0","0,5"\n"1","1,234"\n')
+    np.testing.assert_array_equal(near.columns["tau_m"], [0.5, 1.234])
+    thousands = imported(tmp_path / "x.csv", '"t [ms]","tau_m"\n"999","0.5"\n"1,000","0.5"\n')
+    np.testing.assert_allclose(thousands.columns["t"], [0.0, 1e-3])
+    unclear = '"t","tau_m"\n"0","999"\n"1","1,234"\n'
+    with pytest.raises(UsageError, match=r"line 3: '1,234' may be 1.234 or 1234; .* give \[table\] decimal"):
+        imported(tmp_path / "x.csv", unclear)
+    (tmp_path / "map.toml").write_text('[table]\ndecimal = "."\n')
+    (done,), _ = log_import.understand_all([tmp_path / "x.csv"], tmp_path / "map.toml", (), False)
+    np.testing.assert_array_equal(done.columns["tau_m"], [999.0, 1234.0])
+
+
+def test_commas_as_separator_and_as_decimal_sign_are_rejected(tmp_path: Path) -> None:
+    rows = "".join(f"{comma(t)},{comma(x)}\n" for t, x in PAIRS)
+    with pytest.raises(UsageError, match="line 2 has 4 fields below 2 names: the comma separates the fields and the"):
+        imported(tmp_path / "x.csv", "t,tau_m\n" + rows)
+
+
+ROWS = "".join(f"{t:.6f};{1e3 * x:.6f};25.0\n" for t, x in PAIRS)
+HEADS = {
+    "units with 1": "time;motor torque;temperature\ns;mNm;1\n",
+    "units after a slash": "t / s;Motormoment / mNm;T / °C\n",
+    "units after in": "t in s;Motormoment in mNm;x\n",
+    "three lines": "CH1;CH2;CH3\nZeit;Motormoment;Temperatur\ns;mNm;°C\n",
+    "groups": "Antrieb;;\nZeit [s];Moment [mNm];Temperatur [°C]\n",
+    "metadata of equal width": "% rate;100;Hz\n% file;a;b\nt;motor torque [mNm];x\n",
+    "comment sign": "# t;motor torque [mNm];x\n",
+    "separator line": "sep=;\nt;motor torque [mNm];x\n",
+    "unnamed index": "t;motor torque [mNm];\n",
+}
+
+
+@pytest.mark.parametrize("head", HEADS.values(), ids=HEADS)
+@pytest.mark.parametrize("end", ["", ";"])
+def test_lines_of_names_titles_and_units(head: str, end: str, tmp_path: Path) -> None:
+    """Each row may end with a separator, with or without one in the lines of names."""
+    rows = ROWS.replace("\n", end + "\n") + "# end of file\n"
+    columns = imported(tmp_path / "x.csv", head + rows).columns
+    np.testing.assert_allclose(columns["t"], TIME, atol=1e-6)
+    np.testing.assert_allclose(columns["tau_m"], TORQUE, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        ("# t tau_m\n" + "".join(f"{t:.9e} {x:.9e}\n" for t, x in PAIRS), "utf-8"),
+        (" Time [s]   Motor Torque [Nm]\n" + "".join(f"{t:9.4f} {x:16.9f}\n" for t, x in PAIRS), "utf-8"),
+        ("t tau_m\n" + "".join(f"{t:.9E} {x:.9E}\n".replace("E", "D") for t, x in PAIRS), "utf-8"),
+        ("t;tau_m\r" + "".join(f"{t:.9f};{x:.9f}\r" for t, x in PAIRS), "utf-16-le"),
+        ("Zeit [µs];Moment Antrieb [N·m]\n" + "".join(f"{1e6 * t};{x}\n" for t, x in PAIRS), "cp1252"),
+    ],
+)
+def test_white_space_exponents_and_encodings(text: str, encoding: str, tmp_path: Path) -> None:
+    columns = imported(tmp_path / "x.txt", text, encoding).columns
+    np.testing.assert_allclose(columns["t"], TIME, atol=1e-8)
+    np.testing.assert_allclose(columns["tau_m"], TORQUE, atol=1e-8)
+
+
+def test_a_time_that_decreases_is_rejected_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"column t, line 4: the time decreases from 1 s to 0\.5 s"):
+        imported(tmp_path / "x.csv", "t;tau_m\n0;1\n1;2\n0.5;3\n")
+
+
+def test_a_sparse_column_is_omitted_instead_of_the_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{t};{x};{25 if i % 10 == 0 else ''}\n" for i, (t, x) in enumerate(PAIRS))
+    (tmp_path / "x.csv").write_text("t;tau_m;temperature\n" + rows)
+    assert run(str(tmp_path / "x.csv"), "--out", str(tmp_path / "out")) == 0
+    assert "column 'temperature' has a number in 10% of the rows and is omitted" in capsys.readouterr().out
+    np.testing.assert_array_equal(read_table(tmp_path / "out/x.csv").columns["tau_m"], TORQUE)
+
+
+def test_a_text_column_named_like_a_column_of_the_daemon_is_left_out(tmp_path: Path) -> None:
+    assert imported(tmp_path / "x.csv", "t;tau_m;state\n0;1;RUN\n1;2;RUN\n").left == ["state"]

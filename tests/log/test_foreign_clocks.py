@@ -100,6 +100,35 @@ def test_a_structure_for_each_signal_has_one_clock(tmp_path: Path) -> None:
     np.testing.assert_array_equal(done.columns["tau_j"], JOINT)
 
 
+@pytest.mark.parametrize("label", ["signal", "Name", "channel", ""])
+def test_the_elements_of_a_structure_array_have_their_own_clocks(label: str, tmp_path: Path) -> None:
+    """Without a field of names, the number of the element distinguishes the columns."""
+    fields = [("time", object), ("value", object), *([(label, object)] if label else [])]
+    rows = [("tau_m", T, MOTOR), ("tau_j", T[::2] + 0.003, JOINT[::2])]
+    array = np.array([(t, x, *([name] if label else [])) for name, t, x in rows], dtype=fields)
+    path = mat(tmp_path / "x.mat", {"log": array})
+    given = () if label else ("tau_m=log.1.value|N*m", "tau_j=log.2.value|N*m")
+    ((done,), _) = log_import.understand_all([path], None, given, True)
+    t = done.columns["t"]
+    np.testing.assert_allclose(done.columns["tau_m"], np.interp(t, T, MOTOR), atol=1e-9)
+    np.testing.assert_allclose(done.columns["tau_j"], np.interp(t, T[::2] + 0.003, JOINT[::2]), atol=1e-9)
+
+
+def test_trials_in_a_structure_array_are_not_mixed_without_a_question(tmp_path: Path) -> None:
+    array = np.array([(T, MOTOR), (T[:30], JOINT[:30])], dtype=[("t", object), ("tau_m", object)])
+    with pytest.raises(UsageError, match=r"tau_m may be 'trial\.1\.tau_m', 'trial\.2\.tau_m'"):
+        imported(mat(tmp_path / "x.mat", {"trial": array}))
+
+
+def test_the_time_of_a_structure_applies_to_the_structures_in_it(tmp_path: Path) -> None:
+    parts = np.array([(MOTOR,), (JOINT,)], dtype=[("values", object)])
+    content = {"log": {"time": T, "signals": parts}, "short": np.arange(5.0)}
+    ((done,), _) = log_import.understand_all(
+        [mat(tmp_path / "x.mat", content)], None, ("tau_m=log.signals.values.1|N*m", "t=log.time|s"), False
+    )
+    np.testing.assert_array_equal(done.columns["tau_m"], MOTOR)
+
+
 def test_a_column_without_a_time_belongs_to_the_only_clock_of_its_length(tmp_path: Path) -> None:
     content = {
         "fast": {"t": T, "tau_m": MOTOR},
@@ -134,6 +163,13 @@ def test_dropped_columns_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
         (["31.12.2024 23:59:59,5", "01.01.2025 00:00:00"], [0.0, 0.5]),
         (["23:59:59", "23:59:59.5", "00:00:00.25", "00:00:01"], [0.0, 0.5, 1.25, 2.0]),
         (["9:05:01.5", "9:05:02"], [0.0, 0.5]),
+        (["59:59.500", "00:00.250", "00:01.000"], [0.0, 0.75, 1.5]),
+        (["11:59:59 AM", "12:00:01 PM", "1:00:00 PM"], [0.0, 2.0, 3601.0]),
+        (["12/31/2024 11:59:59.5 PM", "1/1/2025 12:00:00 AM"], [0.0, 0.5]),
+        (["31/12/2024 23:59:59.5", "01/01/2025 00:00:00"], [0.0, 0.5]),
+        (["2024/03/31 01:59:59.5", "2024/03/31 03:00:00"], [0.0, 3600.5]),  # no change to summer time
+        (["2024-03-31 01:59:59.5", "2024-03-31 03:00:00"], [0.0, 3600.5]),
+        (["10:00:00", "NaT", "10:00:02"], [0.0, 2.0]),
     ],
 )
 def test_dates_and_times_of_day_become_seconds(stamps: list[str], seconds: list[float], tmp_path: Path) -> None:
@@ -142,6 +178,12 @@ def test_dates_and_times_of_day_become_seconds(stamps: list[str], seconds: list[
     done = imported(tmp_path / "x.csv")
     assert done.mapped[0].unit == "date"
     np.testing.assert_allclose(done.columns["t"], seconds, atol=1e-6)
+
+
+def test_a_date_whose_month_is_not_clear_is_rejected(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("Zeit;tau_m\n03/04/2024 23:59:59;1\n03/05/2024 00:00:00;2\n")
+    with pytest.raises(UsageError, match="line 3: '03/05/2024 00:00:00' may have the month or the day first"):
+        imported(tmp_path / "x.csv")
 
 
 def test_an_impossible_time_of_day_is_reported_with_its_line(tmp_path: Path) -> None:
@@ -189,6 +231,15 @@ def test_a_mapping_with_a_table_only_leaves_the_names_in_use(tmp_path: Path) -> 
     (tmp_path / "map.toml").write_text('[table]\ndecimal = ","\n')
     done, _ = log_import.understand_all([tmp_path / "x.csv"], tmp_path / "map.toml", (), False)
     np.testing.assert_array_equal(done[0].columns["tau_m"], [1.0, 2.0])
+
+
+def test_merged_titles_of_a_workbook_complete_the_names(tmp_path: Path) -> None:
+    head: list[tuple[Any, ...]] = [("Test 12",), (), ("", "Motor", "", "Gelenk", "")]
+    head += [("Zeit", "Moment", "Drehzahl", "Winkel", "Moment"), ("s", "mNm", "1/min", "°", "Nm")]
+    rows = zip(T.tolist(), (1e3 * MOTOR).tolist(), T.tolist(), np.degrees(JOINT).tolist(), JOINT.tolist(), strict=True)
+    columns = imported(workbook(tmp_path / "x.xlsx", {"Data": [*head, *rows]})).columns
+    for name, values in (("tau_m", MOTOR), ("omega_m", T * np.pi / 30.0), ("q_j", JOINT), ("tau_j", JOINT)):
+        np.testing.assert_allclose(columns[name], values, atol=1e-12)
 
 
 def test_the_first_sheet_with_a_table_is_read_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from tsa_ctrl.cli.init import SHIPPED
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
+from tsa_ctrl.log.foreign.cells import is_number
 from tsa_ctrl.log.foreign.mapping import Imported, Mapped
 from tsa_ctrl.log.foreign.names import listed
-from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, is_number, read_foreign, row_clock
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign, row_clock
 from tsa_ctrl.signals import COLUMNS
 
+LEAST_PRESENT = 0.5  # fraction of the rows; a column with fewer numbers is omitted, instead of the rows without
 MOST_SIGNALS = 100  # different names in a column of signal names
 
 
@@ -29,6 +31,13 @@ class Understood:
     mapped: list[Mapped]
     columns: dict[str, NDArray[np.float64]]
     dropped: int  # omitted rows with a NaN, which leave gaps in the log
+    sparse: Mapping[str, float]  # omitted foreign columns and the fraction of their rows with a number
+
+    @property
+    def markers(self) -> dict[str, dict[str, int]]:
+        """Return the number of cells for each text that a mapped foreign column has instead of a number."""
+        found = {column.source: dict(self.table.markers(column.source)) for column in self.mapped}
+        return {source: markers for source, markers in found.items() if markers}
 
     @property
     def left(self) -> list[str]:
@@ -45,12 +54,13 @@ def understand_all(
     Raises:
         UsageError: questions of any file are open; one message lists all. With `accept`, the proposals answer them.
     """
-    done, open_questions, proposals = [], [], []
+    done, open_questions = [], []
+    proposals: list[str] = []
     for path in paths:
         found, asked = understand(path, map_file, given, rate)
         done += [] if found is None else [found]
         fixed = [question for question, proposal in asked if not proposal]
-        proposals += [proposal for _, proposal in asked if proposal and proposal not in proposals]
+        proposals = list(dict.fromkeys([*proposals, *(proposal for _, proposal in asked if proposal)]))
         if fixed or (asked and not accept):
             open_questions.append(f"{path}: {'; '.join(question for question, _ in asked)}")
     if open_questions:
@@ -82,6 +92,7 @@ def understand(
     shape = mapping.shape_of(file, table.shape)
     if table.shape not in (shape, NO_TEXT):
         table = read_foreign(path, shape)
+    table = replace(table, stated=file.table.decimal is not None)
     said = {**file.column, **dict(mapping.parse_column(text) for text in given)}
     rate = rate or file.table.rate
     if rate is not None:
@@ -123,13 +134,15 @@ def understand(
     if any(not proposal for _, proposal in asked):
         return None, asked
     columns = mapping.take(table, mapped)
-    empty = {name for name, values in columns.items() if not np.isfinite(values).any() and name != "t"}
+    shares = {name: float(np.isfinite(values).mean()) for name, values in columns.items() if name != "t"}
+    empty = {name for name, share in shares.items() if share == 0.0 or (share < LEAST_PRESENT and name != "tau_m")}
+    sparse = {column.source: shares[column.name] for column in mapped if column.name in empty}
     mapped = [column for column in mapped if column.name not in empty]
     good = np.logical_and.reduce([np.isfinite(values) for name, values in columns.items() if name not in empty])
     kept = {name: values[good] for name, values in columns.items() if name not in empty}
     if not good.any():
         raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; map fewer columns with --map")
-    return Understood(table, mapped, kept, int((~good).sum())), asked
+    return Understood(table, mapped, kept, int((~good).sum()), sparse), asked
 
 
 def _with_rate(table: ForeignTable, said: Mapping[str, mapping.ColumnSettings], rate: float) -> ForeignTable:
@@ -186,7 +199,7 @@ def show(done: Understood) -> None:
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
     rows = len(done.columns["t"])
     text = (
-        f"{done.table.path.name}: {shape.encoding}, separator {named}, decimal sign '{shape.decimal}', names in "
+        f"{done.table.path.name}: {shape.encoding}, separator {named}, decimal sign '{shape.decimal or '.'}', names in "
         f"line {shape.header}, {rows} rows"
     )
     if shape == NO_TEXT:
@@ -194,6 +207,11 @@ def show(done: Understood) -> None:
     console.print(text, markup=False, highlight=False)
     if done.table.note:
         console.print(f"note: {done.table.note}", markup=False, highlight=False)
+    for name, markers in done.markers.items():
+        count, texts = sum(markers.values()), ", ".join(f"'{text}'" for text in list(markers)[:4])
+        console.print(f"note: column '{name}' has {count} cells without a number ({texts})", markup=False)
+    for name, share in done.sparse.items():
+        console.print(f"note: column '{name}' has a number in {share:.0%} of the rows and is omitted", markup=False)
     if done.dropped:
         console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps", markup=False)
     if done.table.ignored:
@@ -218,7 +236,14 @@ def as_dict(done: Understood, written: Imported) -> dict[str, Any]:
         for column in done.mapped
     }
     files = {key: None if path is None else str(path) for key, path in vars(written).items()}
-    return {"schema": 1, "rows": len(done.columns["t"]), "columns": columns, "not_taken": done.left, **files}
+    return {
+        "schema": 1,
+        "rows": len(done.columns["t"]),
+        "columns": columns,
+        "not_taken": done.left,
+        "markers": done.markers,
+        **files,
+    }
 
 
 def _span(values: NDArray[np.float64]) -> tuple[str, str]:

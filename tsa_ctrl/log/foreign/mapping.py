@@ -47,7 +47,7 @@ class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
     encoding: str | None = None
     separator: Separator | None = None
-    decimal: str | None = None  # "." or ","
+    decimal: Annotated[str, Meta(pattern=r"^[.,]\Z", description='"." or ","')] | None = None
     header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0 without such a line
     rate: Annotated[float, Meta(gt=0.0, le=1e9)] | None = None  # Hz, for a table without a time column
 
@@ -288,7 +288,7 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     )
     shape = tomlkit.table()
     for key in ("encoding", "separator", "decimal", "header"):
-        shape[key] = getattr(table.shape, key)
+        shape[key] = getattr(table.shape, key) or ("." if key == "decimal" else 0)
     if table.shape == NO_TEXT:
         shape = tomlkit.table()
     if table.rate is not None:
@@ -376,13 +376,21 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
     """Return the columns in SI units, with time 0 at the first row.
 
     Raises:
-        UsageError: A value is not a number. The message has its line.
+        UsageError: A value is not a number, or the time decreases. The message has the line.
     """
     columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
     t = columns["t"]
     good = np.isfinite(t)
     if good.any():
         columns["t"] = t - t[good][0]
+    back = np.flatnonzero(np.diff(t[good]) < 0.0)
+    if back.size:
+        before, row = np.flatnonzero(good)[back[0] : back[0] + 2]
+        raise UsageError(
+            f"{table.path}: column t, line {table.first + row}: the time decreases from "
+            f"{columns['t'][before]:.9g} s to {columns['t'][row]:.9g} s after the first row; split the file there, or "
+            "sort its rows by time"
+        )
     return columns
 
 

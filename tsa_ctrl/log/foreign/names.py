@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 from tsa_ctrl.log.foreign.units import brackets_in, is_known, needs_scale, quantities_of, tails_of
-from tsa_ctrl.signals import COLUMNS
+from tsa_ctrl.signals import COLUMNS, INPUTS
 
 TORQUE, CURRENT, ANGLE, SPEED, TEMPERATURE, BENDING, TIME, OTHER = (
     "torque", "current", "angle", "speed", "temperature", "bending", "time", "other quantity",
@@ -148,7 +148,7 @@ class Name:
         named = self.source.strip()
         while (last := re.search(r"[ _]([^\W_]+)$", named)) and VOCABULARY.get(last[1].lower()) == NEUTRAL:
             named = named[: last.start()]  # motor_torque_mNm_filtered
-        for bare, unit in () if self.source in COLUMNS else tails_of(named):
+        for bare, unit in () if self.source in INPUTS else tails_of(named):
             kinds = _kinds(split_words(bare))
             quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)} | {_SI[k] for k in kinds if k in _SI}
             device = not quantities_of(unit)
@@ -200,7 +200,7 @@ class Name:
     @property
     def unknown(self) -> int:
         """Return the number of words that are not in the vocabulary."""
-        if self.bare in COLUMNS or self.bare.lower() in _WHOLE:
+        if self.bare in INPUTS or self.bare.lower() in _WHOLE:
             return 0
         return _kinds(split_words(self.bare)).count("")
 
@@ -223,12 +223,12 @@ def _components(bare: str) -> list[str]:
 
 
 def _canonical(bare: str) -> str | None:
-    if bare in COLUMNS:
+    if bare in INPUTS:
         return bare
     parts = _components(bare)
     while len(parts) > 1 and set(_kinds(split_words(parts[-1]))) == {NEUTRAL}:
         parts.pop()
-    if len(parts) < 2 or parts[-1] not in COLUMNS or _is_of_commands(parts[:-1]):
+    if len(parts) < 2 or parts[-1] not in INPUTS or _is_of_commands(parts[:-1]):
         return None
     others = _columns(_kinds(split_words(" ".join(parts)))) - {parts[-1]}
     return None if parts[-1] == "theta" and others else parts[-1]

@@ -13,13 +13,11 @@ import importlib
 import io
 import itertools
 import json
-import math
 import re
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign.cells import Values, bare, decimal_of, is_date, is_number, is_text, numbers, overrange, times
 from tsa_ctrl.log.foreign.clocks import TIME, Arrays, Columns, columns, on_one_clock, outside
-from tsa_ctrl.log.foreign.names import listed
+from tsa_ctrl.log.foreign.names import Name, is_time, listed
+from tsa_ctrl.log.foreign.units import DATE, is_known
 from tsa_ctrl.system.process_supervisor import worker_context
 
 # Keys of a list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS
@@ -59,8 +59,12 @@ def flat(value: Any, name: str = "", group: str = "") -> Iterator[tuple[str, Any
     if not isinstance(value, Mapping) and (fields := getattr(value, "__dict__", None) or _slots(value)):
         value = fields
     if isinstance(value, Mapping):
-        texts = next(([str(label) for label in value[key]] for key in LABELS if _is_texts(value.get(key))), [])
-        for key, inner in value.items():
+        keys = (*LABELS, *value)
+        texts = next(([str(label) for label in value[key]] for key in keys if _is_texts(value.get(key))), [])
+        records = _records(value)
+        for i, record in enumerate(records):
+            yield from flat(record, f"{name}.{texts[i] if len(texts) == len(records) else i + 1}".lstrip("."))
+        for key, inner in [] if records else value.items():
             whole = f"{name}.{key}" if name else str(key)
             if texts and not isinstance(inner, str) and np.ndim(inner) <= 2 and _length(inner) == len(texts):
                 for label, element in zip(texts, inner, strict=True):
@@ -78,8 +82,19 @@ def _slots(value: Any) -> dict[str, Any]:
     return {key: getattr(value, key) for key in getattr(value, "__slots__", ()) if not key.startswith("_")}
 
 
+def _records(value: Mapping[Any, Any]) -> list[dict[Any, Any]]:
+    """Return the elements of a structure array whose elements have their own time, or an empty list."""
+    clocks = [inner for key, inner in value.items() if isinstance(inner, list) and is_time(str(key))]
+    if not clocks or not any(np.size(clock) > 1 for clock in clocks[0]):
+        return []
+    fields = {key: inner for key, inner in value.items() if _length(inner) == len(clocks[0])}
+    return [{key: inner[i] for key, inner in fields.items()} for i in range(len(clocks[0]))]
+
+
 def _is_texts(value: Any) -> bool:
-    return isinstance(value, (list, np.ndarray)) and len(value) > 0 and all(isinstance(text, str) for text in value)
+    if not isinstance(value, (list, np.ndarray)) or not all(isinstance(text, str) and text.strip() for text in value):
+        return False
+    return 0 < len(value) == len(set(value))
 
 
 def _length(value: Any) -> int:
@@ -142,10 +157,13 @@ def parquet(path: Path) -> Arrays:
     """Read Parquet of any program with DuckDB."""
     import duckdb
 
+    def filled(values: Any) -> Any:
+        return np.ma.filled(
+            *((values, np.datetime64("NaT")) if values.dtype.kind == "M" else (values.astype(float), np.nan))
+        )
+
     found = duckdb.execute("SELECT * FROM read_parquet(?)", [str(path)]).fetchnumpy()
-    return columns(
-        ((name, np.ma.filled(c.astype(float), np.nan), "") for name, c in found.items() if c.dtype.kind in "fiub"), path
-    )
+    return columns(((name, filled(c), "") for name, c in found.items() if c.dtype.kind in "fiubM"), path)
 
 
 def ros(path: Path) -> Arrays:
@@ -268,11 +286,6 @@ SEPARATORS = ";\t,|"  # in order of preference: a comma may be a decimal sign
 LONGEST_FOOTER = 10  # lines
 LOOKED_AT = 200  # lines from which header and separator are determined
 csv.field_size_limit(LARGEST)  # `_rows` reports a field that an open quote makes too long
-_DATES = (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d", r"\d{1,2}\.\d{1,2}\.\d{4} +\d{1,2}:\d\d(:\d\d([.,]\d+)?)?$")
-_CLOCK = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)$")  # time of day
-_DAY = 86400.0  # s
-_DATE = re.compile("|".join((*_DATES, _CLOCK.pattern)))
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 
 
 @dataclass(frozen=True)
@@ -282,7 +295,7 @@ class Shape:
     Attributes:
         encoding: text encoding.
         separator: one character, or " " for any white space.
-        decimal: decimal sign, "." or ",".
+        decimal: decimal sign, "." or ",", or "" if no number of the table determines it.
         header: line of the names, counted from 1; 0 without such a line.
     """
 
@@ -309,6 +322,8 @@ class ForeignTable:
     dropped: tuple[str, ...] = ()  # names of columns that have no place in the table: another length or clock
     note: str = ""  # sheet of a workbook
     rate: float | None = None  # Hz, of a table whose time is the row number
+    stated: bool = False  # the user has stated the decimal sign
+    _values: dict[tuple[str, bool], Values] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
     def rows(self) -> int:
@@ -322,28 +337,12 @@ class ForeignTable:
         return replace(self, names=(*self.names, name), arrays=arrays, rate=rate)
 
     def numbers(self, name: str) -> NDArray[np.float64]:
-        """Return one column as doubles, with nan for empty cells.
+        """Return one column as doubles, with nan for empty cells and markers.
 
         Raises:
             UsageError: A value is not a number. The message has its line.
         """
-        if name in self.arrays:
-            return np.asarray(self.arrays[name], dtype=np.float64)
-        decimal = self.shape.decimal
-        out = np.empty(len(self.cells[name]))
-        for row, cell in enumerate(self.cells[name]):
-            text = cell.strip().strip('"')
-            if text.lower() in _EMPTY:
-                out[row] = math.nan
-                continue
-            try:
-                out[row] = float(text.replace(",", ".") if decimal == "," else text)
-            except ValueError:
-                raise UsageError(
-                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a number with the decimal "
-                    f"sign '{decimal}'; correct it, or give [table] decimal in a mapping file"
-                ) from None
-        return out
+        return self._read(name, False)
 
     def times(self, name: str) -> NDArray[np.float64]:
         """Return a column of dates and times in s since the first one.
@@ -351,52 +350,48 @@ class ForeignTable:
         Raises:
             UsageError: A value is not a date and time. The message has its line.
         """
-        if name in self.arrays:
-            stamps = self.arrays[name].astype("datetime64[ns]")
-            return np.asarray((stamps - stamps[0]).astype(np.float64) * 1e-9, dtype=np.float64)
-        found = []
-        for row, cell in enumerate(self.cells[name]):
-            text = cell.strip().strip('"').replace(",", ".")
-            try:
-                found.append(math.nan if text.lower() in _EMPTY else _stamp(text))
-            except ValueError:
-                raise UsageError(
-                    f"{self.path}: column '{name}', line {self.first + row}: '{cell}' is not a date and time like "
-                    "2025-01-31 14:25:01.5, 31.01.2025 14:25:01.5 or 14:25:01.5; convert it"
-                ) from None
-        t = np.array(found)
+        t = self._read(name, True)
         good = np.flatnonzero(np.isfinite(t))
-        if good.size and all(_CLOCK.match(self.cells[name][i].strip().strip('"')) for i in good[[0, -1]]):
-            t[good[1:]] += _DAY * np.cumsum(np.diff(t[good]) < -_DAY / 2)  # midnight
         return t - (t[good[0]] if good.size else 0.0)
+
+    def _read(self, name: str, dates: bool) -> NDArray[np.float64]:
+        if (name, dates) not in self._values:
+            self._values[name, dates] = self._binary(name, dates) if name in self.arrays else self._cells(name, dates)
+        return self._values[name, dates].values
+
+    def _binary(self, name: str, dates: bool) -> Values:
+        array = self.arrays[name]
+        if (array.dtype.kind == "M") is not dates:
+            kind, remedy = ("dates", f"give the unit {DATE}") if not dates else ("numbers", "give another unit")
+            raise UsageError(f"{self.path}: column '{name}' has {kind}; {remedy}")
+        if not dates:
+            return overrange(array.astype(np.float64))
+        stamps = array.astype("datetime64[ns]")
+        since = stamps - stamps[~np.isnat(stamps)][:1]  # doubles do not resolve nanoseconds since 1970
+        return Values(np.where(np.isnat(since), np.nan, since.astype(np.float64) * 1e-9))
+
+    def _cells(self, name: str, dates: bool) -> Values:
+        cells = self.cells[name]
+        found = times(cells) if dates else numbers(cells, self.shape.decimal, self.stated)
+        if found.wrong is not None:
+            remedy = "convert it" if dates else "correct it, or give [table] decimal in a mapping file"
+            raise UsageError(f"{self.path}: column '{name}', line {self.first + found.wrong}: {found.reason}; {remedy}")
+        return found
+
+    def markers(self, name: str) -> Counter[str]:
+        """Return the number of cells for each text that a column has instead of a number; none before it is read."""
+        return sum((found.markers for (read, _), found in self._values.items() if read == name), Counter[str]())
 
     def is_date(self, name: str) -> bool:
         """Return True if the first value of the column is a date and time, or a time of day."""
         if name in self.arrays:
             return bool(self.arrays[name].dtype.kind == "M")
-        first = next((cell.strip().strip('"') for cell in self.cells[name] if cell.strip()), "")
-        return _DATE.match(first) is not None
-
-
-_EMPTY = frozenset({"", "nan", "-nan", "na", "n/a", "null", "none", "-", "--", "#n/a", "#nv"})
+        return is_date(next((cell for cell in self.cells[name] if is_number(cell)), ""))
 
 
 def row_clock(rate: float) -> str:
     """Return the name of the time column of a table with a sampling rate in Hz."""
     return f"row / {rate:.12g} Hz"
-
-
-def _stamp(text: str) -> float:
-    """Return a date and time as seconds since 1970, or a time of day as seconds since midnight; raises ValueError."""
-    if found := _CLOCK.match(text):
-        hour, minute, second = int(found[1]), int(found[2]), float(found[3])
-        if hour > 23 or minute > 59 or second >= 61.0:
-            raise ValueError(text)
-        return 3600.0 * hour + 60.0 * minute + second
-    if found := re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4}) +(\d{1,2}):(\d\d)(?::(\d\d(?:\.\d+)?))?$", text):
-        day, month, year, hour, minute = (int(part) for part in found.groups()[:5])
-        return datetime(year, month, day, hour, minute, tzinfo=UTC).timestamp() + float(found[6] or 0.0)
-    return datetime.fromisoformat(text).timestamp()
 
 
 def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
@@ -420,15 +415,25 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     told = _told(path, lines, encoding) if shape is None else shape
     above = max(0, told.header - 1)
     rows = _rows(lines[above:], told.separator, path, above)
+    data = [row for row in rows[min(told.header, 1) :] if any(is_number(cell) for cell in row)]
+    width = Counter(len(row) for row in data).most_common(1)[0][0] if data else len(rows[0])
+    open_end = all(not row[-1].strip() for row in data if len(row) == width)
     if told.header == 0:
-        width = Counter(len(row) for row in rows).most_common(1)[0][0]
         rows.insert(0, [f"column {i}" for i in range(1, width + 1)])
-    names = _unique([name.strip().strip('"').strip() for name in rows[0]])
+    elif told.separator == " ":
+        rows[0] = _words(lines[above], width)
+    header = [name.strip(" \t#%/") if i == 0 else name for i, name in enumerate(rows[0])]
+    header = _fitted(header, width, open_end) or header
+    titles = _rows(lines[above - 1 : above], told.separator) if above else []
+    names = _unique([bare(name) for name in _grouped(header, _fitted(titles[0], width, open_end) if titles else [])])
+    if len(rows) > 1:
+        rows[1] = _fitted(rows[1], width, open_end) or rows[1]
     body: list[list[str]] = []
     ignored, first = 0, told.header + 1
     if len(rows) > 1 and _is_units(rows[1], names):
-        units = [cell.strip().strip('"[]()') for cell in rows[1]]
+        units = [bare(cell).strip("[]()") for cell in rows[1]]
         names = tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
+        rows[1], ignored = [], 1
     for number, row in enumerate(rows[1:], start=told.header + 1):
         if not any(cell.strip() for cell in row):
             continue
@@ -455,7 +460,7 @@ def _footer(body: Sequence[Sequence[str]]) -> int:
     if column is None:
         return 0
     cells = [row[column] for row in body[: -LONGEST_FOOTER - 2 : -1]]
-    texts = [not is_number(cell) and cell.strip().strip('"').lower() not in _EMPTY for cell in cells]
+    texts = [is_text(cell) for cell in cells]
     count = texts.index(False) if False in texts else len(texts)
     return count if count <= LONGEST_FOOTER else 0
 
@@ -506,6 +511,8 @@ def _text(path: Path, encoding: str | None) -> tuple[str, str]:
 def _encoding(data: bytes) -> str:
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
+    if data[1:2000:2].count(0) > 0.9 * len(data[1:2000:2]) > 0:
+        return "utf-16-le"  # without the mark at its start
     try:
         data.decode("utf-8-sig")
         return "utf-8-sig"
@@ -530,22 +537,86 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
         _rows(lines, SEPARATORS[0], path)  # an open quote hides the rows below it
         raise UsageError(f"{path}: only one column; give a table with at least a time and a torque")
     _, width, separator = best
-    rows = _rows(some, separator)
+    rows = _rows(some, separator, width=width)
     numeric = next((i for i, row in enumerate(rows) if len(row) == width and _mostly_numbers(row)), None)
     if numeric is None:
         _rows(lines, separator, path)
         raise UsageError(f"{path}: no row of numbers in the first {len(some)} lines; give a table of numbers")
+    body = [row for row in rows[numeric:] if len(row) == width]
+    cells = [cell for row in body for cell in row]
+    signs = Counter(decimal_of([cell]) for cell in cells)
+    if separator == "," and numeric and not any("." in cell for cell in cells):
+        names = rows[numeric - 1]
+        if 1 < len(names) < width <= 2 * len(names) and not any(is_number(name) for name in names):
+            raise UsageError(
+                f"{path}: line {numeric + 1} has {width} fields below {len(names)} names: the comma separates the "
+                "fields and the decimals; export the table with another separator"
+            )
+    open_end = all(not row[-1].strip() for row in body)
+    heads = [(i, _fitted(rows[i], width, open_end)) for i in range(numeric)]
     # A title in a workbook is one cell in a row of empty cells.
-    full = [i for i in range(numeric) if len(rows[i]) == width and sum(bool(c.strip()) for c in rows[i]) > width / 2]
-    named = [i for i in full if any(re.search("[^\\W\\d]", c) for c in rows[i])]
-    header = (named[0] if len(named) < 3 else named[-1]) if named else -1  # a line of units may follow the names
-    cells = [cell.strip().strip('"') for row in rows[numeric:] for cell in row]
-    commas = sum("," in cell and is_number(cell) for cell in cells)
-    points = sum("." in cell and is_number(cell) for cell in cells)
-    return Shape(encoding, separator, "," if separator != "," and commas > points else ".", header + 1)
+    full = {i: row for i, row in heads if sum(bool(cell.strip()) for cell in row) > (width - open_end) / 2}
+    named = {i: row for i, row in full.items() if _is_names(row)}
+    fits = {i: _identified(_grouped(row, dict(heads).get(i - 1, []))) for i, row in named.items()}
+    best_fits = [i for i in named if fits[i] == max(fits.values())]
+    header = (best_fits[0] if len(named) < 3 else best_fits[-1]) if best_fits else -1
+    decimal = "." if signs["."] > signs[","] else "," if signs[","] else ""
+    return Shape(encoding, separator, decimal, header + 1)
 
 
-def _rows(lines: Sequence[str], separator: str, path: Path | None = None, above: int = 0) -> list[list[str]]:
+def _fitted(row: list[str], width: int, open_end: bool) -> list[str]:
+    """Return a row with `width` fields if only an empty field at its end differs, or else []."""
+    if len(row) == width + 1 and not row[-1].strip():
+        return row[:-1]
+    if len(row) == width - 1 and open_end:
+        return [*row, ""]
+    return row if len(row) == width else []
+
+
+def _is_names(row: Sequence[str]) -> bool:
+    """Return True if a row has texts without numbers and without units only."""
+    cells = [bare(cell).strip("[]()") for cell in row if cell.strip()]
+    letters = any(re.search("[^\\W\\d_]", cell) for cell in cells)
+    return letters and not any(is_number(cell) for cell in cells) and not _are_units(cells)
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    known = [is_known(cell) for cell in cells if cell not in ("-", "1")]
+    return any(known) and all(known)
+
+
+def _identified(names: Sequence[str]) -> int:
+    return sum(bool(Name(name).columns) for name in names)
+
+
+def _grouped(names: list[str], above: list[str]) -> list[str]:
+    """Return the names with the titles of groups in the row above, if these identify more columns.
+
+    A title applies to the empty cells on its right, as in a merged cell of a workbook.
+    """
+    titles = [bare(cell) for cell in above]
+    if len(titles) != len(names) or all(titles) or any(is_number(title) for title in titles):
+        return names
+    for i, title in enumerate(titles[1:], start=1):
+        titles[i] = title or titles[i - 1]
+    grouped = [f"{title} {bare(name)}".strip() for title, name in zip(titles, names, strict=True)]
+    return grouped if _identified(grouped) > _identified(names) else names
+
+
+def _words(line: str, width: int) -> list[str]:
+    """Return the fields of a line that are separated by white space.
+
+    A unit in brackets belongs to the name before it, and a comment sign before a name is left out. Single spaces are
+    parts of names if only then the line has `width` fields.
+    """
+    text = re.sub(r"^[#%/]+\s*(?=[^\W\d])", "", line.strip())
+    short, wide = re.split(r"\s+(?![\[(])", text), re.split(r"\s{2,}|\t", text)
+    return [] if not text else wide if len(short) != width == len(wide) else short
+
+
+def _rows(
+    lines: Sequence[str], separator: str, path: Path | None = None, above: int = 0, width: int = 0
+) -> list[list[str]]:
     """Return the fields of all lines.
 
     Args:
@@ -553,22 +624,17 @@ def _rows(lines: Sequence[str], separator: str, path: Path | None = None, above:
         separator: one character, or " " for any white space.
         path: file, if `lines` end with it.
         above: number of lines above the first one.
+        width: number of fields of a line of names, for white space; 0 if it is not known.
 
     Raises:
         UsageError: A quote is not closed before the end of the file.
     """
     if separator == " ":
-        return [line.split() for line in lines]
+        return [_words(line, width) for line in lines]
     rows = list(csv.reader(itertools.chain(lines, [""]), delimiter=separator))
     if rows.pop() and path is not None:  # the empty line at the end became a part of a quoted field
         raise UsageError(f'{path}: line {above + len(rows) + 1}: a quote (") is not closed; close or remove it')
     return rows
-
-
-def is_number(cell: str) -> bool:
-    """Return True if a cell is a number, a date or a time of day."""
-    text = cell.strip().strip('"')
-    return bool(_NUMBER.match(text)) or bool(_DATE.match(text)) or bool(re.match(r"\d{4}-\d\d-\d\d[T ]", text))
 
 
 def _mostly_numbers(row: Sequence[str]) -> bool:
@@ -578,8 +644,11 @@ def _mostly_numbers(row: Sequence[str]) -> bool:
 def _is_units(row: Sequence[str], names: Sequence[str]) -> bool:
     """Return True if the line below the names has units: the same number of short cells without a number."""
     cells = [cell.strip() for cell in row]
-    few = len(cells) == len(names) and any(cells) and all(len(cell) <= 10 for cell in cells)
-    return few and not any(is_number(cell) for cell in cells) and not any("[" in name for name in names)
+    if len(cells) != len(names) or any("[" in name for name in names):
+        return False
+    filled = [bare(cell).strip("[]()") for cell in cells if cell]
+    short = bool(filled) and all(len(cell) <= 10 and not is_number(cell) for cell in filled)
+    return short or _are_units(filled)
 
 
 def _unique(names: Sequence[str]) -> tuple[str, ...]:

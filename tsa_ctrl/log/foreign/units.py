@@ -169,4 +169,4 @@ def tails_of(source: str) -> Iterator[tuple[str, str]]:
     for words in (3, 2, 1):
         found = re.search(rf"[ _/]([^ _]+(?:[ _][^ _]+){{{words - 1}}})$", source.strip())
         if found is not None and (quantities_of(found[1]) if words > 1 else is_known(found[1])):
-            yield source.strip()[: found.start()], found[1]
+            yield re.sub(r"[ _]in$", "", source.strip()[: found.start()]), found[1]  # "Moment in mNm"
