@@ -26,15 +26,16 @@ ROOMS: dict[str, str] = {
     # base modules
     "errors": "",
     "version": "",
-    "settings": "errors",
+    "arguments": "errors",  # checks arguments of the Python interface
+    "settings": "arguments errors",
     "outputs": "errors",
     "display": "",
     "system": "errors",
     "signals": "",  # table that defines the fields of log, status and client
     # logs, sensors and the model, which both pipelines share
-    "log": "errors display version settings outputs system signals",
+    "log": "arguments errors display version settings outputs system signals",
     "sensors": "errors system",
-    "model": "errors settings system.compiling",
+    "model": "arguments errors settings system.compiling",
     "observer": "errors model system.compiling",  # estimates the joint torque without a sensor
     # the bus, from frames to SI units
     "bus": "",  # its __init__.py
@@ -47,21 +48,23 @@ ROOMS: dict[str, str] = {
     # live control: torque from a set-point. Safety imports neither the control law nor the model.
     "safety": "errors bus.settings bus.wire bus.canopen bus.drive.session bus.live",
     "control": "errors log.table model observer bus.canopen bus.live safety",
-    "config": "errors settings system sensors model bus.settings bus.drive safety control",
+    "config": "arguments errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.law_design config",
-    "ipc": "errors system signals",
+    "ipc": "arguments errors system signals",
     "daemon": (
-        "errors settings outputs system signals log sensors model observer bus monitor safety control config readiness "
-        "ipc"
+        "arguments errors settings outputs system signals log sensors model observer bus monitor safety control config "
+        "readiness ipc"
     ),
     # offline: parameters and causes from logs, without bus and loop
-    "identify": "errors display version settings outputs system signals log model observer",
+    "identify": "arguments errors display version settings outputs system signals log model observer",
     # the simulated machine, independent of control and identification
-    "plant": "errors settings system.compiling log.table model.parameters model.routing model.catalogue bus.wire",
+    "plant": (
+        "arguments errors settings system.compiling log.table model.parameters model.routing model.catalogue bus.wire"
+    ),
     # daemon and plant in one process, in virtual time
     "virtual": (
-        "errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety control config "
-        "ipc daemon plant"
+        "arguments errors settings display outputs signals log bus.wire bus.drive.network bus.live monitor safety "
+        "control config ipc daemon plant"
     ),
     # user interfaces
     "published": "errors outputs",

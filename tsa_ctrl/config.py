@@ -14,6 +14,7 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl import settings
+from tsa_ctrl.arguments import path_of
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
 from tsa_ctrl.bus.drive.network import axes_of, check_buses, check_node_ids
@@ -197,7 +198,7 @@ class Configuration:
 
 def load_configuration(path: str | Path) -> Configuration:
     """Read and check a controller file. Raise UsageError with a message of one line for any error in it."""
-    path = Path(path)
+    path = path_of(path, "controller file", "its path, or the result of load_configuration")
     data = settings.read_toml(path)
     data, others = _with_buses(path, data)
     listed = data.get("axis", [])

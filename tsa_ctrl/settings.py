@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hint
 
 import msgspec
 
+from tsa_ctrl.arguments import path_of
 from tsa_ctrl.errors import UsageError
 
 T = TypeVar("T")
@@ -25,12 +26,10 @@ T = TypeVar("T")
 
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Parse a TOML file. Raise UsageError with the place of the error, also for a number that is not finite."""
-    path = Path(path)
+    path = path_of(path, "TOML file", "the path of a TOML file")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-        for key, value in _numbers(data, ""):
-            if not math.isfinite(value):
-                raise UsageError(f"{path}: {key}: found {value}; give a finite number")
+        check_finite(data, path)
         return data
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; give the path of an existing TOML file") from None
@@ -48,6 +47,13 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise UsageError(f"{str(path)!r}: is not a path ({error}); give the path of a TOML file") from None
     except RecursionError:
         raise UsageError(f"{path}: tables or lists are nested too deeply; give one of the documented files") from None
+
+
+def check_finite(data: dict[str, Any], where: str | Path) -> None:
+    """Raise UsageError with the key of a number in parsed TOML that is not finite."""
+    for key, value in _numbers(data, ""):
+        if not math.isfinite(value):
+            raise UsageError(f"{where}: {key}: found {value}; give a finite number")
 
 
 MOST_TEXT = 1_000_000  # bytes, longest file that `referenced` returns; a longer file is a table of data

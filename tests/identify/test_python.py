@@ -5,8 +5,13 @@ from __future__ import annotations
 import html
 import inspect
 import io
+import math
 import re
+import tomllib
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -75,6 +80,137 @@ def test_the_columns_of_one_log_are_no_list_of_logs() -> None:
             diagnose(logs, model)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="column tau_j is missing"):
         diagnose(tsa_ctrl.Dataset.from_arrays(COLUMNS), model)
+
+
+SECONDS = [timedelta(seconds=seconds) for seconds in T.tolist()]
+MEANINGFUL: dict[str, Any] = {
+    "structured": np.rec.fromarrays(list(COLUMNS.values()), names=list(COLUMNS)),
+    "lists": {name: values.tolist() for name, values in COLUMNS.items()},
+    "objects": {name: values.astype(object) for name, values in COLUMNS.items()},
+    "without masked values": {name: np.ma.array(values) for name, values in COLUMNS.items()},
+    "dates": {**COLUMNS, "t": np.datetime64("2024-01-01") + (T * 1e9).round().astype("m8[ns]")},
+    "durations": {**COLUMNS, "t": (T * 1e6).round().astype("m8[us]")},
+    "dates as objects": {**COLUMNS, "t": [datetime(2024, 3, 31, tzinfo=UTC) + each for each in SECONDS]},
+    "durations as objects": {**COLUMNS, "t": SECONDS},
+    "other columns of any type": {**COLUMNS, "note": "text", "image": np.zeros((3, 4, 5)), 5: None},
+}
+
+
+@pytest.mark.parametrize("columns", MEANINGFUL.values(), ids=MEANINGFUL)
+def test_each_meaningful_form_of_a_log_gives_the_same_prediction(columns: Any) -> None:
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    expected = tsa_ctrl.predict(model, COLUMNS)
+    np.testing.assert_allclose(tsa_ctrl.predict(model, columns), expected, atol=1e-6)
+    made: Any = tsa_ctrl.Dataset
+    np.testing.assert_allclose(tsa_ctrl.predict(model, made(columns)), expected, atol=1e-6)
+
+
+def test_a_masked_value_is_a_missing_value() -> None:
+    """A single one is an error, and several in succession are a hole."""
+    masked = np.ma.array(COLUMNS["tau_m"], mask=np.arange(400) == 5)
+    with pytest.raises(UsageError, match="column tau_m, row 6: found no number"):
+        tsa_ctrl.Dataset.from_arrays({**COLUMNS, "tau_m": masked})
+    masked.mask = (np.arange(400) >= 5) & (np.arange(400) < 12)
+    hole = tsa_ctrl.Dataset.from_arrays({**COLUMNS, "tau_m": masked})
+    np.testing.assert_allclose(hole["tau_m"], COLUMNS["tau_m"][12:])
+
+
+def test_the_content_of_a_model_file_is_a_model() -> None:
+    path = ROOT / "config/actuator.toml"
+    model = tsa_ctrl.load_model(path)
+    content = tomllib.loads(path.read_text(encoding="utf-8"))
+    content["tendon"]["diameter"] = np.float64(content["tendon"]["diameter"])
+    np.testing.assert_array_equal(tsa_ctrl.predict(content, COLUMNS), tsa_ctrl.predict(model, COLUMNS))
+    assert tsa_ctrl.load_model(model) is model
+    with pytest.raises(UsageError, match=r"tendon\.diameter: found nan; give a finite number"):
+        tsa_ctrl.load_model({**content, "tendon": {**content["tendon"], "diameter": math.nan}})
+
+
+class Twice(Frame):
+    columns = (*COLUMNS, "tau_m")
+
+
+def wrong_calls() -> dict[str, tuple[Callable[[], Any], str]]:
+    package: Any = tsa_ctrl
+    files = ROOT / "config"
+    controller = package.Controller(files / "controller.toml")
+    log, values = package.Dataset(COLUMNS), COLUMNS["tau_m"]
+    measured = {"tau_m": 0.0, "q_m": 0.0, "omega_m": 0.0, "q_j": 0.0}
+
+    def column(given: Any, name: str = "tau_m") -> Callable[[], Any]:
+        return lambda: package.Dataset({**COLUMNS, name: given})
+
+    def loop(**given: Any) -> Callable[[], Any]:
+        paths = {"controller": files / "controller.toml", "plant": files / "plant.toml", "seconds": 0.1}
+        return lambda: package.simulate_loop(**{**paths, **given})
+
+    return {
+        "Dataset()": (lambda: package.Dataset(), "give the columns of one log"),
+        "Dataset(name, columns)": (lambda: package.Dataset("x", COLUMNS), r"Dataset\.from_arrays\(columns, name\)"),
+        "Controller(model)": (lambda: package.Controller(package.load_model(files / "actuator.toml")), "give its path"),
+        "Controller(None)": (lambda: package.Controller(None), "found a NoneType; give its path"),
+        "load_model(bytes)": (lambda: package.load_model(b"x"), "found a bytes; give a model, the path"),
+        "load_model(text)": (lambda: package.load_model("[actuator]\na = 1"), "is not a path; give a model"),
+        "load_model({})": (lambda: package.load_model({}), "'actuator' is missing"),
+        "predict(None)": (lambda: package.predict(None, COLUMNS), "found a NoneType; give a model"),
+        "predict(path)": (lambda: package.predict(files / "actuator.toml", "a\0"), "is not a path"),
+        "texts": (column(["1"] * 400), "column tau_m is no array of numbers .row 1 is '1'"),
+        "marker": (column(np.array([*values[:3], "OVLD", *values[4:]], dtype=object)), "row 4 is 'OVLD'"),
+        "complex": (column(values + 0j), "row 1 is a complex128"),
+        "ragged": (column([[1.0], [1.0, 2.0]] * 200), "row 1 is a list"),
+        "iterator": (column(iter(values)), "no array of numbers"),
+        "huge": (column([10**400] * 400), "no array of numbers"),
+        "dates as torque": (column(np.full(400, np.datetime64("2024-01-01"))), "row 1 is a datetime64"),
+        "NaT": (column(np.full(400, np.timedelta64("NaT")), "t"), "found no number"),
+        "matrix": (column(values[:, None]), r"column tau_m has shape \(400, 1\); give columns of one length \(400,\)"),
+        "scalar time": (column(0.1, "t"), r"column t has shape \(\); give columns of one length \(400,\)"),
+        "short": (column(values[1:]), r"column tau_m has shape \(399,\); give columns of one length \(400,\)"),
+        "empty": (lambda: package.Dataset({name: [] for name in COLUMNS}), "holds 0 rows; at least 10"),
+        "twice": (lambda: package.Dataset(Twice()), "column tau_m appears 2 times; rename or remove"),
+        "cutoff": (lambda: package.Dataset.from_arrays(COLUMNS, cutoff="a"), "cutoff in Hz: found 'a'; give a number"),
+        "rate": (lambda: log.resampled(0), "rate in Hz: found 0; give a number from"),
+        "key": (lambda: log[3], "column 3 is missing"),
+        "seed": (lambda: package.diagnose(log, files / "actuator.toml", seed="a"), "seed: found 'a'; give a whole"),
+        "hold_out": (lambda: package.diagnose(log, files / "actuator.toml", hold_out=3), "hold_out is a int; give a"),
+        "step text": (lambda: controller.step("0.1", **measured), "tau_j_des: found '0.1'; give a number"),
+        "step None": (lambda: controller.step(0.1, **{**measured, "q_m": None}), "q_m: found None; give a number"),
+        "step array": (lambda: controller.step(0.1, **{**measured, "q_m": np.zeros(2)}), "q_m: found array"),
+        "skipped": (lambda: controller.step(0.1, **measured, skipped=1.5), "skipped: found 1.5; give a whole number"),
+        "set": (lambda: controller.set("compensation", "a"), "compensation: found 'a'; give a number"),
+        "loop controller": (loop(controller=None), "controller file: found a NoneType; give its path"),
+        "loop plant": (loop(plant={}), "plant file: found a dict; give its path"),
+        "loop seconds": (loop(seconds="1"), "seconds: found '1'; give a number"),
+        "loop seed": (loop(seed="a"), "seed: found 'a'; give a whole number"),
+        "loop faults": (loop(faults=[3]), "found 3; give texts or objects of Fault"),
+        "loop out": (loop(out=3), "out: found a int; give the path of a folder"),
+        "Client": (lambda: package.Client(3), "Client: found a int; give the path of the daemon's socket"),
+        "Client timeout": (lambda: package.Client("x", timeout="a"), "timeout in s: found 'a'; give a number"),
+    }
+
+
+def test_a_wrong_argument_is_reported_in_one_line() -> None:
+    for name, (call, said) in wrong_calls().items():
+        with pytest.raises(UsageError) as error:
+            call()
+        assert re.search(said, str(error.value)), f"{name}: {error.value}"
+        assert "\n" not in str(error.value)
+
+
+def test_pandas_and_polars_give_the_same_prediction() -> None:
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    expected = tsa_ctrl.predict(model, COLUMNS)
+    pandas, polars = pytest.importorskip("pandas"), pytest.importorskip("polars")
+    stamps = np.datetime64("2024-01-01") + (T * 1e9).round().astype("m8[ns]")
+    for frame in (pandas.DataFrame, polars.DataFrame):
+        dated = frame({**COLUMNS, "t": stamps, "note": ["x"] * 400})
+        np.testing.assert_allclose(tsa_ctrl.predict(model, dated), expected, atol=1e-6)
+    lazy = polars.LazyFrame(COLUMNS)
+    np.testing.assert_allclose(tsa_ctrl.predict(model, lazy), expected)
+    missing = polars.DataFrame({**COLUMNS, "tau_m": [None, *COLUMNS["tau_m"][1:].tolist()]})
+    twice = pandas.concat([pandas.DataFrame(COLUMNS), pandas.DataFrame({"tau_m": T})], axis=1)
+    for frame, said in ((missing, "column tau_m, row 1: found no number"), (twice, "column tau_m appears 2 times")):
+        with pytest.raises(UsageError, match=said):
+            tsa_ctrl.predict(model, frame)
 
 
 def shown(result: Displayed) -> str:

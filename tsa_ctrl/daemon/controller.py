@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from tsa_ctrl.arguments import number_of, whole_of
 from tsa_ctrl.bus.canopen.cia402 import (
     FOLLOWS_COMMAND_BIT,
     REMOTE,
@@ -152,6 +153,7 @@ class Controller:
         parameter = self._tuner.parameters[names.index(name)]
         if parameter.low is None or parameter.high is None:
             raise UsageError(f"'{name}' cannot be set on this axis: {parameter.doc}")
+        value = number_of(value, name)
         check_bounds(name, value, parameter.low, parameter.high, parameter.unit)
         if parameter.restores and value > parameter.value:  # repeated releases would disable the guard
             raise UsageError(
@@ -184,12 +186,16 @@ class Controller:
             skipped: periods without a call since the last step.
 
         Raises:
-            UsageError: `tau_j_des` is given to a Controller that plays the file's set-point, or missing in another.
+            UsageError: `tau_j_des` is given to a Controller that plays the file's set-point, or missing in another. An
+                argument is not a number.
         """
         axis, image = self._axis, self._axis.image
         if (tau_j_des is None) is not self._play:
             raise UsageError("step: give tau_j_des in every step, or none of them with Controller(..., play=True)")
-        if skipped > 0:
+        given = {"tau_m": tau_m, "q_m": q_m, "omega_m": omega_m, "q_j": q_j, "tau_j": tau_j}
+        tau_m, q_m, omega_m, q_j, tau_j = (number_of(value, f"step: {name}") for name, value in given.items())
+        tau_j_des = None if tau_j_des is None else number_of(tau_j_des, "step: tau_j_des")
+        if whole_of(skipped, "step: skipped") > 0:
             axis.skip_cycles(skipped)
             self._bus.now += skipped * self.period
             self._gap += skipped * self.period

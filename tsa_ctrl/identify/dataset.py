@@ -9,17 +9,21 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import fnmatch
+import functools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tsa_ctrl.arguments import kind_of, number_of
 from tsa_ctrl.display import Displayed, lines
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
@@ -55,6 +59,7 @@ SPIKE = 1.0
 TOGETHER = 0.25  # largest difference between the two neighbours of a spike, as a fraction of that distance
 TURN = 2.0 * np.pi  # rad, the range of a wrapped angle
 WRAPS = 0.1  # turns, largest deviation of a jump of a wrapped angle from one turn
+MOST_ROWS = 1e8  # of a resampled log
 LEAST_PRESENT = 0.5  # fraction of rows; an optional signal with values in fewer rows is not used
 
 
@@ -89,7 +94,8 @@ class Dataset(Displayed):
         """Return a dataset from arrays of one length, after the same checks as for a file.
 
         Args:
-            columns: arrays by the name of the column.
+            columns: arrays by the name of the column, a data frame or a structured array. Masked values count as nan.
+                `t` may have dates or durations.
             name: name of the dataset in messages.
             recorded: True for the daemon's own log, in which single cycles may be missing.
             cutoff: as in `load_log`.
@@ -97,20 +103,24 @@ class Dataset(Displayed):
         Raises:
             UsageError: as `load_log`.
         """
-        if not hasattr(columns, "items"):
+        given = _columns_of(columns, name)
+        if given is None:
             raise UsageError(
-                f"{name}: is a {type(columns).__name__}, not the columns of a log; give a mapping from column to "
+                f"{name}: is a {kind_of(columns)}, not the columns of a log; give a mapping from column to "
                 "array, several logs as a list or as a mapping from name to columns, and read a file with load_log"
             )
-        arrays = {}
-        for key, value in columns.items():
-            array = _numbers(name, str(key), value)
-            if array is not None:
-                arrays[str(key)] = array
-        for key, array in arrays.items():
-            if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
-                raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
-        left_out = tuple(str(key) for key in columns if str(key) not in arrays)
+        found = {key: _numbers(name, key, value) for key, value in given.items()}
+        arrays = {key: array for key, array in found.items() if array is not None}
+        shapes = Counter(array.shape for key, array in arrays.items() if is_input(key))
+        usual = max(shapes, key=lambda shape: (len(shape) == 1, shapes[shape]), default=())
+        for key in [key for key, array in arrays.items() if array.ndim != 1 or array.shape != usual]:
+            if is_input(key):
+                wanted = f"({usual[0]},)" if len(usual) == 1 else "(n,)"
+                raise UsageError(
+                    f"{name}: column {key} has shape {arrays[key].shape}; give columns of one length {wanted}"
+                )
+            del arrays[key]
+        left_out = tuple(key for key in given if key not in arrays)
         return _longest(_datasets(Table(name, arrays, left_out, recorded=recorded), name, "", False, cutoff))
 
     def facts(self) -> dict[str, str]:
@@ -140,7 +150,7 @@ class Dataset(Displayed):
 
     def __getitem__(self, column: str) -> Array:
         if column not in self.columns:
-            raise UsageError(_missing(self.label or self.name, column, (*self.columns, *self.left_out)))
+            raise UsageError(_missing(self.label or self.name, str(column), (*self.columns, *self.left_out)))
         return self.columns[column]
 
     @property
@@ -212,6 +222,7 @@ class Dataset(Displayed):
 
     def resampled(self, rate: float) -> Dataset:
         """Return this log at `rate` (Hz), interpolated linearly; a note states this, and columns are derived again."""
+        rate = number_of(rate, f"{self.name}: rate in Hz", 1.0 / max(self.seconds, 1.0), MOST_ROWS / self.seconds)
         t = self.columns["t"]
         times = t[0] + np.arange(math.floor(self.seconds * rate + UNIFORM) + 1) / rate
         recorded = [name for name in self.columns if name not in self.derived]
@@ -250,18 +261,107 @@ class Dataset(Displayed):
         return self._signals
 
 
-def _numbers(name: str, key: str, value: ArrayLike) -> Array | None:
-    """Return a column as float64; None if it is no input of a model and no array of numbers, such as a text."""
+def _constructed(dataset: Dataset, *args: Any, **named: Any) -> None:
+    """Initialise a dataset from its attributes, or from the only argument as `dataset_of`."""
+    if len(args) == 1 and not named:
+        made = dataset_of(args[0])
+        for each in dataclasses.fields(made):
+            object.__setattr__(dataset, each.name, getattr(made, each.name))
+        return
     try:
-        given = np.asarray(value)
+        _from_attributes(dataset, *args, **named)
+    except TypeError:
+        raise UsageError(
+            "Dataset: give the columns of one log, Dataset(columns); with a name, Dataset.from_arrays(columns, name)"
+        ) from None
+
+
+_from_attributes = Dataset.__init__
+Dataset.__init__ = functools.wraps(_from_attributes)(_constructed)  # type: ignore[assignment, method-assign]
+
+
+def dataset_of(log: Any, name: str = "log") -> Dataset:
+    """Return one log as a Dataset.
+
+    Args:
+        log: a Dataset, a mapping of arrays, a data frame, a structured array or the path of a file.
+        name: name of the log in messages.
+
+    Raises:
+        UsageError: `log` has no usable form or lacks a column.
+    """
+    if isinstance(log, Dataset):
+        return log
+    if isinstance(log, (str, Path)):
+        return load_log(log)
+    if not _columns_of(log, name):
+        raise UsageError(f"{name}: is a {kind_of(log)}; give a Dataset, a mapping of arrays, a data frame or a path")
+    return Dataset.from_arrays(log, name)
+
+
+def _columns_of(log: Any, name: str) -> dict[str, Any] | None:
+    """Return the columns of a mapping, a data frame or a structured array by name; None for another type.
+
+    Raises:
+        UsageError: a data frame has a column of a log twice.
+    """
+    if hasattr(log, "collect_schema") and hasattr(log, "collect"):  # a lazy frame of polars
+        log = log.collect()
+    if isinstance(log, Mapping):
+        return {str(key): value for key, value in log.items()}
+    names = getattr(getattr(log, "dtype", None), "names", None)
+    if names is None and not isinstance(log, type):
+        names = getattr(log, "columns", None)
+    if names is None:
+        return None
+    counts = Counter(str(each) for each in names)
+    twice = next((each for each, count in counts.items() if count > 1 and is_input(each)), None)
+    if twice is not None:
+        raise UsageError(f"{name}: column {twice} appears {counts[twice]} times; rename or remove the others")
+    return {str(each): log[each] for each in names if counts[str(each)] == 1}
+
+
+def _numbers(name: str, key: str, value: Any) -> Array | None:
+    """Return a column as float64; None if it is no input of a model and no array of numbers, such as a text.
+
+    Masked values become nan. Dates and durations of `t` become seconds since the first one.
+    """
+    try:
+        given = value if isinstance(value, np.ma.MaskedArray) else np.asarray(value)
+        if key == "t" and given.ndim == 1:
+            given = _seconds(given)
         if given.dtype.kind in "fiubO":
-            return np.ascontiguousarray(given, dtype=np.float64)
-        reason = f"its type is {given.dtype}"
-    except (TypeError, ValueError) as error:
-        reason = str(error)
+            doubles = given.astype(np.float64)
+            filled = doubles.filled(np.nan) if isinstance(doubles, np.ma.MaskedArray) else doubles
+            return np.require(filled, np.float64, "C")
+    except (TypeError, ValueError, OverflowError):
+        pass
     if not is_input(key):
         return None
-    raise UsageError(f"{name}: column {key} is no array of numbers ({reason}); give numbers in SI units")
+    raise UsageError(f"{name}: column {key} is no array of numbers{_reason(value)}; give numbers in SI units")
+
+
+def _seconds(stamps: Any) -> Any:
+    """Return dates or durations, of NumPy or as objects, as seconds since the first one, and other values unchanged."""
+    if stamps.dtype.kind == "M":
+        stamps = stamps.astype("datetime64[ns]")
+        stamps = stamps - stamps[~np.isnat(stamps)][:1]
+    elif stamps.dtype.kind == "O" and stamps.size and isinstance(stamps[0], (datetime, timedelta)):
+        first = stamps[0] if isinstance(stamps[0], datetime) else timedelta()
+        return np.array([(stamp - first).total_seconds() for stamp in stamps])
+    if stamps.dtype.kind == "m":
+        return np.where(np.isnat(stamps), np.nan, stamps.astype("timedelta64[ns]").astype(np.float64) * 1e-9)
+    return stamps
+
+
+def _reason(value: Any) -> str:
+    """Return the first value of a column that is not a number, for a message; "" if none is found."""
+    for row, each in enumerate(value, start=1) if isinstance(value, (Sequence, np.ndarray)) else ():
+        if isinstance(each, (int, float, np.integer, np.floating)):
+            continue
+        found = repr(str(each)) if isinstance(each, (str, bytes)) else f"a {kind_of(each)}"
+        return f" (row {row} is {found:.60})"
+    return "" if isinstance(value, (Sequence, np.ndarray)) else f" (it is a {kind_of(value)})"
 
 
 def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None) -> Dataset:
@@ -354,6 +454,8 @@ def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDAr
 
 def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:
     """Return one dataset for each piece of the table."""
+    if cutoff is not None:
+        cutoff = number_of(cutoff, f"{name}: cutoff in Hz", 1e-6, 1e6)
     pieces = repair_timestamps(table if strict or table.recorded else _without_bursts(table), strict)
     names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
     return [_dataset(piece, own, sha256, strict, cutoff) for piece, own in zip(pieces, names, strict=True)]

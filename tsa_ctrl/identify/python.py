@@ -13,54 +13,41 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.arguments import kind_of, whole_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration
 from tsa_ctrl.identify.calibrate import calibrate as estimate
-from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.dataset import Dataset, dataset_of
 from tsa_ctrl.identify.diagnosis import Diagnosis
 from tsa_ctrl.identify.diagnosis import diagnose as explain
 from tsa_ctrl.identify.simulate import simulate
 from tsa_ctrl.model.parameters import Model, TendonSheath, load_model
 
 
-def dataset(log: Any, name: str = "log") -> Dataset:
-    """Return one log as a Dataset; raise UsageError if `log` has no usable form or lacks a column."""
-    if isinstance(log, Dataset):
-        return log
-    if isinstance(log, (str, Path)):
-        return load_log(log)
-    columns = log if isinstance(log, Mapping) else {c: log[c] for c in getattr(log, "columns", ())}
-    if not columns:
-        raise UsageError(
-            f"{name}: is a {type(log).__name__}; give a Dataset, a mapping of arrays, a data frame or a path"
-        )
-    return Dataset.from_arrays(columns, name)
-
-
-def predict(model: Model | str | Path, log: Any) -> NDArray[np.float64]:
+def predict(model: Model | str | Path | Mapping[str, Any], log: Any) -> NDArray[np.float64]:
     """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive, the motor torque."""
-    return simulate(dataset(log), _model(model)).predicted
+    return simulate(dataset_of(log), load_model(model)).predicted
 
 
-def calibrate(logs: Any, model: TendonSheath | str | Path) -> Calibration:
+def calibrate(logs: Any, model: TendonSheath | str | Path | Mapping[str, Any]) -> Calibration:
     """Estimate friction angle and pretension from one log or several."""
-    found = _model(model)
+    found = load_model(model)
     if not isinstance(found, TendonSheath):
         raise UsageError("calibrate: needs the model of a tendon-sheath; diagnose recalibrates a rigid drive")
     return estimate(_all(logs), found)
 
 
-def diagnose(logs: Any, model: Model | str | Path, *, hold_out: str | None = None, seed: int = 0) -> Diagnosis:
+def diagnose(
+    logs: Any, model: Model | str | Path | Mapping[str, Any], *, hold_out: str | None = None, seed: int = 0
+) -> Diagnosis:
     """Find and explain the errors of the model on one log or several; the same seed yields the same result."""
-    return explain(_all(logs), _model(model), hold_out=hold_out, seed=seed)
-
-
-def _model(model: Model | str | Path) -> Model:
-    return load_model(model) if isinstance(model, (str, Path)) else model
+    if hold_out is not None and not isinstance(hold_out, str):
+        raise UsageError(f"diagnose: hold_out is a {kind_of(hold_out)}; give a pattern of names of logs, or None")
+    return explain(_all(logs), load_model(model), hold_out=hold_out, seed=whole_of(seed, "diagnose: seed"))
 
 
 def _all(logs: Any) -> list[Dataset]:
     several = isinstance(logs, Sequence) and not isinstance(logs, str)
     if isinstance(logs, Mapping) and logs and all(np.ndim(log) != 1 for log in logs.values()):
-        return [dataset(log, str(name)) for name, log in logs.items()]
-    return [dataset(log, f"log {i}") for i, log in enumerate(logs, start=1)] if several else [dataset(logs)]
+        return [dataset_of(log, str(name)) for name, log in logs.items()]
+    return [dataset_of(log, f"log {i}") for i, log in enumerate(logs, start=1)] if several else [dataset_of(logs)]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
+from tsa_ctrl.arguments import number_of, path_of
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.connection import user_of
@@ -78,6 +79,9 @@ class Measured(msgspec.Struct, frozen=True):
         raise KeyError(name)
 
 
+LONGEST_TIMEOUT = 1e6  # s
+
+
 class Client:
     """A connection to the daemon; use it as a context manager and in one thread only."""
 
@@ -98,7 +102,11 @@ class Client:
 
         Raises:
             BusError: no daemon answers there.
+            UsageError: an argument has a wrong type.
         """
+        if path is not None:
+            path = str(path_of(path, "Client", "the path of the daemon's socket"))
+        timeout = number_of(timeout, "Client: timeout in s", 0.0, LONGEST_TIMEOUT)
         self.clock = clock
         self._sleep = sleep
         self._path = path = default_path() if path is None else path

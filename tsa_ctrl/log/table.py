@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.arguments import path_of
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.csv_table import connected, doubles, opened, quoted, read_csv, said
 from tsa_ctrl.signals import is_selected
@@ -77,7 +78,7 @@ def split_axis(path: str | Path) -> tuple[Path, str | None]:
 def check_readable(path: Path) -> None:
     """Raise UsageError if `path` is not a readable file."""
     try:
-        with path.open("rb"):
+        with path_of(path, "log", f"the path of a log ({', '.join(ENDINGS)})").open("rb"):
             return
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; give the path of a log ({', '.join(ENDINGS)})") from None

@@ -12,9 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import tomlkit
 
 from tsa_ctrl import settings
+from tsa_ctrl.arguments import path_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import (
     MOST_FRICTION,
@@ -178,9 +180,32 @@ class GearedDrive:
 Model = TendonSheath | RigidDrive | GearedDrive
 
 
-def load_model(path: str | Path) -> Model:
-    """Read an actuator model file; raises UsageError with a message of one line for any error in it."""
-    return model_from(settings.read_toml(path), str(path))
+def load_model(path: str | Path | Mapping[str, Any] | Model) -> Model:
+    """Read an actuator model file.
+
+    Args:
+        path: path of the file, or its content as a mapping, as `tomllib` returns it. A model is returned unchanged.
+
+    Raises:
+        UsageError: the model has an error. The message is one line.
+    """
+    if isinstance(path, Model):
+        return path
+    if isinstance(path, Mapping):
+        content = _builtin(path)
+        settings.check_finite(content, "model")
+        return model_from(content, "model")
+    file = path_of(path, "model", "a model, the path of its file, or the content of that file as a mapping")
+    return model_from(settings.read_toml(file), str(path))
+
+
+def _builtin(value: Any) -> Any:
+    """Return mappings, sequences and numbers of NumPy as the types that `tomllib` returns."""
+    if isinstance(value, Mapping):
+        return {str(key): _builtin(inner) for key, inner in value.items()}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _builtin(value.tolist())
+    return [_builtin(inner) for inner in value] if isinstance(value, (list, tuple)) else value
 
 
 def load_tendon_sheath(path: str | Path) -> TendonSheath:

@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl import settings
+from tsa_ctrl.arguments import path_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.plant.identity import Quirks
@@ -224,7 +225,7 @@ class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
 def load_plant(path: str | Path) -> PlantSettings:
     """Read and check `plant.toml`. Nodes of axis i without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
-    path = Path(path)
+    path = path_of(path, "plant file", "its path")
     data = settings.read_toml(path)
     listed = data.get("bus")
     others: list[BusSettings] = []

@@ -8,12 +8,13 @@ from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.arguments import number_of, path_of, whole_of
 from tsa_ctrl.bus.drive.network import joined
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
@@ -50,6 +51,7 @@ from tsa_ctrl.virtual.script import (
     put,
 )
 
+T = TypeVar("T")
 EVERY = 0.5  # s between two reads of the ring, which holds 2 s at the highest rate
 FILE = "tsa.mcap"
 
@@ -256,20 +258,25 @@ def simulate_loop(
         UsageError: if the files or the script are invalid.
         BusError: if the nodes cannot be brought up.
     """
+    seconds = number_of(seconds, "seconds")
     if not 0.0 < seconds <= LONGEST:
         raise UsageError(f"seconds {seconds:g}: allowed is above 0 to {LONGEST:g}")
     configuration = controller if isinstance(controller, Configuration) else load_configuration(controller)
     settings = plant if isinstance(plant, PlantSettings) else check(plant)
     if seed is not None:
+        seed = whole_of(seed, "seed")
         settings = msgspec.structs.replace(settings, physics=msgspec.structs.replace(settings.physics, seed=seed))
     inputs = [configuration.path, *(configuration.folder / axis.model for axis in configuration.file.axes)]
     inputs += [Path(axis.actuator) for axis in settings.axis] + (
         [] if isinstance(plant, PlantSettings) else [Path(plant)]
     )
     if record is not None:
-        refuse_inputs(Path(record), inputs, "--record")
-    begun = [parse_fault_option(each) if isinstance(each, str) else each for each in faults]
-    made = [parse_set_option(each) if isinstance(each, str) else each for each in changes]
+        record = path_of(record, "record", "the path of a CSV file")
+        refuse_inputs(record, inputs, "--record")
+    begun = _parsed(faults, Fault, parse_fault_option)
+    made = _parsed(changes, Change, parse_set_option)
+    if out is not None:
+        out = path_of(out, "out", "the path of a folder")
     files = {}
     if not isinstance(controller, Configuration) and not isinstance(plant, PlantSettings):
         files = described(configuration.path, Path(plant), seconds, seed, begun, made)
@@ -278,6 +285,15 @@ def simulate_loop(
         return run.play(begun, made, tick)
     finally:
         run.close()
+
+
+def _parsed(given: Sequence[T | str] | str, kind: type[T], parse: Callable[[str], T]) -> list[T]:
+    """Return the faults or changes of a run as objects; raise UsageError for another type."""
+    found = [parse(each) if isinstance(each, str) else each for each in ([given] if isinstance(given, str) else given)]
+    wrong = next((each for each in found if not isinstance(each, kind)), None)
+    if wrong is not None:
+        raise UsageError(f"simulate_loop: found {wrong!r:.60}; give texts or objects of {kind.__name__}")
+    return found
 
 
 @contextlib.contextmanager
