@@ -259,6 +259,8 @@ HEADS = {
     "metadata of equal width": "% rate;100;Hz\n% file;a;b\nt;motor torque [mNm];x\n",
     "comment sign": "# t;motor torque [mNm];x\n",
     "separator line": "sep=;\nt;motor torque [mNm];x\n",
+    "numbers of the columns": "1;2;3\nt;motor torque [mNm];x\n",
+    "names with commas": '"t, s";"Motor torque, mN.m";x\n',
     "unnamed index": "t;motor torque [mNm];\n",
 }
 
@@ -287,6 +289,21 @@ def test_white_space_exponents_and_encodings(text: str, encoding: str, tmp_path:
     columns = imported(tmp_path / "x.txt", text, encoding).columns
     np.testing.assert_allclose(columns["t"], TIME, atol=1e-8)
     np.testing.assert_allclose(columns["tau_m"], TORQUE, atol=1e-8)
+
+
+@pytest.mark.parametrize("stamp", ["12:00:0{0:.0f}", "{0:.0f}", "{0:.1f}"])
+def test_a_time_of_coarse_resolution_is_rejected(stamp: str, tmp_path: Path) -> None:
+    rows = "".join(f"{stamp.format(0.01 * i)};{x}\n" for i, x in enumerate(TORQUE))
+    with pytest.raises(UsageError, match=r"of 40 rows have the time of the row above.*--rate HZ"):
+        imported(tmp_path / "x.csv", "t;tau_m\n" + rows)
+
+
+@pytest.mark.parametrize("name", ["tau_m", "Motormoment [Nm]"])
+def test_a_repeated_name_is_a_question(name: str, tmp_path: Path) -> None:
+    rows = "".join(f"{t};{x};{-x}\n" for t, x in PAIRS)
+    with pytest.raises(UsageError) as error:
+        imported(tmp_path / "x.csv", f"t;{name};{name}\n{rows}")
+    assert f"tau_m may be '{name}', '{name} (2)'" in str(error.value)
 
 
 def test_a_time_that_decreases_is_rejected_with_its_line(tmp_path: Path) -> None:

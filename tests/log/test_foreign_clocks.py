@@ -170,6 +170,7 @@ def test_dropped_columns_are_reported(tmp_path: Path, capsys: pytest.CaptureFixt
         (["2024/03/31 01:59:59.5", "2024/03/31 03:00:00"], [0.0, 3600.5]),  # no change to summer time
         (["2024-03-31 01:59:59.5", "2024-03-31 03:00:00"], [0.0, 3600.5]),
         (["10:00:00", "NaT", "10:00:02"], [0.0, 2.0]),
+        (["12:00:00:250", "12:00:00:750"], [0.0, 0.5]),
     ],
 )
 def test_dates_and_times_of_day_become_seconds(stamps: list[str], seconds: list[float], tmp_path: Path) -> None:
@@ -190,6 +191,42 @@ def test_an_impossible_time_of_day_is_reported_with_its_line(tmp_path: Path) -> 
     (tmp_path / "x.csv").write_text("Zeit;tau_m\n10:00:00;1\n10:61:00;2\n")
     with pytest.raises(UsageError, match="line 3: '10:61:00' is not a date and time like"):
         imported(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize("kind", ["M8", "m8"])
+def test_dates_and_durations_of_a_binary_file_become_seconds(kind: str, tmp_path: Path) -> None:
+    stamps = (1e6 * T).round().astype("m8[us]") + (np.datetime64("2024-01-01") if kind == "M8" else 0)
+    np.savez(tmp_path / "x.npz", timestamp=stamps, motor_torque_Nm=MOTOR)
+    done = imported(tmp_path / "x.npz")
+    np.testing.assert_allclose(done.columns["t"], T, atol=1e-9)
+
+
+def test_dates_and_nulls_of_parquet_are_read(tmp_path: Path) -> None:
+    importlib.import_module("duckdb").execute(
+        "COPY (SELECT TIMESTAMP '2024-01-01' + INTERVAL (10 * i) MILLISECOND AS timestamp, CASE WHEN i = 5 THEN NULL "
+        f"ELSE i END AS motor_torque_Nm FROM range(20) r(i)) TO '{tmp_path / 'x.parquet'}' (FORMAT parquet)"
+    )
+    done = imported(tmp_path / "x.parquet")
+    np.testing.assert_allclose(done.columns["tau_m"], np.delete(np.arange(20.0), 5))
+    np.testing.assert_allclose(done.columns["t"], np.delete(np.arange(20) * 0.01, 5), atol=1e-9)
+
+
+def test_units_next_to_the_values_of_a_binary_file_are_used(tmp_path: Path) -> None:
+    content = {"time": {"data": 1e3 * T, "unit": "ms"}, "motor_torque": {"data": 1e3 * MOTOR, "Units": "mNm"}}
+    path = h5(tmp_path / "x.h5", {"daq": {"time": 1e3 * T, "motor_moment": 1e3 * MOTOR}})
+    with importlib.import_module("h5py").File(path, "a") as file:
+        file["daq/time"].attrs["units"] = b"ms"
+        file["daq/motor_moment"].attrs["Unit"] = np.array(["mNm"], dtype=object)
+    for done in (imported(mat(tmp_path / "x.mat", {"log": content})), imported(path)):
+        np.testing.assert_allclose(done.columns["t"], T, atol=1e-9)
+        np.testing.assert_allclose(done.columns["tau_m"], MOTOR, atol=1e-9)
+
+
+def test_values_of_a_binary_file_that_are_not_finite_are_holes(tmp_path: Path) -> None:
+    np.savez(tmp_path / "x.npz", t=T, tau_m=np.concatenate([[np.inf, 9.91e37], MOTOR[2:]]))
+    done = imported(tmp_path / "x.npz")
+    np.testing.assert_array_equal(done.columns["tau_m"], MOTOR[2:])
+    assert done.markers == {"tau_m": {"inf": 1, "9.91e+37": 1}}
 
 
 def test_a_footer_is_ignored_and_counted(tmp_path: Path) -> None:

@@ -175,7 +175,7 @@ def test_a_name_of_two_quantities_is_a_question_without_a_proposal() -> None:
 
 
 UNITS = [
-    ("N*m", 1.0, ["N*m", "Nm", "N m", "N.m", "N-m", "N·m", "N⋅m", "N × m", "nm", "NM", "N_m", "newton meters"]),
+    ("N*m", 1.0, ["N*m", "Nm", "N m", "N.m", "N-m", "N·m", "N⋅m", "N × m", "nm", "NM", "N_m", "n_m", "newton meters"]),
     ("N*m", 4.4482216152605 * 0.0254, ["lbf·in", "lbf*in", "lbf-in", "in-lbf", "lbf in", "lbin", "in·lb", "lbf_in"]),
     ("N*m", 4.4482216152605 * 0.3048, ["lbf·ft", "ft-lbs", "ft.lb", "lbft", "pound-feet"]),
     ("N*m", 0.0980665, ["kgf*cm", "kgf·cm", "kg-cm", "kgcm", "kp cm"]),

@@ -29,7 +29,7 @@ _GROUPED = {
 }
 _UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}$")
 _MARKER = re.compile(r"\D*$|#.*|[+-]?1[.,]#\w*$|[<>].*")  # also "1.#INF" of C programs, and "> 10.5"
-_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d\d(?:[.,]\d+)?)(?: ?([AP])M)?$", re.I)  # or minutes and seconds
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d\d(?:[.,:]\d+)?)(?: ?([AP])M)?$", re.I)  # or minutes and seconds
 _SLASHES = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4}),? +(\d.*)$")
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}),? +(\d{1,2}:\d\d(?::\d.*)?)$")
 _ISO = re.compile(r"\d{4}([-/])\d\d\1\d\d[T ]\d\d:\d\d")
@@ -190,7 +190,7 @@ def _read(texts: Sequence[str], convert: Callable[[str], float], fault: str) -> 
 def _stamp(text: str) -> float:
     """Return a date and time as seconds since 1970, or a time of day in seconds; raises ValueError."""
     if found := _CLOCK.match(text):
-        hour, minute, second = int(found[1] or 0), int(found[2]), float(found[3].replace(",", "."))
+        hour, minute, second = int(found[1] or 0), int(found[2]), float(re.sub("[,:]", ".", found[3]))
         hour = hour % 12 + 12 * (found[4] in "pP") if found[4] else hour
         if minute > 59 or second >= 61.0:
             raise ValueError(text)

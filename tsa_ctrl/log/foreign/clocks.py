@@ -94,7 +94,7 @@ def _placed(every: Mapping[str, tuple[NDArray[Any], str]]) -> Arrays:
         ((clock, table),) = tables.items()
         return Arrays({name: every[name][0] for name in every if name == clock or name in table}, tuple(dropped))
     merged = on_one_clock({clock: _increasing(_seconds(clock, every[clock][0]), tables[clock]) for clock in tables})
-    if any(Name(clock).unit is None and every[clock][0].dtype.kind != "M" for clock in tables):
+    if any(Name(clock).unit is None and every[clock][0].dtype.kind not in "Mm" for clock in tables):
         merged = {"time" if name == TIME else name: values for name, values in merged.items()}
     return Arrays(merged, tuple(dropped) + outside(tables, merged))
 
@@ -104,7 +104,7 @@ def _clocks(every: Mapping[str, tuple[NDArray[Any], str]]) -> dict[str, str]:
     found: dict[str, list[str]] = {}
     for name, (values, group) in every.items():
         leaf = name.removeprefix(group).lstrip("/.") if group else name
-        if Name(leaf).columns != {"t"} or values.dtype.kind not in "fiuM":
+        if Name(leaf).columns != {"t"} or values.dtype.kind not in "fiuMm":
             continue
         t = _seconds(name, values)
         steps = np.diff(t[np.isfinite(t)])
@@ -121,8 +121,9 @@ def _clock_above(group: str, clocks: Mapping[str, str]) -> str | None:
 
 
 def _seconds(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
-    if values.dtype.kind == "M":
-        return np.asarray(values.astype("datetime64[ns]").astype(np.float64) * 1e-9, dtype=np.float64)
+    if values.dtype.kind in "Mm":
+        stamps = values.astype("datetime64[ns]" if values.dtype.kind == "M" else "timedelta64[ns]")
+        return np.where(np.isnat(stamps), np.nan, stamps.astype(np.float64) * 1e-9)
     return np.asarray(values.astype(np.float64) * (scale_of(Name(name).unit or "s", "s") or 1.0), dtype=np.float64)
 
 

@@ -340,6 +340,7 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
     return Mapped(name, source, unit, value, offset + SHIFT.get(unit, 0.0))
 
 
+MOST_EQUAL = 0.5  # largest fraction of rows with the time of the row above
 POINTS = 4000  # least number of drawn points of a longer curve
 Columns = Mapping[str, NDArray[np.float64]]
 
@@ -383,6 +384,12 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
     good = np.isfinite(t)
     if good.any():
         columns["t"] = t - t[good][0]
+    equal = int(np.count_nonzero(np.diff(t[good]) == 0.0))
+    if equal > MOST_EQUAL * len(t):
+        raise UsageError(
+            f"{table.path}: column t: {equal} of {len(t)} rows have the time of the row above, so the resolution of "
+            "the time is too coarse; export it with more digits, or remove it and give --rate HZ"
+        )
     back = np.flatnonzero(np.diff(t[good]) < 0.0)
     if back.size:
         before, row = np.flatnonzero(good)[back[0] : back[0] + 2]

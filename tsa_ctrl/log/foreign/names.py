@@ -142,13 +142,14 @@ class Name:
     @cached_property
     def _split(self) -> tuple[str, str | None]:
         """Return the name without its unit, and the unit or None."""
-        for content, (start, end) in reversed(brackets_in(self.source)):
+        source = re.sub(r" \(\d+\)(?=$| \[)", "", self.source)  # the number of a repeated name
+        for content, (start, end) in reversed(brackets_in(source)):
             if is_known(content) or not any(_kinds(split_words(content))):
-                return (self.source[:start] + self.source[end:]).strip(), content
-        named = self.source.strip()
+                return (source[:start] + source[end:]).strip(), content
+        named = source.strip()
         while (last := re.search(r"[ _]([^\W_]+)$", named)) and VOCABULARY.get(last[1].lower()) == NEUTRAL:
             named = named[: last.start()]  # motor_torque_mNm_filtered
-        for bare, unit in () if self.source in INPUTS else tails_of(named):
+        for bare, unit in () if source in INPUTS else tails_of(named):
             kinds = _kinds(split_words(bare))
             quantities = {COLUMNS[name].unit for name in _fitting(bare, unit)} | {_SI[k] for k in kinds if k in _SI}
             device = not quantities_of(unit)
@@ -159,11 +160,11 @@ class Name:
                 continue
             if unit.lower() in VOCABULARY:  # motor_rpm
                 if {COLUMNS[name].unit for name in _fitting(named, None)} & quantities_of(unit):
-                    return self.source.strip(), unit
+                    return source.strip(), unit
                 continue
-            if len(unit) > 1 or not (quantities or f" {unit}" in self.source):
+            if len(unit) > 1 or not (quantities or f" {unit}" in source):
                 return bare, unit
-        return self.source.strip(), None
+        return source.strip(), None
 
     @property
     def bare(self) -> str:

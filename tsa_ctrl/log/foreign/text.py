@@ -62,6 +62,7 @@ def flat(value: Any, name: str = "", group: str = "") -> Iterator[tuple[str, Any
         keys = (*LABELS, *value)
         texts = next(([str(label) for label in value[key]] for key in keys if _is_texts(value.get(key))), [])
         records = _records(value)
+        unit = f" [{_unit_in(value)}]" if _unit_in(value) else ""
         for i, record in enumerate(records):
             yield from flat(record, f"{name}.{texts[i] if len(texts) == len(records) else i + 1}".lstrip("."))
         for key, inner in [] if records else value.items():
@@ -70,16 +71,23 @@ def flat(value: Any, name: str = "", group: str = "") -> Iterator[tuple[str, Any
                 for label, element in zip(texts, inner, strict=True):
                     yield from flat(element, label if key in ("Data", "values") else f"{whole}.{label}", name)
             elif not str(key).startswith("__"):
-                yield from flat(inner, whole, name)
+                yield from flat(inner, whole if is_time(str(key)) or np.ndim(inner) != 1 else whole + unit, name)
     elif isinstance(value, list) and any(isinstance(element, (dict, list, np.ndarray)) for element in value):
         for i, element in enumerate(value, start=1):
             yield from flat(element, f"{name}.{i}", group)
-    elif np.asarray(value).dtype.kind in "fiubM":
+    elif np.asarray(value).dtype.kind in "fiubMm":
         yield name, np.asarray(value), group
 
 
 def _slots(value: Any) -> dict[str, Any]:
     return {key: getattr(value, key) for key in getattr(value, "__slots__", ()) if not key.startswith("_")}
+
+
+def _unit_in(value: Mapping[Any, Any]) -> str:
+    """Return the text of the entry `unit` or `units` of a mapping, or ""."""
+    found = next((inner for key, inner in value.items() if str(key).lower() in ("unit", "units")), "")
+    text = np.ravel(found)[0] if np.size(found) == 1 else ""
+    return text.decode(errors="replace") if isinstance(text, bytes) else text if isinstance(text, str) else ""
 
 
 def _records(value: Mapping[Any, Any]) -> list[dict[Any, Any]]:
@@ -121,8 +129,8 @@ def hdf5(path: Path) -> Arrays:
 
         def visit(name: str, node: Any) -> None:
             if isinstance(node, h5py.Dataset) and (node.dtype.kind in "fiub" or node.dtype.names):
-                unit = node.attrs.get("unit", node.attrs.get("units"))
-                named = f"{name} [{unit}]" if unit is not None else name
+                unit = _unit_in(node.attrs)
+                named = f"{name} [{unit}]" if unit else name
                 found.append((named, node[()], name.rpartition("/")[0]))
 
         file.visititems(visit)
@@ -361,12 +369,12 @@ class ForeignTable:
 
     def _binary(self, name: str, dates: bool) -> Values:
         array = self.arrays[name]
-        if (array.dtype.kind == "M") is not dates:
+        if (array.dtype.kind in "Mm") is not dates:
             kind, remedy = ("dates", f"give the unit {DATE}") if not dates else ("numbers", "give another unit")
             raise UsageError(f"{self.path}: column '{name}' has {kind}; {remedy}")
         if not dates:
             return overrange(array.astype(np.float64))
-        stamps = array.astype("datetime64[ns]")
+        stamps = array.astype("datetime64[ns]" if array.dtype.kind == "M" else "timedelta64[ns]")
         since = stamps - stamps[~np.isnat(stamps)][:1]  # doubles do not resolve nanoseconds since 1970
         return Values(np.where(np.isnat(since), np.nan, since.astype(np.float64) * 1e-9))
 
@@ -385,7 +393,7 @@ class ForeignTable:
     def is_date(self, name: str) -> bool:
         """Return True if the first value of the column is a date and time, or a time of day."""
         if name in self.arrays:
-            return bool(self.arrays[name].dtype.kind == "M")
+            return bool(self.arrays[name].dtype.kind in "Mm")
         return is_date(next((cell for cell in self.cells[name] if is_number(cell)), ""))
 
 
@@ -538,7 +546,10 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
         raise UsageError(f"{path}: only one column; give a table with at least a time and a torque")
     _, width, separator = best
     rows = _rows(some, separator, width=width)
-    numeric = next((i for i, row in enumerate(rows) if len(row) == width and _mostly_numbers(row)), None)
+    wide = [i for i, row in enumerate(rows) if len(row) == width]
+    digits = [_mostly_numbers(rows[i]) for i in wide]  # a row of numbers above a row of names is no table
+    followed = (i for i, one, two in zip(wide, digits, [*digits[1:], True], strict=True) if one and two)
+    numeric = next(followed, next((i for i, one in zip(wide, digits, strict=True) if one), None))
     if numeric is None:
         _rows(lines, separator, path)
         raise UsageError(f"{path}: no row of numbers in the first {len(some)} lines; give a table of numbers")

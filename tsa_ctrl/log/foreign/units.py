@@ -106,9 +106,10 @@ def _parsed(unit: str) -> tuple[float, dict[str, int]]:
     for place, product in enumerate(_DIVIDED.split(unit.strip().translate(_RAISED))):
         if place == 0 and product in ("", "1", "r"):
             continue
-        for token in _JOINED.split(product):
+        tokens = _JOINED.split(product)
+        for token in tokens:
             found = _TOKEN.fullmatch(token)
-            factors = None if found is None else _factors(found[1])
+            factors = None if found is None else _factors(found[1], len(tokens) > 1)
             if found is None or factors is None:
                 return 1.0, {}
             exponent = int(found[2] or "1")
@@ -120,13 +121,13 @@ def _parsed(unit: str) -> tuple[float, dict[str, int]]:
     return scale, {dimension: count for dimension, count in dimensions.items() if count}
 
 
-def _factors(word: str) -> list[tuple[float, Counter[str]]] | None:
+def _factors(word: str, joined: bool) -> list[tuple[float, Counter[str]]] | None:
     """Return the factor that a word is, or the force and the length that it consists of, or None.
 
     Letters in another case are accepted if the word has one case (RPM, nm) or starts with a capital (Rad), because the
-    case distinguishes mNm from MNm.
+    case distinguishes mNm from MNm. A single letter must be joined to another factor (n_m).
     """
-    one_case = len(word) > 1 and word in (word.lower(), word.upper(), word.capitalize())
+    one_case = (joined or len(word) > 1) and word in (word.lower(), word.upper(), word.capitalize())
     for table, text in ((_FACTORS, word), (_LOWER, word.lower() if one_case else "")):
         if text in table:
             return [table[text]]
@@ -169,4 +170,5 @@ def tails_of(source: str) -> Iterator[tuple[str, str]]:
     for words in (3, 2, 1):
         found = re.search(rf"[ _/]([^ _]+(?:[ _][^ _]+){{{words - 1}}})$", source.strip())
         if found is not None and (quantities_of(found[1]) if words > 1 else is_known(found[1])):
-            yield re.sub(r"[ _]in$", "", source.strip()[: found.start()]), found[1]  # "Moment in mNm"
+            bare = source.strip()[: found.start()]
+            yield re.sub(r"[ _]in$|[,;:]$", "", bare), found[1]  # "Moment in mNm", "Moment, mNm"
