@@ -50,6 +50,10 @@ CASES = [
     ("T_mot [Nm]", "tau_m", "Nm"), ("T_mot [°C]", "temperature", "°C"), ("T_Motor_degC", "temperature", "degC"),
     ("n_Motor [1/min]", "omega_m", "1/min"), ("I_mot [A]", "tau_m", "A"), ("qd_joint", "omega_j", None),
     ("Moment_Gelenk", "tau_j", None), ("Winkel_Antrieb", "q_m", None), ("motor_rpm", "omega_m", "rpm"),
+    ("M_Ist_Motor [Nm]", "tau_m", "Nm"), ("M_soll_Gelenk [Nm]", "tau_j_des", "Nm"), ("M_soll_Motor", "", None),
+    # the unit is the only word of a quantity
+    ("Motor [mNm]", "tau_m", "mNm"), ("Gelenk [°]", "q_j", "°"), ("Antrieb [1/min]", "omega_m", "1/min"),
+    ("motor encoder [deg]", "q_m", "deg"), ("Motor friction [Nm]", "", "Nm"), ("Motor [V]", "", "V"),
     # units of several words
     ("motor_torque_N_m", "tau_m", "N_m"), ("motor torque lbf in", "tau_m", "lbf in"), ("torque_nm", "", "nm"),
     ("omega_j_rad_s", "omega_j", "rad_s"), ("joint_vel_deg_per_s", "omega_j", "deg_per_s"),

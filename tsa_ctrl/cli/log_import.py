@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.cli.init import SHIPPED
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import LEAST_PRESENT, NEEDED
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign.cells import is_number
 from tsa_ctrl.log.foreign.mapping import Imported, Mapped
@@ -19,7 +20,6 @@ from tsa_ctrl.log.foreign.names import listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign, row_clock
 from tsa_ctrl.signals import COLUMNS
 
-LEAST_PRESENT = 0.5  # fraction of the rows; a column with fewer numbers is omitted, instead of the rows without
 MOST_SIGNALS = 100  # different names in a column of signal names
 
 
@@ -135,7 +135,7 @@ def understand(
         return None, asked
     columns = mapping.take(table, mapped)
     shares = {name: float(np.isfinite(values).mean()) for name, values in columns.items() if name != "t"}
-    empty = {name for name, share in shares.items() if share == 0.0 or (share < LEAST_PRESENT and name != "tau_m")}
+    empty = {name for name, share in shares.items() if share == 0.0 or (share < LEAST_PRESENT and name not in NEEDED)}
     sparse = {column.source: shares[column.name] for column in mapped if column.name in empty}
     mapped = [column for column in mapped if column.name not in empty]
     good = np.logical_and.reduce([np.isfinite(values) for name, values in columns.items() if name not in empty])

@@ -23,6 +23,7 @@ _SI = {TORQUE: "N*m", ANGLE: "rad", SPEED: "rad/s", TEMPERATURE: "degC", BENDING
 MOTOR, JOINT, BODY, DESIRED, COMMANDED, EXCLUDED, NEUTRAL = (
     "motor", "joint", "body part", "desired", "commanded", "excluded", "neutral",
 )  # fmt: skip
+_PLACES = frozenset({MOTOR, JOINT, BODY})
 NO_CLOCK = "no clock"  # a duration instead of the time of a row
 
 _CLASSES: dict[str, str] = {
@@ -104,8 +105,9 @@ def _kinds(words: list[str]) -> list[str]:
         if word in _SHORT and kinds[i + 1] in (MOTOR, JOINT, BODY):
             kinds[i] = _SHORT[word]
     first = next((i for i, kind in enumerate(kinds) if kind != NEUTRAL), None)
-    rest = [] if first is None else [word for word in words[first + 1 :] if not word.isdigit()]
-    if first is not None and words[first] in _FIRST and (not rest or kinds[first + 1] in (MOTOR, JOINT, BODY)):
+    rest = [] if first is None else [i for i in range(first + 1, len(words)) if not words[i].isdigit()]
+    place = next((kinds[i] for i in rest if kinds[i] not in (NEUTRAL, DESIRED, COMMANDED)), "")
+    if first is not None and words[first] in _FIRST and (not rest or place in _PLACES):
         kinds[first] = _FIRST[words[first]]
     # "current" in front of another quantity is the adjective: "current motor position".
     ranked = [i for i, kind in enumerate(kinds) if kind in (TORQUE, ANGLE, SPEED)]
@@ -242,13 +244,16 @@ def _is_of_commands(folders: list[str]) -> bool:
 def _fitting(bare: str, unit: str | None) -> frozenset[str]:
     """Return the columns that a name without its unit fits. If there are several, the unit decides if it can.
 
-    "T" before a place is a torque or a temperature.
+    "T" before a place is a torque or a temperature. If all words are places, the unit states the quantity.
     """
     found = _fitting_by_words(bare, unit)
     if not found and (short := re.match(r"T(?![a-z])", bare)):
         readings = [_fitting_by_words(quantity + " " + bare[short.end() :], unit) for quantity in (TORQUE, TEMPERATURE)]
         found = readings[0] | readings[1] if readings[0] else found
     quantities = quantities_of(unit or "")
+    kinds = _kinds([word for word in split_words(bare) if not word.isdigit()])
+    if not found and len(quantities) == 1 and set(kinds) & _PLACES and set(kinds) <= {*_PLACES, NEUTRAL}:
+        found = _columns([*kinds, *(kind for kind, si in _SI.items() if si in quantities and kind != BENDING)])
     if len(found) > 1 and quantities:
         found = frozenset(name for name in found if COLUMNS[name].unit in quantities) or found
     return found
