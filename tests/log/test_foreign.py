@@ -229,6 +229,22 @@ def test_decimal_commas_and_grouped_thousands(
     np.testing.assert_allclose(done.columns["tau_m"], TORQUE + 1.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("separator", [";", "\t", "|", " "])
+def test_a_decimal_comma_is_no_separator(separator: str, tmp_path: Path) -> None:
+    """It divides each line into an equal number of fields, too."""
+    rows = "".join(separator.join((comma(t), comma(x), "7", comma(-x, 3))) + "\n" for t, x in PAIRS)
+    names = separator.join(("t [s]", "M_Motor [Nm]", "x", "M_Gelenk [Nm]"))
+    done = imported(tmp_path / "x.csv", f"Rate{separator}1000\n{names}\n{rows}")
+    np.testing.assert_allclose(done.columns["tau_m"], TORQUE, atol=1e-6)
+    np.testing.assert_allclose(done.columns["tau_j"], -TORQUE, atol=1e-3)
+
+
+def test_quoted_decimal_commas_may_end_with_a_separator(tmp_path: Path) -> None:
+    rows = "".join(f'"{comma(t)}","{comma(x)}",\n' for t, x in PAIRS)
+    done = imported(tmp_path / "x.csv", f'"t","tau_m"\n{rows}')
+    np.testing.assert_allclose(done.columns["tau_m"], TORQUE, atol=1e-6)
+
+
 def test_three_digits_after_a_comma_are_read_by_the_other_cells(tmp_path: Path) -> None:
     """Next to "0,5" they are decimals, next to 999 in a table with points they are thousands, or else not clear."""
     near = imported(tmp_path / "x.csv", '"t","tau_m"\n"0","0,5"\n"1","1,234"\n')

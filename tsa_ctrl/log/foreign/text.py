@@ -531,16 +531,20 @@ def _encoding(data: bytes) -> str:
 def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     """Determine separator, header and decimal sign from the first lines.
 
-    The separator is the character with which most lines have the same number of fields.
+    The separator is the character with which most lines have the same number of fields, and these are numbers.
     """
     some = lines[:LOOKED_AT]
-    best: tuple[int, int, str] | None = None  # rows of equal width, width, separator
+    best: tuple[float, int, str] | None = None  # rows of equal width times share of numbers, width, separator
     for separator in (*SEPARATORS, " "):
-        widths = Counter(len(row) for row in _rows(some, separator) if len(row) > 1)
+        fields = [row for row in _rows(some, separator) if len(row) > 1]
+        widths = Counter(len(row) for row in fields)
         if widths:
             width, count = max(widths.items(), key=lambda item: (item[1], item[0]))
-            if best is None or (count, -len(separator.strip())) > (best[0] * 1.1, 0):
-                best = (count, width, separator)
+            cells = [cell for row in fields if len(row) == width for cell in row if cell.strip()]
+            share = sum(map(is_number, cells)) / max(len(cells), 1)
+            score = count * (0.01 + share)  # a decimal comma divides lines into equal fields, too
+            if best is None or score > 1.1 * best[0]:
+                best = (score, width, separator)
     if best is None:
         _rows(lines, SEPARATORS[0], path)  # an open quote hides the rows below it
         raise UsageError(f"{path}: only one column; give a table with at least a time and a torque")
@@ -556,14 +560,14 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     body = [row for row in rows[numeric:] if len(row) == width]
     cells = [cell for row in body for cell in row]
     signs = Counter(decimal_of([cell]) for cell in cells)
-    if separator == "," and numeric and not any("." in cell for cell in cells):
+    open_end = all(not row[-1].strip() for row in body)
+    if separator == "," and numeric and not signs["."] and not signs[","]:
         names = rows[numeric - 1]
-        if 1 < len(names) < width <= 2 * len(names) and not any(is_number(name) for name in names):
+        if 1 < len(names) < width - open_end <= 2 * len(names) and not any(is_number(name) for name in names):
             raise UsageError(
                 f"{path}: line {numeric + 1} has {width} fields below {len(names)} names: the comma separates the "
                 "fields and the decimals; export the table with another separator"
             )
-    open_end = all(not row[-1].strip() for row in body)
     heads = [(i, _fitted(rows[i], width, open_end)) for i in range(numeric)]
     # A title in a workbook is one cell in a row of empty cells.
     full = {i: row for i, row in heads if sum(bool(cell.strip()) for cell in row) > (width - open_end) / 2}
@@ -621,7 +625,7 @@ def _words(line: str, width: int) -> list[str]:
     parts of names if only then the line has `width` fields.
     """
     text = re.sub(r"^[#%/]+\s*(?=[^\W\d])", "", line.strip())
-    short, wide = re.split(r"\s+(?![\[(])", text), re.split(r"\s{2,}|\t", text)
+    short, wide = re.split(r"[ \t]+(?![\[(])", text), re.split(r" {2,}|\t", text)
     return [] if not text else wide if len(short) != width == len(wide) else short
 
 
