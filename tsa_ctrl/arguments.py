@@ -16,22 +16,22 @@ def kind_of(value: Any) -> str:
     return value.__name__ if isinstance(value, type) else type(value).__name__
 
 
-def path_of(value: Any, place: str, wanted: str) -> Path:
+def path_of(value: Any, place: str, permitted: str) -> Path:
     """Return a path.
 
     Args:
         value: argument of the caller.
         place: function or argument, for the message.
-        wanted: permitted arguments, for the message.
+        permitted: permitted arguments, for the message.
 
     Raises:
         UsageError: `value` is not a path, or is the text of a file.
     """
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
-        raise UsageError(f"{place}: found a {kind_of(value)}; give {wanted}")
+        raise UsageError(f"{place}: found a {kind_of(value)}; give {permitted}")
     text = os.fspath(value)
     if "\n" in text or "\0" in text:
-        raise UsageError(f"{place}: {text[:40]!r} is not a path; give {wanted}")
+        raise UsageError(f"{place}: {text[:40]!r} is not a path; give {permitted}")
     return Path(text)
 
 
@@ -42,15 +42,15 @@ def number_of(value: Any, place: str, low: float = -math.inf, high: float = math
         UsageError: `value` is not a number, or is outside its bounds.
     """
     bounded = math.isfinite(low) or math.isfinite(high)
-    wanted = f"a number from {low:g} to {high:g}" if bounded else "a number"
+    permitted = f"a number from {low:g} to {high:g}" if bounded else "a number"
     try:
         if isinstance(value, (str, bytes)):
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"{place}: found {value!r:.60}; give {wanted}") from None
+        raise UsageError(f"{place}: found {value!r:.60}; give {permitted}") from None
     if bounded and not low <= number <= high:
-        raise UsageError(f"{place}: found {number:g}; give {wanted}")
+        raise UsageError(f"{place}: found {number:g}; give {permitted}")
     return number
 
 

@@ -231,7 +231,7 @@ def test_decimal_commas_and_grouped_thousands(
 
 @pytest.mark.parametrize("separator", [";", "\t", "|", " "])
 def test_a_decimal_comma_is_no_separator(separator: str, tmp_path: Path) -> None:
-    """It divides each line into an equal number of fields, too."""
+    """It also divides each line into an equal number of fields."""
     rows = "".join(separator.join((comma(t), comma(x), "7", comma(-x, 3))) + "\n" for t, x in PAIRS)
     names = separator.join(("t [s]", "M_Motor [Nm]", "x", "M_Gelenk [Nm]"))
     done = imported(tmp_path / "x.csv", f"Rate{separator}1000\n{names}\n{rows}")
@@ -289,6 +289,13 @@ def test_lines_of_names_titles_and_units(head: str, end: str, tmp_path: Path) ->
     columns = imported(tmp_path / "x.csv", head + rows).columns
     np.testing.assert_allclose(columns["t"], TIME, atol=1e-6)
     np.testing.assert_allclose(columns["tau_m"], TORQUE, atol=1e-6)
+
+
+def test_a_title_does_not_change_a_name_that_identifies_a_column(tmp_path: Path) -> None:
+    head = ";Antrieb;;\nZeit [s];Moment [Nm];Winkel [rad];Gelenkmoment [Nm]\n"
+    done = imported(tmp_path / "x.csv", head + "".join(f"{t};{x};0.5;{-x}\n" for t, x in PAIRS))
+    assert done.table.names == ("Zeit [s]", "Antrieb Moment [Nm]", "Antrieb Winkel [rad]", "Gelenkmoment [Nm]")
+    np.testing.assert_array_equal(done.columns["tau_j"], -TORQUE)
 
 
 @pytest.mark.parametrize(

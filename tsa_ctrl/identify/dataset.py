@@ -322,7 +322,7 @@ def _columns_of(log: Any, name: str) -> dict[str, Any] | None:
 
 
 def _numbers(name: str, key: str, value: Any) -> Array | None:
-    """Return a column as float64; None if it is no input of a model and no array of numbers, such as a text.
+    """Return a column as float64; None if it is not an input of a model and not an array of numbers.
 
     Masked values become nan. Dates and durations of `t` become seconds since the first one.
     """

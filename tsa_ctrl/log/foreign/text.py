@@ -542,7 +542,7 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
             width, count = max(widths.items(), key=lambda item: (item[1], item[0]))
             cells = [cell for row in fields if len(row) == width for cell in row if cell.strip()]
             share = sum(map(is_number, cells)) / max(len(cells), 1)
-            score = count * (0.01 + share)  # a decimal comma divides lines into equal fields, too
+            score = count * (0.01 + share)  # a decimal comma also divides lines into equal fields
             if best is None or score > 1.1 * best[0]:
                 best = (score, width, separator)
     if best is None:
@@ -551,7 +551,7 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     _, width, separator = best
     rows = _rows(some, separator, width=width)
     wide = [i for i, row in enumerate(rows) if len(row) == width]
-    digits = [_mostly_numbers(rows[i]) for i in wide]  # a row of numbers above a row of names is no table
+    digits = [_mostly_numbers(rows[i]) for i in wide]  # a single row of numbers may stand above the names
     followed = (i for i, one, two in zip(wide, digits, [*digits[1:], True], strict=True) if one and two)
     numeric = next(followed, next((i for i, one in zip(wide, digits, strict=True) if one), None))
     if numeric is None:
@@ -607,14 +607,16 @@ def _identified(names: Sequence[str]) -> int:
 def _grouped(names: list[str], above: list[str]) -> list[str]:
     """Return the names with the titles of groups in the row above, if these identify more columns.
 
-    A title applies to the empty cells on its right, as in a merged cell of a workbook.
+    A title applies to the empty cells on its right, as in a merged cell of a workbook. A name that
+    identifies a column needs no title.
     """
     titles = [bare(cell) for cell in above]
     if len(titles) != len(names) or all(titles) or any(is_number(title) for title in titles):
         return names
     for i, title in enumerate(titles[1:], start=1):
         titles[i] = title or titles[i - 1]
-    grouped = [f"{title} {bare(name)}".strip() for title, name in zip(titles, names, strict=True)]
+    pairs = zip(titles, map(bare, names), strict=True)
+    grouped = [name if Name(name).columns else f"{title} {name}".strip() for title, name in pairs]
     return grouped if _identified(grouped) > _identified(names) else names
 
 
