@@ -167,6 +167,28 @@ def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, tu
     assert by.direction.age == 0.0
 
 
+@pytest.mark.parametrize(
+    ("angle", "ahead", "stood", "turns"),
+    [
+        (0.09, 0.0, True, False),  # within the backlash, with little torque
+        (0.11, 0.0, True, True),  # farther
+        (0.09, 0.3, True, True),  # with torque
+        (0.09, math.nan, True, True),  # without a set-point
+        (0.09, 0.0, False, True),  # a leg that swings
+    ],
+)
+def test_a_standing_joint_that_crosses_its_backlash_turns_nothing(
+    angle: float, ahead: float, stood: bool, turns: bool
+) -> None:
+    """The travel that reverses the tendons is 1 rad, and the friction torque 2 N*m: a tenth of both is the limit."""
+    by = By(way=1.0, friction=2.0)
+    by(-1.0, angle=-2.0)
+    for _ in range(100 if stood else 20):
+        by(0.0)
+    assert by(0.25, ahead=ahead, angle=angle) == (1.0 if turns else -1.0)
+    assert by.direction.moving is turns
+
+
 def test_what_exactly_cancels_turns_nothing() -> None:
     by = By(give=TO_M)
     assert by(0.5) == 1.0

@@ -55,9 +55,11 @@ class Turned(FrictionReversal):
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.01, PERIOD)
         self.asked: list[tuple[float, float]] = []
+        self.slower: list[float] = []
 
-    def update(self, sigma: float, age: float = 0.0) -> None:
+    def update(self, sigma: float, age: float = 0.0, slower: float = 1.0) -> None:
         self.asked.append((sigma, age))
+        self.slower.append(slower)
 
 
 class Fronts(ReversalSlip):
@@ -485,6 +487,7 @@ def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)
     assert parts.fronts.asked == ([(1.0, 0.0, 0.26, 45.0)] if begins else [])
     slides = parts.fronts.slides
+    assert parts.turn.slower == [3.0 if rest > 0.1 else 1.0]
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no reversal
     assert (parts.fronts.slides, len(parts.fronts.asked)) == (slides, begins)
 

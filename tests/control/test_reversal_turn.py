@@ -51,6 +51,36 @@ def test_an_older_turn_is_as_far_as_if_it_had_begun_earlier() -> None:
     np.testing.assert_allclose(old[:79], young[1:80], atol=1e-12)
 
 
+@pytest.mark.parametrize("slower", [1.0, 3.0])
+def test_a_slower_turn_has_the_same_course_over_a_longer_time(slower: float) -> None:
+    turn = FrictionReversal(ReversalFront(NAMED["uniform"]), DURATION, PERIOD)
+    turn.reset(1.0)
+    rows = []
+    for _ in range(260):
+        turn.update(-1.0, slower=slower)
+        rows.append((turn.force, turn.stretch, turn.bend))
+    force, stretch, bend = np.array(rows).T
+    assert np.flatnonzero(force > -1.0)[-1] == pytest.approx(slower * DURATION / PERIOD, abs=2)
+    np.testing.assert_allclose(force[:: int(slower)][:80], turned()[0][:80], atol=1e-9)
+    second = np.diff(stretch, 2) / PERIOD**2
+    last = 79 * int(slower)
+    np.testing.assert_allclose(bend[1:last], second[: last - 1], atol=1e-2 * np.abs(second).max())
+
+
+@pytest.mark.parametrize("name", NAMED)
+@pytest.mark.parametrize("begun", [10, 90, 200])
+def test_a_fast_turn_that_cancels_a_slow_one_stays_within_both_directions(name: str, begun: int) -> None:
+    turn = FrictionReversal(ReversalFront(NAMED[name]), DURATION, PERIOD)
+    turn.reset(1.0)
+    forces = []
+    for n in range(400):
+        turn.update(-1.0 if n < begun else 1.0, slower=3.0 if n < begun else 1.0)
+        forces.append(turn.force)
+    assert forces[-1] == 1.0
+    assert min(forces) > -1.0 - 1e-9
+    assert max(forces) < 1.0 + 1e-9
+
+
 def test_turns_add_up() -> None:
     """A reversal that is cancelled half way ends at its initial value, without a jump or an overshoot."""
     turn = FrictionReversal(ReversalFront(NAMED["uniform"]), DURATION, PERIOD)
