@@ -25,7 +25,7 @@ def lowest_force(made: Law, lateness: float, skipped: int, told: bool) -> float:
         angle = SPEED * (number * PERIOD + late)
         made.late = late if told else 0.0
         made.observe(round(angle / COUNT) * COUNT, angle, True, 0.3, 0.0)
-        if number > STALL // 2:
+        if number > STALL - 20:
             lowest = min(lowest, made.reversal.force)
         if number == STALL:
             made.skip_cycles(skipped)

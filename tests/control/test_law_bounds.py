@@ -23,7 +23,10 @@ PERIOD = 1e-3
 RADII = (0.02, 0.025)  # m
 RATIO = 0.8
 FRONT = ReversalFront(((0.0, 0.0), (1.0, 1.0)))  # even curvature: s_c 0.5
-PLAN = replace(plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",))
+RINGING, TURN = 600.0, 0.01  # rad/s, s
+PLAN = replace(
+    plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",), ringing=RINGING, turn=TURN
+)
 
 
 class Way(Direction):
@@ -487,7 +490,8 @@ def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)
     assert parts.fronts.asked == ([(1.0, 0.0, 0.26, 45.0)] if begins else [])
     slides = parts.fronts.slides
-    assert parts.turn.slower == [3.0 if rest > 0.1 else 1.0]
+    two_cycles = pytest.approx(4.0 * math.pi / RINGING / TURN)
+    assert parts.turn.slower == [two_cycles if rest > 0.1 else 1.0]
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no reversal
     assert (parts.fronts.slides, len(parts.fronts.asked)) == (slides, begins)
 

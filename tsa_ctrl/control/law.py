@@ -44,9 +44,10 @@ from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
 
 CLOSING = 5.0  # Hz, rate at which the missing torque by the sensor is added at rest; a step throws a hand-held joint
-# 1, duration of a reversal at rest over that of a moving joint. The joint torque changes only at its end, so this costs
-# little time. With 1, the inertia of the motor carried reversals on random rigs up to 25 % of the friction too far.
-AT_REST = 3.0
+# cycles of the motor's oscillation on its tendons that a reversal at rest takes at least. The joint torque changes only
+# at its end, so this costs little time. The inertia of the motor carried shorter reversals on random rigs up to 25 % of
+# the friction torque too far. With 3, a locked joint had three times the error on one rig.
+CYCLES = 2.0
 STOOD = 0.1  # s at rest, after which the fronts of a joint count as at rest
 SLOW = 0.5  # rad/s of the joint, below which an oscillation may be settled
 STANDS = 0.02  # N*m/s; a set-point that changes more slowly counts as constant
@@ -137,6 +138,8 @@ class Law:
         self._has_encoder = has_encoder
         self._joint_angle = joint_angle
         self._nominal = inverse.pretension
+        cycle = 2.0 * math.pi / plan.ringing if plan.ringing > 0.0 else 0.0  # s
+        self._at_rest = max(1.0, CYCLES * cycle / plan.turn)
         self._slip = ReversalSlip(plan.front, r_m, r_j, plan.stiffness, period)
         self.feedback = TorqueFeedback(settings.feedback, r_m / r_j, period)
         self.room = 0.0  # 1, of the friction torque, that the sensor may add to the term (`compensation_limit`)
@@ -238,7 +241,7 @@ class Law:
             self._slip.move()
         elif direction.missing > 0.0 and self.half_loop > 0.0:
             self._slip.release(self._closing * direction.missing / self.half_loop)
-        slower = AT_REST if sigma != old and direction.rest > STOOD else 1.0
+        slower = self._at_rest if sigma != old and direction.rest > STOOD else 1.0
         reversal.update(sigma, direction.age, slower)
 
     def skip_cycles(self, periods: int) -> None:
