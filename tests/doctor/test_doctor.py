@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import struct
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
 
+from tests.bus.fake import FakeBus
+from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+from tsa_ctrl.bus.wire.bus import Frame
 from tsa_ctrl.cli import main
+from tsa_ctrl.cli.doctor import serial_numbers
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.can_interface import Check, Result
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -82,3 +88,51 @@ def test_a_vcan_that_is_up_passes() -> None:
     checks = list(can_interface.checks(BusSettings(channel=vcan), [], 1000.0))
     assert by_name(checks, "CAN interface").result is Result.PASS
     assert by_name(checks, "bit rate").result is Result.PASS
+
+
+def _aborts(code: int) -> Callable[[bytes], bytes | None]:
+    return lambda request: struct.pack("<B3sI", 0x80, request[1:4], code)
+
+
+def _segments(toggle: int) -> Callable[[bytes], bytes | None]:
+    """Return a server that announces four bytes in segments, and sends the first one with this toggle bit."""
+    return lambda request: (
+        struct.pack("<B3sI", 0x41, request[1:4], 4)
+        if request[0] == 0x40
+        else bytes([0x07 | toggle]) + b"\x2a" + bytes(6)
+    )
+
+
+NO_NUMBER: dict[str, Callable[[bytes], bytes | None]] = {
+    "abort code 0x06020000": _aborts(0x06020000),
+    "abort code 0x08000000": _aborts(0x08000000),
+    "abort code 0x06010001": _aborts(0x06010001),
+    "abort code 0x08000020": _aborts(0x08000020),
+    "abort code 0x12345678": _aborts(0x12345678),
+    "does not answer SDO requests": lambda request: None,
+    "Toggle bit mismatch": _segments(0x10),
+    "Unexpected response 0xC0": lambda request: b"\xc0" + request[1:],
+    "instead": lambda request: b"\x43\x00\x10\x00" + bytes(4),
+    "has 0 in 0x1018:4": lambda request: b"\x43" + request[1:4] + bytes(4),
+}
+
+
+def test_a_drive_without_a_readable_serial_number_does_not_stop_the_others() -> None:
+    """Every reason is printed with its node. The drives behind it are still read."""
+    servers = [*NO_NUMBER.values(), _segments(0), lambda request: b"\x43" + request[1:4] + b"\x29\x00\x00\x00"]
+
+    def answer(frame: Frame) -> Iterable[Frame]:
+        node_id = frame[0] - 0x600
+        data = servers[node_id - 1](frame[1]) if frame[1][0] != 0x80 else None
+        return [] if data is None else [(0x580 + node_id, data)]
+
+    axes = [AxisNodes(name=f"a{place}", drive=DriveSettings(node_id=place)) for place in range(1, len(servers) + 1)]
+    found = serial_numbers(FakeBus(answer=answer), BusSettings(), axes, [DriveProfile()] * len(axes))
+    *reasons, segmented, expedited = found.values()
+    assert (segmented, expedited) == (42, 41)
+    for place, (reason, text) in enumerate(zip(NO_NUMBER, reasons, strict=True), 1):
+        assert isinstance(text, str)
+        assert text.startswith("no serial number: ")
+        assert f"node {place} " in text
+        assert reason in text
+        assert "\n" not in text

@@ -14,6 +14,7 @@ from tsa_ctrl.outputs import json_types
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from tsa_ctrl.bus.drive.profile import DriveProfile
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
     from tsa_ctrl.bus.wire.bus import Bus
     from tsa_ctrl.config import Configuration
@@ -73,23 +74,25 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 def _write_serial_numbers(configuration: Configuration) -> int:
     """Read the serial numbers by SDO without any command, and write them to the file; a backup is kept next to it."""
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.drive.network import frames_of_drives, open_buses
+    from tsa_ctrl.bus.drive.network import open_buses
 
     file = configuration.file
     bus = open_buses(file.buses, file.axes)
     try:
-        numbers = serial_numbers(bus, file.bus, file.axes, frames_of_drives(configuration.profiles))
+        found = serial_numbers(bus, file.bus, file.axes, configuration.profiles)
     finally:
         bus.close()
+    for axis, number in found.items():
+        click.echo(f"axis '{axis}': {number if isinstance(number, str) else f'serial_number = {number}'}")
+    numbers = {axis: number for axis, number in found.items() if isinstance(number, int)}
+    if not numbers:
+        click.echo(f"not written: {configuration.path}")
+        return 1
     text = with_serial_numbers(configuration.path.read_text(encoding="utf-8"), numbers)
     with outputs.beside(configuration.path) as part:
         part.write_text(text, encoding="utf-8")
-    for axis, number in numbers.items():
-        click.echo(
-            f"axis '{axis}': " + ("its drive has no serial number" if number is None else f"serial_number = {number}")
-        )
     click.echo(f"written: {configuration.path}")
-    return 0
+    return int(len(numbers) < len(found))
 
 
 def _show(found: list[Check]) -> None:
@@ -109,34 +112,43 @@ def _show(found: list[Check]) -> None:
 
 
 def serial_numbers(
-    bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes], tolerated: frozenset[int]
-) -> dict[str, int | None]:
-    """Return 0x1018:4 of the drive of each axis, or None if it has none.
+    bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]
+) -> dict[str, int | str]:
+    """Return 0x1018:4 of the drive of each axis, or the reason why it has none ("no serial number: REASON").
 
     Raises:
-        BusError: a drive does not answer, or another master sends frames that are not `tolerated`.
+        BusError: the bus failed, or another master is active.
     """
     from tsa_ctrl.bus.canopen import objects
+    from tsa_ctrl.bus.drive.checks import Node, Role
+    from tsa_ctrl.bus.drive.network import frames_of_drives
     from tsa_ctrl.bus.drive.session import Session
+    from tsa_ctrl.errors import BusError
 
-    found = {}
+    found: dict[str, int | str] = {}
     with Session(bus, settings) as session:
-        session.alone(tolerated=tolerated)
-        for axis in axes:
-            node_id = axis.drive.node_id
-            session.read(node_id, objects.DEVICE_TYPE)
-            found[axis.name] = session.read_if_there(node_id, objects.SERIAL_NUMBER)
+        session.alone(tolerated=frames_of_drives(profiles))
+        for axis, profile in zip(axes, profiles, strict=True):
+            node = Node(axis, profile, Role.DRIVE, axis.drive)
+            session.be_patient(node.node_id, node.answer_timeout)
+            try:
+                number = session.read(node.node_id, objects.SERIAL_NUMBER)
+            except BusError as error:
+                if bus.fault is not None:
+                    raise
+                found[axis.name] = f"no serial number: {error}"
+            else:
+                found[axis.name] = number or f"no serial number: node {node.node_id} has 0 in {objects.SERIAL_NUMBER}"
     return found
 
 
-def with_serial_numbers(text: str, numbers: Mapping[str, int | None]) -> str:
+def with_serial_numbers(text: str, numbers: Mapping[str, int]) -> str:
     """Return the text of a controller file with these serial numbers in its [axis.drive] tables."""
     import tomlkit
 
     document = tomlkit.parse(text)
     axes: Any = document["axis"]
     for axis in axes:
-        number = numbers.get(axis["name"])
-        if number is not None:
-            axis["drive"]["serial_number"] = number
+        if axis["name"] in numbers:
+            axis["drive"]["serial_number"] = numbers[axis["name"]]
     return str(tomlkit.dumps(document))

@@ -273,10 +273,12 @@ def check_identity(session: Session, node: Node, report: NodeReport) -> None:
     device_type = session.read(node.node_id, objects.DEVICE_TYPE)
     report.identity[objects.DEVICE_TYPE.name] = device_type
     _check_device_type(session, node, device_type)
+    unreadable: list[Object] = []
     for entry in _IDENTITY:
-        value = session.read_if_there(node.node_id, entry)
+        value = session.read_if_readable(node.node_id, entry, unreadable)
         if value is not None:
             report.identity[entry.name] = value
+    report.notes += [f"{entry} exists, but the node rejects a read" for entry in unreadable]
     settings, identity = node.settings, node.profile.identity
     is_drive = node.role is Role.DRIVE
     vendor = settings.vendor_id if settings.vendor_id is not None or not is_drive else identity.vendor_id

@@ -70,6 +70,7 @@ class _Client(SdoClient):  # type: ignore[misc]
         super().__init__(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
         self.network = network
         self._wait = wait
+        self.silent = False
         network.subscribe(cia301.SDO_ANSWER + node_id, self._take)
 
     def _take(self, can_id: int, data: bytearray, timestamp: float) -> None:
@@ -78,7 +79,7 @@ class _Client(SdoClient):  # type: ignore[misc]
             self.on_response(can_id, data, timestamp)
 
     def read_response(self) -> bytes:
-        self._wait(self.patience, lambda: not self.responses.empty())
+        self.silent = not self._wait(self.patience, lambda: not self.responses.empty())
         return bytes(super().read_response())
 
 
@@ -275,6 +276,7 @@ class Session:
         self, node_id: int, entry: Object, action: Callable[[_Client], bytes], attempts: int = _ATTEMPTS
     ) -> bytes:
         client, name = self._client(node_id), wire_of(self._bus, node_id).name
+        wrong = ""
         for _ in range(attempts):
             self._catch_up()
             try:
@@ -285,12 +287,17 @@ class Session:
                     f"{name}: node {node_id} rejects {entry}: {reason} (abort code 0x{error.code:08X})",
                     error.code,
                 ) from None
-            except SdoCommunicationError:
-                pass
+            except SdoCommunicationError as error:
+                wrong = "" if client.silent else str(error)
             except (can.CanError, OSError):  # a frame was dropped, or the bus failed
                 self.wait(_PAUSE)
             if self._bus.fault is not None:
                 raise self._failed()
+        if wrong:
+            raise BusError(
+                f"{name}: node {node_id} does not follow CiA 301 in its answer for {entry}: {wrong}; check that no "
+                "other node has this id, and report the fault to the manufacturer of the node"
+            )
         raise BusError(
             f"{name}: node {node_id} does not answer SDO requests ({entry}) within {client.patience:g} s; "
             "check its power, node id and bit rate; increase answer_timeout if it is only slow"
