@@ -23,7 +23,7 @@ Array = np.ndarray
 SHAPES = ("joint", "even", "motor")
 _PROFILES = {"even": "uniform", "motor": "motor_end"}
 _COURSE = np.linspace(0.0, 1.0, 201)  # positions along the sheath for the trapezoidal integral of the strain
-_AT_JOINT = "bending_centre = 0.99\n"  # the largest value that a file may state
+_AT_JOINT = "bending_centre = 0.99\n"
 NOTHING = "nothing"  # no hidden effect: the rig agrees with its file
 BESIDE = (*stretch_effects.NAMES, NOTHING)  # rows without a competing effect in the torque
 _ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # these effects are, or exclude, another profile

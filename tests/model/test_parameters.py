@@ -18,7 +18,7 @@ from tsa_ctrl.model.parameters import (
     load_tendon_sheath,
     save_model,
 )
-from tsa_ctrl.model.stretch import profile_of
+from tsa_ctrl.model.stretch import compliances, profile_of
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "actuator.toml"
 DRIVE = '[actuator]\nkind = "rigid_drive"\ninertia = 0.002\ncoulomb_friction = 0.05\n'
@@ -67,6 +67,21 @@ def test_a_course_of_the_bending_has_its_own_centre_and_is_squeezed_to_one_that_
     assert profile_of(given).centre == pytest.approx(0.2)
     save_model(given, tmp_path / "again.toml", template=EXAMPLE)
     assert bare(load_model(tmp_path / "again.toml")) == bare(given)
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_all_bends_may_be_at_one_end(tmp_path: Path, end: float) -> None:
+    """The compliance of the other end is 0. A course that bends at one end can be moved as well."""
+    model = loaded(tmp_path, changed("bending_centre = 0.5 ", f"bending_centre = {end} "))
+    assert isinstance(model, TendonSheath)
+    assert compliances(model) == pytest.approx((0.5 * end / 50e3, 0.5 * (1.0 - end) / 50e3))
+    course = "[[0.0, 1.0], [1.0, 1.0]]" if end == 0.0 else "[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]"
+    for text, centre in (("", end), ("bending_centre = 0.4", 0.4)):
+        bent = loaded(tmp_path, with_course(course, f"{text}\n"))
+        assert isinstance(bent, TendonSheath)
+        assert profile_of(bent).centre == pytest.approx(centre)
+        save_model(bent, tmp_path / "again.toml", template=EXAMPLE)
+        assert bare(load_model(tmp_path / "again.toml")) == bare(bent)
 
 
 def test_derived_quantities() -> None:
@@ -135,7 +150,7 @@ WRONG = [
         with_course("[[0.0, 0.0], [0.5, 0.6], [0.4, 1.0], [1.0, 1.0]]"),
         r"bending_course is \[\[0.*; give \[\[frac",
     ),
-    (with_course("[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]"), "centre at 1, allowed is between 0 and 1; remove it"),
+    (changed("bending_centre = 0.5 ", "bending_centre = 1.01 "), "bending_centre: .*<= 1"),
     (with_effect("stribek_friction"), "unknown effect; did you mean 'stribeck_friction'"),
     (with_effect("viscous_friction"), "key 'coefficient' is missing; give a number at least 0"),
     (with_effect("viscous_friction", "coefficient = -0.1"), "coefficient = -0.1; allowed is a number at least 0"),

@@ -97,7 +97,7 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     bending_angle: Angle  # Theta, rad
     contact_offset: Offset = 0.0  # p, m
     unstrained_bending_angle: SignedAngle | None = None  # Theta_us, rad (3.51)
-    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, if no effect has a profile
+    bending_centre: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None  # s_c, if no effect has a profile
     bending_course: tuple[tuple[float, float], ...] | None = None  # fractions (length, bending) about that centre
 
 

@@ -68,7 +68,7 @@ class Profile:
 
 
 def centred(profile: Profile, centre: float) -> Profile:
-    """Return the profile compressed towards the motor or the joint, so that its centre is `centre`, in (0, 1)."""
+    """Return the profile compressed towards the motor or the joint, so that its centre is `centre`, from 0 to 1."""
     now = profile.centre
     if abs(centre - now) < 1e-9:
         return profile
@@ -76,21 +76,16 @@ def centred(profile: Profile, centre: float) -> Profile:
         share = centre / now
         return Profile((*((share * u, b) for u, b in profile.points), (1.0, 1.0)))
     share = (1.0 - centre) / (1.0 - now)
-    return Profile(((0.0, 0.0), *((1.0 - share * (1.0 - u), b) for u, b in profile.points)))
+    straight = ((0.0, 0.0),) if profile.points[0][1] == 0.0 else ((0.0, 0.0), (1.0 - share, 0.0))
+    return Profile((*straight, *((1.0 - share * (1.0 - u), b) for u, b in profile.points)))
 
 
 def course_of(given: Points, where: str) -> Profile:
-    """Return the profile of [sheath] bending_course; raises UsageError if it is invalid or bends at one end only."""
+    """Return the profile of [sheath] bending_course; raises UsageError if it is invalid."""
     points = as_points(given)
     if points is None:
         raise UsageError(f"{where}: [sheath] bending_course is {[list(pair) for pair in given]}; give {POINTS}")
-    course = Profile(points)
-    if not 0.0 < course.centre < 1.0:
-        raise UsageError(
-            f"{where}: [sheath] bending_course has its centre at {course.centre:g}, allowed is between 0 and 1; remove "
-            "it, and give [effects.elongation_coupling] for a sheath that bends only at one end"
-        )
-    return course
+    return Profile(points)
 
 
 def as_points(value: object) -> Points | None:
