@@ -120,9 +120,10 @@ def serial_numbers(
         BusError: the bus failed, or another master is active.
     """
     from tsa_ctrl.bus.canopen import objects
-    from tsa_ctrl.bus.drive.checks import Node, Role
+    from tsa_ctrl.bus.drive.checks import Node
     from tsa_ctrl.bus.drive.network import frames_of_drives
     from tsa_ctrl.bus.drive.session import Session
+    from tsa_ctrl.bus.settings import Role
     from tsa_ctrl.errors import BusError
 
     found: dict[str, int | str] = {}
