@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.plant.bench import axis
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.axis import Axis
 
 HOLD = [(0.0, 20.0, 1.0, 0.3), (1.0, 20.0, 1.0, 0.3)]
@@ -94,3 +95,38 @@ def test_a_wearer_moves_holds_and_lets_go(tmp_path: Path) -> None:
     assert stiffness.max() == pytest.approx(15.0)
     assert angle.max() > 0.4
     assert angle.min() < -0.2
+
+
+@pytest.mark.parametrize("elements", [4, 40])
+def test_a_joint_that_is_thrown_through_many_turns_has_a_solution(tmp_path: Path, elements: int) -> None:
+    """A hand jumps by 1000 rad in 1 ms. The rounding errors of such angles must not prevent a solution."""
+    script = [(0.0, 15.0, 1.0, 0.0), (0.1, 15.0, 1.0, 0.0), (0.101, 15.0, 1.0, 1000.0), (9.0, 15.0, 1.0, 1000.0)]
+    thrown = axis(
+        tmp_path,
+        joint={"load": "wearer", "hand": script, "inertia": 0.02},
+        tendon={"kind": "distributed", "elements": elements},
+        motor={"inertia": 1e-4},
+    )
+    assert course(thrown, 0.8, "q_j").max() > 500.0
+
+
+@pytest.mark.parametrize(
+    ("joint", "motion", "message"),
+    [
+        (
+            {"load": "spring", "stiffness": 1e12, "rest_angle": 1e3},
+            {},
+            r"speed .* rad/s at .*; allowed is at most 1e\+06",
+        ),
+        ({"load": "free", "initial_angle": 1e300}, {}, r"angle 1\.25e\+300 rad .*; allowed is at most 100000 rad"),
+        ({}, {"kind": "sine", "amplitude": 1e9, "frequency": 1e3, "ramp": 0.0}, r"plant's axis 'joint': .*motion"),
+    ],
+)
+@pytest.mark.parametrize("kind", ["full", "distributed"])
+def test_a_state_beyond_the_range_of_the_equations_is_one_error(
+    tmp_path: Path, joint: dict[str, Any], motion: dict[str, Any], message: str, kind: str
+) -> None:
+    moved = axis(tmp_path, joint=joint, motion=motion, tendon={"kind": kind}, motor={"inertia": 1e-4})
+    with pytest.raises(UsageError, match=message) as error:
+        course(moved, 2.0, "q_j")
+    assert "\n" not in str(error.value)

@@ -21,7 +21,15 @@ from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import AxisSettings, HandRow, JointSettings, MotionSettings, PhysicsSettings
-from tsa_ctrl.plant.state import DELAY_SAMPLES, PARAMETERS, STATE, Load
+from tsa_ctrl.plant.state import (
+    DELAY_SAMPLES,
+    MOST_ANGLE,
+    MOST_SPEED,
+    MOST_TENSION,
+    PARAMETERS,
+    STATE,
+    Load,
+)
 
 # Columns of the record of the plant's true state, with one CSV row per axis and period.
 COLUMNS: tuple[tuple[str, str], ...] = (
@@ -299,6 +307,24 @@ class Axis:
             self.state["started"] = self.state["t"]
         advance(self.state, self.parameters, self._arrays, command.torque, command.enabled, command.max_speed, until)
         self._read()
+        if self.state["beyond"][0]:
+            raise UsageError(self._beyond())
+
+    def _beyond(self) -> str:
+        """Return the message for a state that has left its range."""
+        values = self.values()
+        ranges = (
+            ("tendon tension", ("t1", "t2", "t3", "t4"), MOST_TENSION, "N"),
+            ("speed", ("omega_m", "omega_j"), MOST_SPEED, "rad/s"),
+            ("angle", ("q_m", "q_j"), MOST_ANGLE, "rad"),
+        )
+        found = [(quantity, abs(values[name]), most, unit) for quantity, names, most, unit in ranges for name in names]
+        quantity, value, most, unit = max(found, key=lambda row: math.inf if math.isnan(row[1]) else row[1] / row[2])
+        return (
+            f"plant's axis '{self.name}': {quantity} {value:.3g} {unit} at {values['t']:.4g} s; allowed is at most "
+            f"{most:g} {unit}: correct the load or the hand in [axis.joint], the motion in [axis.motion], or the fault "
+            "that causes it"
+        )
 
     def see(self, angles: Mapping[str, float], speeds: Mapping[str, float]) -> None:
         """Store the present angles (rad) and speeds (rad/s), by axis name, of the joints that bend the sheaths."""

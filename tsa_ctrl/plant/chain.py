@@ -125,7 +125,8 @@ def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> floa
 
 _ITERATIONS = 10  # plus one for every second contact: a slip front passes at least one contact per iteration
 _FINER, _MOST_PIECES = 8, 512  # refinement factor and most pieces of a movement whose modes were not found at once
-_TOLERANCE = 1e-6  # N, between a trial force and its bound; larger than the rounding error of RIGID times a place
+_TOLERANCE = 1e-6  # N, between a trial force and its bound
+_ROUNDING = 5e-6  # N/m; RIGID times the rounding error of a place, which exceeds the tolerance from 0.2 m on
 
 
 Pair = tuple[float, float]  # values of tendon a (T1, T2) and of tendon b (T3, T4)
@@ -337,17 +338,18 @@ def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
         chain[_TENSION, i] = chain[_STIFFNESS, i] * (left - right + chain[_PRELOAD, i])
         left = right
     settled = True
+    tolerance = max(_TOLERANCE, _ROUNDING * abs(joint_end))
     for i in range(n):
         bound = chain[_GRIP, i] * max(0.0, chain[_TENSION, i] + chain[_TENSION, i + 1])
         trial = chain[_FORCE_OLD, i] + chain[_BRISTLE, i] * (chain[_PLACE, i] - chain[_PLACE_OLD, i])
         mode = chain[_MODE, i]
         if mode == 0.0:
             chain[_FORCE, i] = trial
-            if abs(trial) > bound + _TOLERANCE:
+            if abs(trial) > bound + tolerance:
                 chain[_MODE, i], settled = math.copysign(1.0, trial), False
         else:
             chain[_FORCE, i] = mode * bound
-            if mode * trial < bound - _TOLERANCE:
+            if mode * trial < bound - tolerance:
                 chain[_MODE, i], settled = 0.0, False
     return settled
 

@@ -34,7 +34,7 @@ from tsa_ctrl.plant.effects import (
     wound,
 )
 from tsa_ctrl.plant.full import commit_full, full_tensions
-from tsa_ctrl.plant.state import DELAY_SAMPLES, Load
+from tsa_ctrl.plant.state import DELAY_SAMPLES, MOST_ANGLE, MOST_SPEED, MOST_TENSION, Load
 
 
 @compiled
@@ -174,7 +174,8 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
 _IMPOSED, _SPRING, _WEIGHT, _LIMB = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT), int(Load.LIMB)
 _ITERATIONS = 150
 _CLOSED = 1e-14  # rad between the bounds of the motor angle, below which they have met
-_TOLERANCE = 1e-8  # N*m; above the rounding error of an angle times the stiffest spring
+_TOLERANCE = 1e-8  # N*m
+_EPSILON = 2.220446049250313e-16  # 1; rounding error of an angle over the angle
 
 
 class Arrays(NamedTuple):
@@ -202,6 +203,8 @@ def advance(
 ) -> None:
     """Advance the state record to time `until` (s) in equal sub-steps, none longer than the parameters' `step`.
 
+    Stop early, with `beyond` set in the state, if a value leaves its range.
+
     Args:
         state: array of one record.
         parameters: array of one record.
@@ -218,6 +221,20 @@ def advance(
     count = max(1, math.ceil(span / p.step - 1e-6))
     for _ in range(count):
         _step(s, p, arrays, command, enabled, max_speed, span / count)
+        if not _in_range(s):
+            s.beyond = 1
+            return
+
+
+@compiled
+def _in_range(s: Any) -> bool:
+    """Return True if angles, speeds and tensions are in the range for which the equations are solved; nan is not."""
+    return (
+        max(abs(s.q_m), abs(s.q_j)) <= MOST_ANGLE
+        and max(abs(s.omega_m), abs(s.omega_j)) <= MOST_SPEED
+        and max(s.t1, s.t2, s.t3, s.t4) <= MOST_TENSION
+        and not math.isnan(s.q_m + s.q_j + s.omega_m + s.omega_j + s.t1 + s.t2 + s.t3 + s.t4)
+    )
 
 
 @compiled
@@ -342,7 +359,8 @@ def _solve(
         else:
             settled = full_tensions(s, p, arrays.slip, arrays.curve, x_a, x_b, u, v, f)
         _residuals(s, p, q_m, q_j, h, f, r)
-        if settled and max(abs(r[0]), abs(r[1])) < _TOLERANCE:
+        rounding = _EPSILON * (abs(r[2] * q_m) + abs(r[5] * q_j))  # N*m, exceeds the tolerance after many turns
+        if settled and max(abs(r[0]), abs(r[1])) < max(_TOLERANCE, rounding):
             return q_m, q_j
         if high - low < _CLOSED:  # a change of the joint angle has moved the root out of the bounds
             low, high = -np.inf, np.inf

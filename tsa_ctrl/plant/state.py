@@ -123,6 +123,13 @@ STATE = np.dtype(
         ("ring_head", _I),
         ("iterations", _I),
         ("unsolved", _I),  # sub-steps whose solution did not converge
+        ("beyond", _I),  # 1 once a value left the range in which the arithmetic is exact enough
         ("dissipated", _F),  # J, by friction along the tendons (distributed)
     ]
 )
+
+# The largest absolute values for which the equations are solved. No actuator reaches them. Far beyond them, rounding
+# errors prevent a solution.
+MOST_ANGLE = 1e5  # rad
+MOST_SPEED = 1e6  # rad/s
+MOST_TENSION = 1e6  # N
