@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from tsa_ctrl.system.process_supervisor import terminal_blocked
 
 CHILD = """
@@ -24,6 +26,20 @@ from tsa_ctrl.system.process_supervisor import environment
 child = subprocess.Popen([sys.executable, "-c", {CHILD!r}], env=environment(), stdout=subprocess.PIPE, text=True)
 print(child.stdout.readline().strip(), child.pid, flush=True)
 time.sleep(120)
+"""
+
+
+POOL = """
+import os, time
+from concurrent.futures import ProcessPoolExecutor
+from tsa_ctrl.system.process_supervisor import begin_worker, worker_context
+if __name__ == '__main__':
+    pool = ProcessPoolExecutor(2, mp_context=worker_context('json'), initializer=begin_worker)
+    server = pool.submit(os.getppid).result()
+    workers = [each for each in pool._processes]
+    print(server, *workers, flush=True)
+    pool.submit(time.sleep, 120)
+    time.sleep(120)
 """
 
 
@@ -47,6 +63,27 @@ def test_child_ends_with_a_parent_that_is_killed() -> None:
     while alive(int(number)) and time.monotonic() < end:
         time.sleep(0.05)
     assert not alive(int(number))
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.3])
+def test_workers_and_their_server_end_with_a_parent_that_is_killed(tmp_path: Path, delay: float) -> None:
+    """A worker keeps the pipes of its server open, so that the end of one does not end the other."""
+    program = tmp_path / "pool.py"
+    program.write_text(POOL)
+    parent = subprocess.Popen([sys.executable, str(program)], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    numbers = [int(number) for number in parent.stdout.readline().split()]
+    assert len(numbers) >= 2
+    time.sleep(delay)
+    parent.kill()
+    parent.communicate()
+    end = time.monotonic() + 20.0
+    while any(map(alive, numbers)) and time.monotonic() < end:
+        time.sleep(0.05)
+    left = [number for number in numbers if alive(number)]
+    for number in left:
+        os.kill(number, signal.SIGKILL)
+    assert left == []
 
 
 def test_child_of_a_parent_that_is_gone_does_not_begin() -> None:

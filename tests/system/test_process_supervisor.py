@@ -98,6 +98,26 @@ def test_worker_that_always_fails_is_given_up_once_the_parent_has_ended() -> Non
     assert len(numbers) > 10
 
 
+def test_worker_that_always_fails_is_given_up_if_the_parent_ended_before_the_supervisor_began() -> None:
+    """The parent's process id can then no longer be compared, but its end of the pipe to stdin is closed."""
+    command = [sys.executable, "-c", PROGRAM.format(work="os._exit(1)")]
+    done = subprocess.run(command, input=b"", stdout=subprocess.PIPE, timeout=60, check=False)
+    assert done.returncode == 1
+    assert len(done.stdout.splitlines()) > 10
+
+
+def test_no_worker_is_left_by_a_supervisor_that_is_killed_while_it_forks() -> None:
+    """Each worker holds the write end of the output, so the output ends when the last one has ended."""
+    for number in range(20):
+        command = [sys.executable, "-c", PROGRAM.format(work="time.sleep(60) if before % 3 == 2 else os._exit(1)")]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.001 * number)
+        process.kill()
+        process.communicate(timeout=20)
+
+
 def test_worker_ends_with_its_supervisor(kept: Callable[[str], Kept]) -> None:
     one = kept("time.sleep(60)")
     _, _, worker = one.line()

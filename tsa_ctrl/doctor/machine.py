@@ -21,7 +21,7 @@ import numpy as np
 from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.process_supervisor import unheard_by_children
+from tsa_ctrl.system.process_supervisor import begin_worker, unheard_by_children
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.sleep import sleep_until
 from tsa_ctrl.version import build_kind
@@ -295,6 +295,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
 
 def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds: float) -> None:
     """Sleep to absolute deadlines at the loop's rate, and send the rights and the latency (s) of each wake-up."""
+    begin_worker()
     rights = realtime.acquire(msgspec.structs.replace(settings, allow_without=True))
     period = round(1e9 / rate)
     late = np.zeros(max(1, round(seconds * rate)))

@@ -6,7 +6,7 @@ Ways to run a child process:
 * `supervise`: a worker forked from a process with one thread, replaced when it fails or hangs. The worker periodically
   records a sign of life. A worker that hangs is killed, and the next one starts only after its end, so there are never
   two. `supervise` runs in a separate process, because a fork in the loop's process would cost the loop cycles.
-* `worker_context`: workers of multiprocessing with a module that is already imported.
+* `worker_context`: workers of multiprocessing with a module that is already imported; each calls `begin_worker`.
 * `plant`, `daemon`: the processes that a user would start.
 
 `Notifier` implements sd_notify(3): it sends the states ready, alive and stopping as datagrams to the socket in
@@ -21,6 +21,7 @@ import ctypes
 import json
 import os
 import queue
+import select
 import signal
 import socket
 import subprocess
@@ -183,8 +184,18 @@ def supervise(
         time.sleep(max(0.0, rest - worked))
         rest = REST if worked > LONGEST_REST else min(2.0 * rest, LONGEST_REST)
         number += 1
-        orphaned += os.getppid() != parent
+        orphaned += os.getppid() != parent or _is_hung_up()
     return 1
+
+
+def _is_hung_up() -> bool:
+    """Return True if stdin is a pipe whose other end is closed, as that of a `Child` whose parent has ended.
+
+    This also holds if the parent ended before `supervise` could read its process id.
+    """
+    poll = select.poll()
+    poll.register(0, 0)
+    return any(event & select.POLLHUP for _, event in poll.poll(0))
 
 
 def _start(work: Callable[[int], int], number: int) -> int:
@@ -284,6 +295,28 @@ def worker_context(module: str) -> BaseContext:
     with unheard_by_children():
         forkserver.ensure_running()
     return context
+
+
+def begin_worker() -> None:
+    """Ignore SIGINT in a worker of multiprocessing, and end the worker when the process that started it ends.
+
+    The parent of a worker is the server process, which stays as long as any worker has its pipes open. A thread
+    therefore waits for the end of the starting process itself. If it has already ended, the worker ends at once.
+    """
+    from multiprocessing import parent_process
+
+    ignore(signal.SIGINT)
+    owner = parent_process()
+    if owner is not None:
+        threading.Thread(target=_end_after, args=(owner.sentinel,), daemon=True).start()
+
+
+def _end_after(sentinel: int) -> None:
+    """Wait until the process with this sentinel has ended, and then end this process."""
+    from multiprocessing.connection import wait
+
+    wait([sentinel])
+    os._exit(1)
 
 
 READY_TIME = 120.0  # s: the plant compiles its physics at the first use on a machine

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.system.process_supervisor import end_with_parent, ignore, worker_context
+from tsa_ctrl.system.process_supervisor import begin_worker, worker_context
 
 CONNECT = 10.0  # s to reach a scheduler
 
@@ -32,7 +31,7 @@ def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep
     `jobs`: number of processes; the default is one per core that this process may use.
     """
     count = jobs or len(os.sched_getaffinity(0))
-    pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=_begin)
+    pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=begin_worker)
     try:
         yield Workers(pool, count, same_disk=True)
     except BaseException:
@@ -42,12 +41,6 @@ def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.sweep
             process.terminate()
         raise
     pool.shutdown()
-
-
-def _begin() -> None:
-    """Ignore SIGINT in a worker, and end the worker when its parent process ends."""
-    ignore(signal.SIGINT)
-    end_with_parent()
 
 
 @contextlib.contextmanager

@@ -29,7 +29,7 @@ from tsa_ctrl.log.foreign.cells import Values, bare, decimal_of, is_date, is_num
 from tsa_ctrl.log.foreign.clocks import TIME, Arrays, Columns, columns, on_one_clock, outside
 from tsa_ctrl.log.foreign.names import Name, is_time, listed
 from tsa_ctrl.log.foreign.units import DATE, is_known
-from tsa_ctrl.system.process_supervisor import worker_context
+from tsa_ctrl.system.process_supervisor import begin_worker, worker_context
 
 # Keys of a list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS
 # (name, ...).
@@ -267,7 +267,7 @@ def in_child(reader: Callable[[Path], Any], path: Path) -> Any:
     from concurrent.futures import ProcessPoolExecutor  # imported here, because most tables are text
     from concurrent.futures.process import BrokenProcessPool
 
-    with ProcessPoolExecutor(1, mp_context=worker_context(__name__)) as pool:
+    with ProcessPoolExecutor(1, mp_context=worker_context(__name__), initializer=begin_worker) as pool:
         try:
             return pool.submit(reader, path).result()
         except BrokenProcessPool:
