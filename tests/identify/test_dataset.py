@@ -19,7 +19,7 @@ from tsa_ctrl.identify.dataset import Dataset, load_log, load_logs, matches
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.model.parameters import GearedDrive, RigidDrive, load_model
+from tsa_ctrl.model.parameters import GearedDrive, load_model
 from tsa_ctrl.model.signals import hold_direction
 
 N = 400
@@ -439,11 +439,6 @@ def test_tendons_move_no_joint_as_fast_as_a_motor(table: Columns, said: str) -> 
         admit(Dataset.from_arrays(table), load_model(CONFIG / "actuator.toml"))
     geared = GearedDrive(9.0)
     admit(Dataset.from_arrays(table).completed_for(geared), geared)
-
-
-def test_a_plain_drive_says_that_it_does_not_use_the_joint_torque() -> None:
-    found = Dataset.from_arrays(columns(omega_m=np.cos(5.0 * T))).completed_for(RigidDrive(inertia=0.1))
-    assert "column tau_j is not used" in found.notes[-1]
 
 
 @pytest.mark.parametrize(

@@ -75,15 +75,17 @@ def command(
     """Estimate friction angle and pretension from LOG files with honest intervals."""
     from tsa_ctrl.identify.calibrate import calibrate
     from tsa_ctrl.identify.calibrate.stretch import fit_stretch
-    from tsa_ctrl.identify.dataset import load_logs
+    from tsa_ctrl.identify.dataset import load_logs, notes_of
     from tsa_ctrl.identify.provenance import provenance
+    from tsa_ctrl.identify.unused import with_unused
     from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import save_model
 
     if out is not None:
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = _loaded(model)
-    datasets = load_logs(logs, strict, cutoff)
+    used = "t1", "t3", *(("q_m", "q_j") if stretch else ())
+    datasets = [with_unused(log, nominal, "calibrate", *used) for log in load_logs(logs, strict, cutoff)]
     fit = fit_stretch(datasets, nominal) if stretch else None
     if fit is not None:
         if not as_json:
@@ -95,8 +97,12 @@ def command(
                 source = provenance("calibrate", datasets, model, fit.quantities)
                 save_model(fit.model, out, template=model, provenance=source)
             if as_json:
-                click.echo(json.dumps({"schema": 1, "stretch": fit.to_dict()}, allow_nan=False))
-            elif out is not None:
+                told = {"schema": 1, "stretch": fit.to_dict(), "notes": notes_of(datasets)}
+                click.echo(json.dumps(told, allow_nan=False))
+                return
+            for note in notes_of(datasets):
+                click.echo(f"note: {note}")
+            if out is not None:
                 click.echo(outputs.kept_words(out, kept))
             return
         nominal = replace(fit.model, friction_coefficient=nominal.friction_coefficient)

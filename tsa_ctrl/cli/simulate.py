@@ -44,8 +44,9 @@ def command(
     A model of kind rigid_drive predicts the motor torque instead. Without the predicted torque in the log, no error is
     printed.
     """
-    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.dataset import load_log, notes_of
     from tsa_ctrl.identify.simulate import labels, simulate_all, unmoved, write_csv
+    from tsa_ctrl.identify.unused import with_unused
     from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import load_model
 
@@ -57,7 +58,8 @@ def command(
     loaded = [load_model(path) for path in models]
     dataset = load_log(log, strict, cutoff)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
-    notes = [*dataset.notes, *filter(None, [unmoved(dataset)])]
+    notes = [*notes_of([with_unused(dataset, model, "simulate") for model in loaded])]
+    notes += filter(None, [unmoved(dataset)])
     kept = {path: outputs.keep(path) for path in (out, picture) if path is not None}
     if out is not None:
         write_csv(out, dataset, simulations)

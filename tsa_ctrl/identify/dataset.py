@@ -45,10 +45,6 @@ MOST_JITTER = 0.20  # fraction of the period; a row with more jitter counts as l
 UNIFORM = 1e-3  # fraction of the period; smaller jitter is rounding, so the samples are not changed
 FEWEST_LOGS = 3  # fewest logs for which whole logs are held out: with two, the fit would use only one
 MOTOR_AND_JOINT = (("q_m", "q_j"), ("omega_m", "omega_j"))
-UNUSED_TORQUE = (
-    "column tau_j is not used: a rigid_drive predicts tau_m; for a joint torque sensor behind a gear give [actuator] "
-    'kind = "geared_drive"'
-)
 FEWEST = 10  # fewest rows of a log; a table with fewer is little more than a heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 BURST = 3  # fewest consecutive rows without a number that count as a hole; fewer are reported as an error
@@ -183,14 +179,13 @@ class Dataset(Displayed):
 
         For tendon-sheaths, `[routing]` determines the wrap angle theta from the angles q_j.NAME. A log that lacks one
         of these angles keeps its column theta; if it has no such column either, UsageError is raised. For a geared
-        drive, the ratio converts between the motions of motor and joint. A plain drive ignores the joint torque, and a
-        note states this.
+        drive, the ratio converts between the motions of motor and joint.
         """
         if isinstance(model, GearedDrive):
             return self._turned_by(model.ratio)
         if isinstance(model, TendonSheath):
             return self._bent_by(model)
-        return self if "tau_j" not in self.columns else dataclasses.replace(self, read=(*self.read, UNUSED_TORQUE))
+        return self
 
     def _turned_by(self, ratio: float) -> Dataset:
         recorded = self.motion.columns

@@ -19,6 +19,7 @@ from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import FEWEST_LOGS, Dataset, check_distinct, matches
 from tsa_ctrl.identify.diagnosis.data.denoise import denoised, denoised_within
 from tsa_ctrl.identify.diagnosis.data.frame import Run
+from tsa_ctrl.identify.unused import with_unused
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
@@ -44,7 +45,7 @@ def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
         UsageError: a log cannot be used; the message names log and column in one line.
     """
     target = model.target
-    datasets = _datasets(logs)
+    datasets = [with_unused(log, model, "diagnose", hypotheses=True) for log in _datasets(logs)]
     for log in datasets:
         _admit(log, model, target)
     return _reduced(informative([log.completed_for(model) for log in datasets], hold_out), model)
