@@ -226,3 +226,19 @@ def test_two_logs_of_one_name_are_one_line_from_python(recorded) -> None:  # typ
     for command in (calibrate, diagnose):
         with pytest.raises(UsageError, match="two logs are named run; give each a different name"):
             command(logs, model_from(tomllib.loads(text), "a.toml"))
+
+
+@pytest.mark.parametrize("name", ["tau_m", "tau_j"])
+def test_samples_of_a_stuck_torque_do_not_move_the_fit(
+    folder: Path, recorded: tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]], name: str
+) -> None:
+    """The torque is saturated for a second. The samples are counted in the list of rejected ones."""
+    columns = dict(recorded[1])
+    columns[name] = columns[name].copy()
+    clean = calibrate([Dataset.from_arrays(columns, "low")], load_tendon_sheath("a.toml"))
+    columns[name][1200:1400] = 1.2 * np.abs(columns[name]).max()
+    found = calibrate([Dataset.from_arrays(columns, "low")], load_tendon_sheath("a.toml"))
+    assert any(reason.startswith(f"stuck {name} (") for reason in found.refused)
+    assert found.admitted_seconds < clean.admitted_seconds
+    half = 0.5 * (clean.half_loop_torque.high - clean.half_loop_torque.low)
+    assert found.half_loop_torque.value == pytest.approx(clean.half_loop_torque.value, abs=1.5 * half)

@@ -85,14 +85,39 @@ def test_a_burst_without_numbers_is_a_hole() -> None:
     assert any("40 rows lack a number, the first from row 151 on" in note for note in found.notes)
 
 
-def test_spikes_of_single_samples_are_replaced() -> None:
+@pytest.mark.parametrize("name", ["tau_m", "tau_j", "omega_j", "q_j"])
+@pytest.mark.parametrize("factor", [10.0, 100.0])
+@pytest.mark.parametrize("length", [1, 3])
+def test_short_spikes_are_replaced_and_counted(name: str, factor: float, length: int) -> None:
+    """Two spikes may be close together. An angle may have much smaller spikes."""
+    table = columns(q_j=-np.cos(5.0 * T) / 5.0, omega_j=np.sin(5.0 * T))
+    spiked, size = table[name].copy(), np.std(table[name])
+    for place in (100, 102 + length, 300):
+        spiked[place : place + length] += factor * size * (0.05 if name == "q_j" else 1.0)
+    found = Dataset.from_arrays({**table, name: spiked})
+    np.testing.assert_allclose(found[name], table[name], atol=0.08 * np.ptp(table[name]))
+    told = f"column {name} has 3 spikes of up to {length} sample{'s' * (length > 1)}, {3 * length} samples in all, the"
+    assert any(note.startswith(f"{told} first at row 101") for note in found.notes)
+
+
+def test_a_torque_with_too_many_spikes_is_rejected() -> None:
     table = columns()
     spiked = table["tau_m"].copy()
-    spiked[[100, 300]] += 20.0 * np.std(spiked)
-    found = Dataset.from_arrays({**table, "tau_m": spiked})
-    np.testing.assert_allclose(found["tau_m"], table["tau_m"], atol=0.05 * np.ptp(table["tau_m"]))
-    told = "column tau_m has spikes of a single sample, 2 in all, the first at row 101"
-    assert any(told in note for note in found.notes)
+    spiked[50::20] += 20.0 * np.std(spiked)
+    with pytest.raises(UsageError, match=r"tau_m has .* spikes of up to 1 sample, .* at most 3% can be replaced"):
+        Dataset.from_arrays({**table, "tau_m": spiked})
+
+
+def test_noise_pulses_and_jumps_are_no_spikes() -> None:
+    """A contact of the joint, plain noise, and an encoder that slipped are kept."""
+    random = np.random.default_rng(1)
+    pulse = 0.01 * np.sin(5.0 * T)
+    pulse[200:230] += np.hanning(30)
+    jump = 0.5 * np.sin(5.0 * T) + np.where(T[N // 2] < T, 0.4, 0.0)
+    made = columns(tau_m=random.normal(size=N), tau_j=pulse, q_j=jump, omega_j=None)
+    found = Dataset.from_arrays(made)
+    for name in ("tau_m", "tau_j", "q_j"):
+        np.testing.assert_array_equal(found[name], made[name])
 
 
 def test_a_step_and_a_square_wave_are_no_spikes() -> None:
@@ -268,7 +293,8 @@ class TestTablesAsTheyCome:
 
     def test_a_wrong_unit_behind_a_lost_sample_comes_with_the_row_of_the_file(self) -> None:
         table = self.table(np.delete(T, np.arange(200, 205)))
-        table["tau_m"][300:305] = 600.0, 700.0, 800.0, 700.0, 600.0
+        table["tau_m"][300:330] = 600.0
+        table["tau_m"][302] = 800.0
         with pytest.raises(UsageError, match=r"column tau_m, row 303: 800 N\*m cannot be right"):
             Dataset.from_arrays(table)
 

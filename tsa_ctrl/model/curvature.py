@@ -68,10 +68,15 @@ class Profile:
 
 
 def centred(profile: Profile, centre: float) -> Profile:
-    """Return the profile compressed towards the motor or the joint, so that its centre is `centre`, from 0 to 1."""
-    now = profile.centre
-    if abs(centre - now) < 1e-9:
+    """Return the profile compressed towards the motor or the joint, so that its centre is `centre`, from 0 to 1.
+
+    A profile with all bends at one end has no width to be compressed. An even bend is compressed in its place.
+    """
+    if abs(centre - profile.centre) < 1e-9:
         return profile
+    if min(profile.centre, 1.0 - profile.centre) < 1e-9:
+        profile = Profile.of("uniform")
+    now = profile.centre
     if centre < now:
         share = centre / now
         return Profile((*((share * u, b) for u, b in profile.points), (1.0, 1.0)))

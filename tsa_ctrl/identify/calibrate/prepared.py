@@ -29,6 +29,8 @@ NOISE_FACTOR = 5.0  # times the velocity noise: the sign of a slower velocity is
 SPEED_FRACTION = 0.05  # fraction of the 95th percentile of the speed: slower motion counts as standstill
 STROKE_FRACTION = 0.15  # fraction of a stroke rejected after a reversal, where friction may still be building up
 GUARD_TIME = 0.03  # s rejected on each side of a reversal because of sensor delays
+STUCK = 20  # consecutive steps of 0 of a torque that otherwise changes with nearly every sample
+OFTEN_SAME = 0.25  # largest share of other steps of 0
 MIN_SECONDS = 1.0  # s, least admitted motion in each direction: twice the correlation time of noise (LAG_LIMIT)
 # Least ratio of the motor torque's spread within a direction to its noise: below it, the slope is off by over a fifth
 MIN_LOAD_TO_NOISE = 2.0
@@ -192,6 +194,8 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         admissible.admit(dataset, model, "tau_j")
         signals = dataset.signals()
         admission = admit(signals.t, signals.omega_j)
+        for name in ("tau_m", "tau_j"):
+            admission = _without_stuck(admission, dataset.columns[name], name)
         admissions.append(admission)
         change = sum(value for pattern, value in tensioner.items() if matches(dataset.name, pattern))
         columns = dataset.columns
@@ -207,6 +211,32 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         if foreign:
             raise UsageError(f"{dataset.label or dataset.name}: {foreign}")
     return [p for p in prepared if p.mask.any()]
+
+
+def _without_stuck(admission: Admission, values: FloatArray, name: str) -> Admission:
+    """Return the admission without the samples in which a torque is stuck: saturated, or repeated by a lost sensor.
+
+    A noisy torque never repeats a value for STUCK samples. A log without noise may do so, and then does it often.
+    """
+    same = np.concatenate([[False], np.diff(values) == 0.0])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], same, [0]])))
+    stuck = np.zeros(values.size, dtype=np.bool_)
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        stuck[max(first - 1, 0) : end] = end - first >= STUCK
+    mask = admission.mask & ~stuck
+    count = int(np.count_nonzero(admission.mask & stuck))
+    if not count or not mask.any() or np.count_nonzero(same & ~stuck) > OFTEN_SAME * np.count_nonzero(~stuck):
+        return admission
+    period = admission.seconds / np.count_nonzero(admission.mask)
+    forward, backward = (period * np.count_nonzero(mask & (sign * admission.direction > 0.0)) for sign in (1.0, -1.0))
+    return dataclasses.replace(
+        admission,
+        mask=mask,
+        refused=(*admission.refused, f"stuck {name} ({count} samples)"),
+        seconds=forward + backward,
+        seconds_forward=forward,
+        seconds_backward=backward,
+    )
 
 
 def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
