@@ -23,7 +23,9 @@ tau_j_stretch_high tau_j_model tau_j_model_low tau_j_model_high
 STATUS = """
 name t tau_j_des tau_m_cmd tau_m tau_j omega_j q_j q_m omega_m sigma friction_term friction_angle pretension
 estimate_state state limit_reason missed pdo_age late repeated malformed tau_j_stretch tau_j_model guard_latched
-estimator ages set_point_limit parameters
+estimator ages set_point_limit parameters guard_energy guard_back_off guard_count compensation_limit_share
+compensation_limit_credit compensation_limit_capacity compensation_limit_withdrawn compensation_limit_contradicted
+guard compensation_limit
 """
 CLIENT = """
 name tau_j_des tau_m_cmd tau_m tau_j tau_j_stretch tau_j_model q_j omega_j q_m omega_m permitted limit_reason

@@ -161,6 +161,46 @@ _TABLE = (
     Signal("repeated", "1", "PDOs that came twice in a cycle", _STATUS, "image.repeated", Kind.COUNT),
     Signal("malformed", "1", "frames of a wrong length", _STATUS, "image.malformed", Kind.COUNT),
     Signal("guard_latched", "1", "the guard keeps its back-off until a release", _STATUS, "guard.latched", Kind.FLAG),
+    Signal("guard_energy", "J", "energy that the compensation has added recently", _STATUS, "guard.energy"),
+    Signal("guard_back_off", "1", "factor of the compensation by the guard, 1: not reduced", _STATUS, "guard.back_off"),
+    Signal("guard_count", "1", "detections of the guard so far", _STATUS, "guard.count", Kind.COUNT),
+    Signal(
+        "compensation_limit_share",
+        "1",
+        "permitted share of the model's friction term",
+        _STATUS,
+        "compensation_limit.share",
+    ),
+    Signal(
+        "compensation_limit_credit",
+        "J",
+        "energy that the friction term may still add without proof",
+        _STATUS,
+        "compensation_limit.credit.left",
+    ),
+    Signal(
+        "compensation_limit_capacity",
+        "J",
+        "energy credit after an enable",
+        _STATUS,
+        "compensation_limit.credit.capacity",
+    ),
+    Signal(
+        "compensation_limit_withdrawn",
+        "1",
+        "the credit is spent, and the unproven friction term is withdrawn",
+        _STATUS,
+        "compensation_limit.credit.withdrawn",
+        Kind.FLAG,
+    ),
+    Signal(
+        "compensation_limit_contradicted",
+        "1",
+        "the joint torque sensor shows more friction than the tendon elongation permits",
+        _STATUS,
+        "compensation_limit.proven.contradicted",
+        Kind.FLAG,
+    ),
     Signal("permitted", "1", "torque is permitted", _CLIENT, "terms.permitted", Kind.FLAG),
     Signal("drive_age", "s", "time since the last PDOs of the drive", _STATUS, "terms.drive_age", Kind.AGE),
     Signal("joint_age", "s", "the same of the joint encoder", _STATUS, "terms.joint_age", Kind.AGE),
@@ -208,6 +248,8 @@ FIELDS: tuple[Signal, ...] = signals_of(Place.LOG)
 FIELD_NAMES: tuple[str, ...] = names_of(Place.LOG)
 BANDED: tuple[str, ...] = tuple(name for name in names_of(Place.STATUS) if f"{name}_low" in names_of(Place.STATUS))
 """Signals of the status that lie in a band NAME_low to NAME_high."""
+GROUPS: tuple[str, ...] = ("guard", "compensation_limit")
+"""Objects of an axis in the status; each contains the signals whose names begin with its name."""
 CHARTS: dict[str, tuple[Signal, ...]] = {
     title: tuple(signal for signal in _TABLE if signal.chart == title)
     for title in dict.fromkeys(signal.chart for signal in _TABLE if signal.chart)

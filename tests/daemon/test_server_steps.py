@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -145,6 +146,18 @@ def test_a_recovery_without_a_fault_is_rejected_with_the_phase(desk: Desk) -> No
     desk.fault()
     measured(desk, desk.now, LoopPhase.RESETTING.value)  # newer than the status
     assert "the phase is resetting" in desk.client().ask("recover")["error"]
+
+
+def test_guard_and_compensation_limit_are_objects_of_an_axis(desk: Desk) -> None:
+    seen = QUARTERS._replace(
+        guard_energy=0.002, guard_latched=1.0, guard_count=3.0, compensation_limit_withdrawn=0.0
+    )._replace(compensation_limit_credit=math.nan, compensation_limit_contradicted=1.0)
+    axis = status(desk, General(time=desk.now, phase=2.0), seen)["axes"][0]
+    assert axis["guard"] == {"latched": True, "energy": 0.002, "back_off": 0.25, "count": 3}
+    assert axis["compensation_limit"] == {
+        "share": 0.25, "credit": None, "capacity": 0.25, "withdrawn": False, "contradicted": True
+    }  # fmt: skip
+    assert axis["guard_energy"] == 0.002
 
 
 GUARD = [Range("back_off", "1", 0.0, 1.0, "of the guard", True), Range("pretension", "N", None, None, "T_p0")]

@@ -220,6 +220,11 @@ class EnergyCredit:
         self._size = max(value, self._size + more)
         self._left = min(self._size, max(0.0, self._left + more))
 
+    @property
+    def left(self) -> float:
+        """Return the credit that is left, J."""
+        return self._left
+
     def reset(self) -> None:
         """Fill the credit at a new enable."""
         self._size = self._left = self._capacity

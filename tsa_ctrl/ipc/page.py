@@ -24,7 +24,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.parameters import of_unit
 from tsa_ctrl.ipc.protocol import Set, Status
-from tsa_ctrl.signals import Kind, Place, signals_of
+from tsa_ctrl.signals import GROUPS, Kind, Place, signals_of
 
 PERIOD = 0.1  # s between two updates
 HISTORY = 60  # values in a sparkline
@@ -41,7 +41,10 @@ SHOWN = sorted(  # torques first
     (
         signal
         for signal in signals_of(Place.STATUS)
-        if signal.kind is Kind.VALUE and signal.unit != "s" and not signal.name.endswith(("_low", "_high"))
+        if signal.kind is Kind.VALUE
+        and signal.unit != "s"
+        and not signal.name.endswith(("_low", "_high"))
+        and not signal.name.startswith(GROUPS)  # their long names leave no room in a narrow terminal
     ),
     key=lambda signal: signal.unit != "N*m",
 )

@@ -16,7 +16,7 @@ import msgspec
 
 from tsa_ctrl.ipc.mailbox import Mailbox, Parameters
 from tsa_ctrl.ipc.protocol import Description
-from tsa_ctrl.signals import BANDED, SIGNALS, Kind, Place, Signal, signals_of
+from tsa_ctrl.signals import BANDED, GROUPS, SIGNALS, Kind, Place, Signal, signals_of
 from tsa_ctrl.system.histogram import coarse, distribution
 
 SCHEMA = 1
@@ -130,6 +130,9 @@ def _axis(description: Description, index: int, axis: Any, live: Parameters, age
         ends = {end: values.pop(f"{name}_{end}") for end in ("low", "high")}
         values[name] = None if values[name] is None else {"value": values[name], **ends, "unit": SIGNALS[name].unit}
     values["ages"] = {name: ages[name] for name in values}
+    for group in GROUPS:
+        members = {name: value for name, value in values.items() if name.startswith(f"{group}_")}
+        values[group] = {name.removeprefix(f"{group}_"): value for name, value in members.items()}
     values["estimator"] = description.estimators[index] if description.estimators else None
     parameters = {
         each.name: {
