@@ -35,6 +35,11 @@ def test_the_shipped_files_are_known_by_their_tables(name: str) -> None:
     assert settings.file_kind(settings.read_toml(CONFIG / name)) == KINDS[name]
 
 
+def test_a_file_without_an_end_is_one_error() -> None:
+    with pytest.raises(UsageError, match=r"/dev/zero: is larger than 20 MB"):
+        settings.read_toml("/dev/zero")
+
+
 @pytest.mark.parametrize("wanted", KINDS)
 @pytest.mark.parametrize("given", KINDS)
 def test_another_kind_of_file_is_named_with_the_kind_that_is_wanted(given: str, wanted: str) -> None:

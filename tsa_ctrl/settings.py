@@ -24,11 +24,18 @@ from tsa_ctrl.errors import UsageError
 T = TypeVar("T")
 
 
+MOST_BYTES = 20_000_000  # of a file; a device such as /dev/zero has no end
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
     """Parse a TOML file. Raise UsageError with the place of the error, also for a number that is not finite."""
     path = path_of(path, "TOML file", "the path of a TOML file")
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+        if len(content) > MOST_BYTES:
+            raise UsageError(f"{path}: is larger than {MOST_BYTES // 10**6} MB; give the path of a TOML file")
+        data = tomllib.loads(content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n"))
         check_finite(data, path)
         return data
     except FileNotFoundError:

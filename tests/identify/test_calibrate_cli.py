@@ -171,6 +171,8 @@ def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
         (("low.csv", "low.csv", "--model", "a.toml"), "hold the same data"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=nan"), "write LOG=NEWTON"),
+        (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=1e300"), "at most 20000 N"),
+        (("low.csv", "--model", "a.toml", "--cutoff", "1e300"), "0.01<=x<=25000"),
         (("low.csv", "--model", "a.toml", "--tensioner", "other.csv=3"), "matches no log"),
         (("low.csv", "--model", "a.toml", "--hold-out", "low*"), "matches every log; leave at least one"),
         (("low.csv", "--model", "a.toml", "--out", "no/such/folder.toml"), "cannot be written"),

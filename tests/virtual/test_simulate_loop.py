@@ -148,12 +148,13 @@ def test_a_push_moves_a_joint_that_can(tmp_path: Path) -> None:
         ("--set", "compensation=0.5", "is not NAME=VALUE@T"),
         ("--set", "compensation@2", "is not NAME=VALUE@T"),
         ("--set", "compensation=nan@2", "is not NAME=VALUE@T"),
-        ("--set", "speed=1@2", "no parameter 'speed'"),
-        ("--set", "compensation=7@2", "out of bounds"),
-        ("--set", "hip.slew=7@2", "no axis 'hip'"),
+        ("--set", "speed=1@0.5", "no parameter 'speed'"),
+        ("--set", "compensation=7@0.5", "out of bounds"),
+        ("--set", "hip.slew=7@0.5", "no axis 'hip'"),
         ("--fault", "torn_tendon", "is not LINE@T"),
         ("--fault", "torn_tendon@-1", "is not LINE@T"),
         ("--fault", "torn@1", "unknown fault 'torn'"),
+        ("--fault", "torn_tendon@5", "--fault at 5 s: allowed are times up to the end of the run, 1 s"),
     ],
 )
 def test_a_wrong_option_is_one_line(

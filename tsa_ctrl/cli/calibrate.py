@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,9 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.calibrate.stretch import StretchFit
     from tsa_ctrl.identify.quantity import Quantity
     from tsa_ctrl.model.parameters import TendonSheath
+
+
+MOST_CHANGE = 20e3  # N, largest pretension of a model file
 
 
 @click.command(
@@ -156,11 +158,13 @@ def _change(text: str) -> tuple[str, float]:
     name, separator, value = text.rpartition("=")
     try:
         change = float(value)
-        if not separator or not name or not math.isfinite(change):
+        if not separator or not name or not abs(change) <= MOST_CHANGE:
             raise ValueError
         return name, change
     except ValueError:
-        raise UsageError(f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20") from None
+        raise UsageError(
+            f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20, at most {MOST_CHANGE:g} N"
+        ) from None
 
 
 def _show(result: Calibration, nominal: TendonSheath) -> None:

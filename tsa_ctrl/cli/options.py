@@ -24,7 +24,7 @@ class Finite(click.FloatRange):
 
 CUTOFF = click.option(
     "--cutoff",
-    type=Finite(min=0.0, min_open=True),
+    type=Finite(0.01, 25e3),  # up to half of the highest rate of a log
     metavar="HZ",
     help="Low-pass for derived velocities and accelerations (default: as high as the noise permits).",
 )

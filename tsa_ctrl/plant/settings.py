@@ -39,7 +39,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Define the table [physics]."""
 
-    step: Annotated[float, Meta(gt=0.0, le=1e-4)] = 1e-4  # s, longest sub-step
+    step: Annotated[float, Meta(ge=1e-6, le=1e-4)] = 1e-4  # s, longest sub-step
     record_period: Annotated[float, Meta(ge=1e-3, le=1.0)] = 1e-3  # s, between two rows of the record
     seed: int = 1  # of all noise
     priority: Annotated[int, Meta(ge=0, le=98)] = 60  # of SCHED_FIFO, if permitted; 0: never

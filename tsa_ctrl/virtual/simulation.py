@@ -275,6 +275,9 @@ def simulate_loop(
         refuse_inputs(record, inputs, "--record")
     begun = _parsed(faults, Fault, parse_fault_option)
     made = _parsed(changes, Change, parse_set_option)
+    for option, at in (*(("--fault", each.at) for each in begun), *(("--set", each.at) for each in made)):
+        if at > seconds:
+            raise UsageError(f"{option} at {at:g} s: allowed are times up to the end of the run, {seconds:g} s")
     if out is not None:
         out = path_of(out, "out", "the path of a folder")
     files = {}

@@ -243,18 +243,18 @@ def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> Driv
     speed_digits = math.floor(drive.max_speed / max_speed + 1e-9)
     if not 1 <= torque_digits <= _I16_MAX:
         raise UsageError(
-            f"{where}: max_torque {limit:g} N*m is {torque_digits} per mille of the rated torque at the pulley "
+            f"{where}: max_torque {limit:g} N*m is {torque_digits:.6g} per mille of the rated torque at the pulley "
             f"({rated:g} N*m); allowed are 1 to {_I16_MAX}; correct limits.torque or rated_torque"
         )
     if not 1 <= most_digits <= _I16_MAX:
         raise UsageError(
-            f"{where}: max_torque {limit:g} N*m is {most_digits} digits of 0x6071 ({profile.units.torque:g} at rated "
-            f"torque); allowed are 1 to {_I16_MAX}; correct limits.torque, or [units] torque in the drive's profile"
+            f"{where}: max_torque {limit:g} N*m is {most_digits:.6g} digits of 0x6071 ({profile.units.torque:g} at "
+            f"rated torque); allowed are 1 to {_I16_MAX}; correct limits.torque, or [units] torque in the profile"
         )
     if not 1 <= speed_digits <= 0xFFFFFFFF:
         raise UsageError(
-            f"{where}: max_speed {drive.max_speed:g} rad/s is {speed_digits} {profile.units.max_speed.value} of the "
-            "motor; allowed are 1 to 4294967295; correct limits.motor_over_speed or gear_ratio"
+            f"{where}: max_speed {drive.max_speed:g} rad/s is {speed_digits:.6g} {profile.units.max_speed.value} of "
+            "the motor; allowed are 1 to 4294967295; correct limits.motor_over_speed or gear_ratio"
         )
     return DriveScale(
         torque=drive.torque_sign * torque,
