@@ -112,6 +112,16 @@ def test_the_disk_stores_the_log_once_a_second_and_its_error_is_said(
     assert times(tmp_path / "x.mcap") == list(range(5000))
 
 
+def test_a_sync_that_starts_late_does_not_find_a_closed_file(ring: RingWriter, tmp_path: Path) -> None:
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    writer._disk.submit(time.sleep, 0.1)  # a busy disk
+    push(ring, 10)
+    writer.step(0.0)
+    writer.end()
+    assert times(tmp_path / "x.mcap") == list(range(10))
+    assert LogHealth(ring).trouble == ""
+
+
 def test_what_a_long_trouble_costs_is_counted(
     ring: RingWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

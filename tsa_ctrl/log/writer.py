@@ -93,12 +93,14 @@ class LogWriter:
         if orphaned:
             self._notes.append(Note(self._newest, "", DEAD, fault=True))
             self._write(0.0)
-        try:
-            if self._file is not None:
-                self._file.finish()
-            self._syncing.result()  # `finish` of the previous file, if it was rotated just before
-        except OSError as error:
-            self._trouble = error.errno or errno.EIO
+        ending = [self._syncing]
+        if self._file is not None:  # after a sync in progress, which needs the open file
+            ending.append(self._disk.submit(self._file.finish))
+        for each in ending:
+            try:
+                each.result()
+            except OSError as error:
+                self._trouble = error.errno or errno.EIO
         self._disk.shutdown(wait=False)
         self._dropped += self._waiting
         self._report(WriterState.ENDED)
