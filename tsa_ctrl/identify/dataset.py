@@ -28,6 +28,7 @@ from tsa_ctrl.display import Displayed, lines
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
+from tsa_ctrl.identify.spikes import without_spikes
 from tsa_ctrl.identify.units import check_rate, check_sizes
 from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps, repair_timestamps
@@ -48,14 +49,6 @@ MOTOR_AND_JOINT = (("q_m", "q_j"), ("omega_m", "omega_j"))
 FEWEST = 10  # fewest rows of a log; a table with fewer is little more than a heading
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 BURST = 3  # fewest consecutive rows without a number that count as a hole; fewer are reported as an error
-MEDIANS = 1 << 16  # samples of which the medians are computed at once
-LONGEST_SPIKE = 10  # samples; a longer deviation may be a real event
-MOST_SPIKES = 0.03  # largest fraction of samples in spikes; a column with more has a different fault
-SPIKE = 1.0  # least distance of a spike from the median around it, over the range of these medians
-NOISE_RANGE = 7.7  # five standard deviations of plain noise over half of the distances from the median
-TOGETHER = 0.25  # largest difference between the samples before and after a spike, over the size of the spike
-GLITCH = 0.05, 10.0  # for an angle: the same over the range, and over the distance of 97 % of the samples
-SHARE_OF_REJECTION = 3.0  # a torque column with too many spikes is rejected if half of them are this much larger
 TURN = 2.0 * np.pi  # rad, the range of a wrapped angle
 WRAPS = 0.1  # turns, largest deviation of a jump of a wrapped angle from one turn
 MOST_ROWS = 1e8  # of a resampled log
@@ -494,7 +487,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
         columns = table.columns
     _check_numbers(table, columns)
     if not strict:
-        columns = _without_spikes(table, _unwrapped(columns, notes), notes)
+        columns = without_spikes(table, _unwrapped(columns, notes), NEEDED, notes)
     read = columns
     columns, period, jitter = _uniform(table, read, notes, strict)
     notes += check_columns(table.label, columns, period)
@@ -550,65 +543,6 @@ def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
             count = np.count_nonzero(jumps)
             notes.append(f"column {name} is wrapped to one turn: jumps of 2 pi are removed, {count} in all")
     return out
-
-
-def _without_spikes(table: Table, columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
-    """Return the columns with each spike of at most LONGEST_SPIKE samples replaced by a straight line.
-
-    A running median keeps steps and longer pulses, so these are not spikes, nor are noise and fast motion.
-
-    Raises:
-        UsageError: a torque column has too many spikes.
-    """
-    out = dict(columns)
-    for name in sorted(NEEDED & set(columns)):
-        values = columns[name]
-        middle = _running_median(values)
-        away = np.abs(values - middle)
-        whole = float(np.ptp(middle))
-        half, often = np.quantile(away, (0.5, 0.97))
-        least = SPIKE * max(whole, NOISE_RANGE * half)
-        if name.startswith("q_"):
-            least = max(GLITCH[0] * whole, GLITCH[1] * often)
-        far = away > least
-        if whole <= 0.0 or not far.any():
-            continue
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], far, [0]])))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            apart = abs(values[min(end, len(values) - 1)] - values[max(begin - 1, 0)])
-            inside = begin > 0 and end < len(values)
-            far[begin:end] = end - begin <= LONGEST_SPIKE and not (inside and apart > TOGETHER * away[begin:end].max())
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], far, [0]])))
-        if not edges.size:
-            continue
-        longest = int(np.max(edges[1::2] - edges[::2]))
-        found = f"column {name} has {_counted(len(edges) // 2, 'spike')} of up to {_counted(longest, 'sample')}"
-        first = table.place(int(edges[0]))
-        if far.mean() > MOST_SPIKES:
-            if name.startswith("tau_") and np.median(away[far]) > SHARE_OF_REJECTION * least:
-                raise UsageError(
-                    f"{table.label}: {found}, the first at {first}; they are {far.mean():.1%} of the samples, and at "
-                    f"most {MOST_SPIKES:.0%} can be replaced: repair the sensor or its cable, or cut the file"
-                )
-            continue
-        row = np.arange(len(values))
-        out[name] = np.where(far, np.interp(row, row[~far], values[~far]), values)
-        count = _counted(int(np.count_nonzero(far)), "sample")
-        notes.append(f"{found}, {count} in all, the first at {first}: replaced by straight lines")
-    return out
-
-
-def _running_median(values: Array) -> Array:
-    """Return the median of each sample and its LONGEST_SPIKE neighbours on either side, (n,)."""
-    around = np.pad(values, LONGEST_SPIKE, mode="reflect" if len(values) > LONGEST_SPIKE else "edge")
-    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * LONGEST_SPIKE + 1)
-    return np.concatenate(
-        [np.median(windows[start : start + MEDIANS], axis=1) for start in range(0, len(windows), MEDIANS)]
-    )
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
