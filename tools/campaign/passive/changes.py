@@ -55,7 +55,8 @@ def cases(chosen: argparse.Namespace) -> list[Case]:
     if chosen.changes:
         changes = list(map(change_of, chosen.changes))
     rigs = itertools.product(chosen.loads, chosen.set_points, changes, chosen.delays, chosen.at, chosen.sensors)
-    return [Case(sensors, load, wanted, *change, delay, at) for load, wanted, change, delay, at, sensors in rigs]
+    found = [Case(sensors, load, wanted, *change, delay, at) for load, wanted, change, delay, at, sensors in rigs]
+    return [case for case in found if case.change or case.stands or case.load != "wearer"]  # whose hand never rests
 
 
 def change_of(text: str) -> tuple[str, float]:
