@@ -1,7 +1,7 @@
 """Limit the compensated share of the friction to the proven friction and a limited energy beyond it.
 
 Compensation drives a joint if it exceeds the actual friction (`law`). The friction term therefore never exceeds the
-friction torque that the sensors prove at present (`observer.proven_friction`), except for an energy credit:
+friction torque that the sensors prove at present (`observer.friction_proof`), except for an energy credit:
 
     limit h = low + k (most - low),    most = c min(h, (low + high)/2)      low <= friction torque <= high
     dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
