@@ -22,8 +22,8 @@ cycloid in time,
 and ends without an oscillation. The torque follows from the elongation by the front, p = S^-1(s). The law adds the
 torque of the inertia, J_M s'' / r_M. A reversal that begins before another one has ended is added to it. A reversal has
 no feedback: a delay of the command shifts it in time, and the lead compensates for this shift. A reversal at rest takes
-at least two cycles of the motor's oscillation (`law`), because the joint torque changes only at its end. Input shaping by one
-period of the oscillation would take 10 ms at 100 Hz, and more for a heavier motor.
+at least two cycles of the motor's oscillation (`law`), because the joint torque changes only at its end. Input shaping
+by one period of the oscillation would take 10 ms at 100 Hz, and more for a heavier motor.
 
 **Slip.** While the joint rests, the tension along a tendon changes from its motor side only. A contact at which the
 tendon slides keeps the tension ratio exp(+-delta), delta = x/CONTACTS. A contact at which it sticks keeps its tensions.
