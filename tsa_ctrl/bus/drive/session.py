@@ -70,7 +70,7 @@ class _Client(SdoClient):  # type: ignore[misc]
         super().__init__(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
         self.network = network
         self._wait = wait
-        self.silent = False
+        self.late = False  # an answer has not arrived in time, so a wrong one may be the answer to an earlier request
         network.subscribe(cia301.SDO_ANSWER + node_id, self._take)
 
     def _take(self, can_id: int, data: bytearray, timestamp: float) -> None:
@@ -79,7 +79,8 @@ class _Client(SdoClient):  # type: ignore[misc]
             self.on_response(can_id, data, timestamp)
 
     def read_response(self) -> bytes:
-        self.silent = not self._wait(self.patience, lambda: not self.responses.empty())
+        if not self._wait(self.patience, lambda: not self.responses.empty()):
+            self.late = True
         return bytes(super().read_response())
 
 
@@ -288,7 +289,7 @@ class Session:
                     error.code,
                 ) from None
             except SdoCommunicationError as error:
-                wrong = "" if client.silent else str(error)
+                wrong = "" if client.late else str(error)
             except (can.CanError, OSError):  # a frame was dropped, or the bus failed
                 self.wait(_PAUSE)
             if self._bus.fault is not None:
