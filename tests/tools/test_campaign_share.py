@@ -45,6 +45,15 @@ def test_no_motion_is_sustained_with_less_friction_than_the_files() -> None:
 
 
 @pytest.mark.slow
+def test_no_motion_is_sustained_with_a_wrong_torque_sensor() -> None:
+    """It is unplugged, reversed, or reversed with half of its gain. The energy is that of the credit."""
+    judge = scan.Judge(0.95, "worn", scan.REST, {}, {})
+    rig = ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES, {}
+    for row in drawn(scan.cells(SEED, ("sensor",), *rig, gains=(-1.0, -0.5, 0.0)), judge):
+        assert scan.good(row), scan.words(row)
+
+
+@pytest.mark.slow
 def test_a_change_that_a_torque_sensor_shows_adds_little_work() -> None:
     parser = argparse.ArgumentParser()
     changes.options(parser)

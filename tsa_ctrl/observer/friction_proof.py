@@ -25,7 +25,7 @@ LATELY = 1.0  # s over which changes of sensor and elongation are compared: a st
 EVIDENT = 0.07
 # 1, of the change by the elongation: least share that the sensor must show. Lag, noise of the elongation and an
 # inaccurate file leave more than half; an unplugged sensor shows nothing, and a reversed one the negative.
-SHOWN = 0.2
+SHOWN = 0.5
 
 
 class SensorEvidence:

@@ -14,7 +14,7 @@ been at rest for --rest seconds. The plant's true torque and speed are evaluated
           runaway. The last line counts the cells that exceed only the first reference.
   work    the largest integral of (tau_J - tau_J_des) omega_J dt in any window, less the integral of the same run at
           compensation 0. Goal at set-point 0: at most 10 mJ with a torque sensor, otherwise 0.1 J in class "worn" and
-          0.4 J in class "bench" (--class). A constant set-point has no goal.
+          0.4 J in class "bench" (--class), also with a wrong sensor (--sensor-gains). A constant set-point has no goal.
 
 One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
 --joint-bits 20`. Exit code 1: a goal was missed.
@@ -50,6 +50,7 @@ SET_POINTS = ("zero", "constant")
 CENTRES, DELAYS, BITS = (0.3, 0.5, 0.65), (1, 2, 3), (14, 20)  # 1; periods; least and most bits
 NUDGE = 0.4  # N*m on the joint
 NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log at the start of the nudge, and its duration, s
+WRONG_SINCE = 0.02  # s of the log, from which a wrong torque sensor is wrong
 WATCHED, WINDOW = 3.0, 0.5  # s from the nudge to the measurement of the speed, and duration of the measurement, s
 STILL, REST = 0.01, 1.0  # rad/s below which the joint is at rest, and s of rest that end a run
 RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
@@ -73,10 +74,13 @@ class Cell:
     delay: int
     motor_bits: int
     joint_bits: int
+    gain: float = 1.0  # of the joint torque sensor: -1 is a reversed one, 0 an unplugged one
 
     @property
     def key(self) -> str:
         rig = f"s_c {self.centre:g}, delay {self.delay}, {self.motor_bits} and {self.joint_bits} bit"
+        if self.gain != 1.0:
+            rig += f", sensor times {self.gain:g}"
         return f"{self.sensors}, {self.load}, {self.set_point}, {self.of} {self.share:g}, {rig}"
 
     def experiment(self, compensation: float, **more: Any) -> Experiment:
@@ -88,7 +92,7 @@ class Cell:
             "hand": RELAXED if self.load == "wearer" else None,
         }
         rig = dataclasses.asdict(self)
-        del rig["of"], rig["share"]
+        del rig["of"], rig["share"], rig["gain"]
         return Experiment(**{**rig, **fields, "compensation": compensation, "fade_in": 0.3, **more})
 
 
@@ -111,11 +115,11 @@ class Judge:
 
     def __call__(self, cell: Cell) -> dict[str, Any]:
         """Run a cell and, if it moves at a constant set-point, its reference runs."""
-        result = self._play(cell.experiment(self.compensation, axis=self.axis, file=self.file))
+        result = self._play(cell.experiment(self.compensation, axis=self.axis, file=self.file), cell.gain)
         left = speed(result, NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
         work = most_work(result, NUDGED)
         row = {**dataclasses.asdict(cell), "compensation": self.compensation, "class": self.use, "speed": left}
-        most = MOST_WITH_SENSOR if cell.sensors == "sensor" else MOST_WORK[self.use]
+        most = MOST_WITH_SENSOR if cell.sensors == "sensor" and cell.gain == 1.0 else MOST_WORK[self.use]
         bound = MOST_SPEED[cell.set_point]
         without = ideal = 0.0
         if cell.set_point == "constant" and left > bound:
@@ -139,7 +143,7 @@ class Judge:
         }
         return row
 
-    def _play(self, experiment: Experiment) -> Simulation:
+    def _play(self, experiment: Experiment, gain: float = 1.0) -> Simulation:
         since = NUDGED + NUDGE_TIME
 
         def ended(t: float, omega: float, events: Sequence[Event]) -> bool:
@@ -148,8 +152,10 @@ class Judge:
                 since = max(t, NUDGED + NUDGE_TIME)
             return t - since > self.rest
 
-        nudge = Fault(f"push value={NUDGE} duration={NUDGE_TIME}", NUDGED)
-        return experiment.play(NUDGED + WATCHED + WINDOW + 0.1, [nudge], ended=ended)
+        faults = [Fault(f"push value={NUDGE} duration={NUDGE_TIME}", NUDGED)]
+        if gain != 1.0:
+            faults.append(Fault(f"torque_sensor_gain value={gain:g}", WRONG_SINCE))
+        return experiment.play(NUDGED + WATCHED + WINDOW + 0.1, faults, ended=ended)
 
 
 def cells(
@@ -160,6 +166,7 @@ def cells(
     of: Sequence[str],
     shares: Sequence[float],
     fixed: dict[str, Any],
+    gains: Sequence[float] = (1.0,),
 ) -> list[Cell]:
     """Return all cells. `fixed` replaces random values (centre, delay, motor_bits, joint_bits)."""
     found = []
@@ -171,7 +178,7 @@ def cells(
             "motor_bits": int(rng.integers(BITS[0], BITS[1] + 1)),
             "joint_bits": int(rng.integers(BITS[0], BITS[1] + 1)),
         }
-        found.append(Cell(*names, **{**drawn, **fixed}))
+        found += [Cell(*names, **{**drawn, **fixed}, gain=gain) for gain in gains]
     return found
 
 
@@ -204,7 +211,8 @@ def table(rows: Sequence[Row]) -> Table:
 
 def _words(row: dict[str, Any]) -> str:
     bits = f"{row['motor_bits']}/{row['joint_bits']} bit"
-    return f"{row['of']} {row['share']:g}, s_c {row['centre']:g}, delay {row['delay']}, {bits}"
+    wrong = f", sensor times {row['gain']:g}" if row.get("gain", 1.0) != 1.0 else ""
+    return f"{row['of']} {row['share']:g}, s_c {row['centre']:g}, delay {row['delay']}, {bits}{wrong}"
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -213,6 +221,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="the reduced parameter of the plant")
     parser.add_argument("--shares", nargs="+", type=float, default=SHARES, help="of the file's, 1 (default 0.1 to 1)")
+    parser.add_argument(
+        "--sensor-gains",
+        nargs="+",
+        type=float,
+        default=(1.0,),
+        help="of the joint torque sensor: -1 is a reversed one, 0 an unplugged one (default 1)",
+    )
     parser.add_argument("--centre", type=float, help="s_c of every cell, instead of a drawn one")
     parser.add_argument("--delay", type=int, help="periods, of every cell")
     parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
@@ -234,7 +249,7 @@ def run(chosen: argparse.Namespace) -> int:
     drawn = {name: getattr(chosen, name) for name in ("centre", "delay", "motor_bits", "joint_bits")}
     fixed = {name: value for name, value in drawn.items() if value is not None}
     names = (chosen.sensors, chosen.loads, chosen.set_points, chosen.of, chosen.shares)
-    found = command.drawn(cells(chosen.seed, *names, fixed), chosen)
+    found = command.drawn(cells(chosen.seed, *names, fixed, chosen.sensor_gains), chosen)
     tables_over = (tomlkit.parse(text).unwrap() for text in (chosen.axis, chosen.file))
     judge = Judge(chosen.compensation, chosen.use, chosen.rest, *tables_over)
 
