@@ -23,6 +23,7 @@ class Proof:
         self.usable = usable
         self.low, self.high, self.reads = 0.0, math.inf, False
         self.modelled = FRICTION
+        self.confirms_file = True
 
     @property
     def middle(self) -> float:
@@ -297,6 +298,14 @@ def test_a_file_that_is_not_of_this_joint_has_the_smaller_credit_until_the_frict
     proof.low, proof.reads = 0.0, False  # the sensor fails, so no friction is proven from here on
     assert 0.9 * given < move(chosen, 2.0) < 1.05 * given
     assert chosen.credit.withdrawn
+
+
+def test_a_friction_that_was_measured_only_once_does_not_confirm_the_file() -> None:
+    proof = Proof()
+    chosen = CompensationLimit(Bound(1.0, 0.6), cast(FrictionProof, proof), 0.4, GEARING, PERIOD, 0.1)
+    proof.low, proof.reads, proof.confirms_file = FRICTION, True, False
+    chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 1.0)
+    assert chosen.credit.capacity == 0.1
 
 
 def test_a_confirmed_file_is_doubted_again_after_the_next_bring_up() -> None:

@@ -70,6 +70,7 @@ def correct(tau_j: float, tau_m: float) -> float:
 def test_a_correct_sensor_proves_friction_within_the_first_stroke_with_a_load() -> None:
     proof = Joint(correct).move(0.4)
     assert proof.confirms_sensor
+    assert not proof.confirms_file  # the friction has been measured once
     assert 0.9 * FRICTION < proof.low < FRICTION < proof.high < 1.1 * FRICTION
 
 
@@ -110,6 +111,7 @@ def test_a_sensor_that_follows_the_elongation_counts(gain: float, share: float) 
         proof = joint.move(0.5, -0.5)
         assert proof.confirms_sensor
         assert not proof.contradicted
+    assert proof.confirms_file
 
 
 def test_a_sensor_that_is_plugged_in_again_counts_again() -> None:

@@ -385,7 +385,8 @@ class CompensationLimit:
         """
         proven, credit = self.proven, self.credit
         low, middle, high = proven.low, proven.middle, proven.high
-        if proven.reads and not self._confirmed and low >= self.bound.unseen * proven.modelled:
+        enough = low >= self.bound.unseen * proven.modelled
+        if proven.reads and not self._confirmed and enough and proven.confirms_file:
             self._confirmed = True
             self.credit.capacity = self._capacity
         along = term if omega_j >= 0.0 else -term
