@@ -18,7 +18,7 @@ from tsa_ctrl.observer.stretch import StretchObserver
 
 GEARING = 0.8  # r_M/r_J
 SPEED = 1.0  # rad/s
-Sensor = Callable[[float, float], float]  # joint torque and motor torque (N*m) -> what the sensor shows (N*m)
+Sensor = Callable[[float, float], float]  # joint torque and motor torque (N*m) -> sensor value (N*m)
 WRONG: dict[str, Sensor] = {
     "reversed": lambda tau_j, tau_m: -tau_j,
     "reversed half": lambda tau_j, tau_m: -0.5 * tau_j,

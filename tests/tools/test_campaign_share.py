@@ -46,7 +46,7 @@ def test_no_motion_is_sustained_with_less_friction_than_the_files() -> None:
 
 @pytest.mark.slow
 def test_no_motion_is_sustained_with_a_wrong_torque_sensor() -> None:
-    """It is unplugged, reversed, or reversed with half of its gain. The energy is that of the credit."""
+    """It is unplugged, reversed, or reversed with half of its gain. It receives at most the energy credit."""
     judge = scan.Judge(0.95, "worn", scan.REST, {}, {})
     rig = ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES, {}
     for row in drawn(scan.cells(SEED, ("sensor",), *rig, gains=(-1.0, -0.5, 0.0)), judge):

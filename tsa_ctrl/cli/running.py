@@ -253,10 +253,7 @@ def dashboard_command(path: str, port: int) -> None:
 @click.option("--rate", default=1000.0, show_default=True, type=Finite(1.0, MOST_RATE), help="Rate of the signals, Hz.")
 @click.option("--settable", is_flag=True, help="Let every client on this computer change live parameters as this user.")
 @click.option(
-    "--layouts",
-    "folder",
-    type=click.Path(path_type=Path),
-    help="Folder in which to write layouts for both programs.",
+    "--layouts", "folder", type=click.Path(path_type=Path), help="Folder in which to write layouts for both programs."
 )
 def live_command(path: str, port: int, rate: float, settable: bool, folder: Path | None) -> None:
     """Publish a running daemon on a WebSocket that Foxglove and PlotJuggler can read, until Ctrl-C.

@@ -46,9 +46,9 @@ from tsa_ctrl.control.settings import DirectionSettings
 NOISE = 1.5  # least zone over the velocity noise of one count, because the mechanics also vibrate
 LEAST_ZONE = 0.002  # rad/s, smallest zone that may be set while running
 LITTLE = 0.05  # of the travel after which the whole tendons slide: a shorter motion has not reversed them
-STOOD = 0.05  # s of rest after which a joint stands: a swinging leg reverses in less time
+STANDING = 0.05  # s of rest after which a joint counts as standing; a swinging leg reverses in less time
 # 1, of that travel, and of the friction torque: a standing joint that moves less, with a smaller set-point, only
-# crosses its backlash. On 4 random rigs with 1.1 to 1.9 mrad of it, a small sine has an error of 8 to 20 mN*m instead
+# crosses its backlash. On 4 random rigs with 1.1 to 1.9 mrad of it, a small sine has an error of 10 to 29 mN*m instead
 # of 76 to 87.
 BACKLASH, UNLOADED = 0.1, 0.1
 UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at 10 N*m/s, as in a gait
@@ -144,7 +144,7 @@ class Direction:
         self.sigma = 0.0
         self.age = 0.0
         self.rest = math.inf  # the joint has never moved
-        self._stood_at = math.nan  # rad, angle of a joint that has stood for `STOOD`
+        self._stood_at = math.nan  # rad, angle of a joint that has rested for `STANDING`
         self._before, self._turned_at = 0.0, math.nan  # direction before the joint's last reversal, and its angle there
         self._follows = False
         self._since = TREMOR  # s since the last reversal
@@ -233,7 +233,7 @@ class Direction:
                 self.age = since / self._period if since < self._period else 1.0
             return self.sigma
         self.rest += self._period
-        if self.rest > STOOD and self._stood_at != self._stood_at:
+        if self.rest > STANDING and self._stood_at != self._stood_at:
             self._stood_at = motion.angle
         if self.rest > AT_REST and self._little_since_turn():
             self._turn(self._before or self.sigma, self._follows)

@@ -224,7 +224,7 @@ class GatedEstimator:
     """
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float, down: float = DOWN) -> None:
-        """Prepare the outputs; `period` in s; `down`: rate of a falling parameter over that of a rising one."""
+        """Prepare the outputs; `period` in s; `down`: ratio of the rates of a falling and a rising parameter."""
         self.use = bool(settings.use)
         self._down = down
         self._sliding = sliding_by(model)

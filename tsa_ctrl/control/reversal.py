@@ -119,6 +119,7 @@ class FrictionReversal:
         self._step = period / duration
         self._force = _course(front)
         self._ramps: list[list[float]] = []
+        self._pace = 1.0  # 1, of the ramps that have not ended
         self.reset()
 
     def reset(self, sigma: float = 0.0) -> None:
@@ -134,24 +135,23 @@ class FrictionReversal:
         Args:
             sigma: direction; a new one starts a transition to it.
             age: age of a new transition, periods.
-            slower: its duration over that of a whole reversal, 1. A faster one accelerates those that have not ended.
+            slower: ratio of its duration to that of a whole reversal, 1. A faster transition accelerates those that
+                have not ended.
         """
         ramps = self._ramps
         if sigma != self._end:
-            pace = 1.0 / slower
-            for ramp in ramps:
-                ramp[2] = pace = max(pace, ramp[2])
-            ramps.append([sigma - self._end, age * self._step * pace, pace])
+            pace = self._pace = max(1.0 / slower, self._pace) if ramps else 1.0 / slower
+            ramps.append([sigma - self._end, age * self._step * pace])
             self._end = sigma
         elif not ramps:
             self.force = self.stretch = self._end
             self.bend = 0.0
             return
         force = stretch = self._base
-        bend = 0.0
+        bend, pace = 0.0, self._pace
         two_pi = 2.0 * math.pi
         for ramp in ramps:
-            size, y, pace = ramp
+            size, y = ramp
             sine = math.sin(two_pi * y)
             place = y * _STEPS
             i = int(place)

@@ -12,7 +12,7 @@ from tsa_ctrl.model.effects.specification import Kind
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.signals import COLUMNS, JOINT_ANGLE
 
-SETPOINTS = frozenset(("tau_j_des", "tau_m_cmd"))  # these columns are no measurements
+SETPOINTS = frozenset(("tau_j_des", "tau_m_cmd"))  # commanded, not measured
 MOST_NAMES = 8  # names in the sentence
 
 
@@ -65,7 +65,7 @@ def _of_the_kind(log: Dataset, model: Model) -> Iterable[str]:
 
 
 def _of_the_effects(model: Model, hypotheses: bool) -> Iterable[str]:
-    """Return the columns that the effects use; in a plain drive, the motion of the motor replaces that of the joint."""
+    """Return the columns that the effects use; a plain drive uses the motion of the motor instead of the joint."""
     needed = [spec.needed_live(model.effects[name]) for name, spec in CATALOGUE.items() if name in model.effects]
     needed += [CATALOGUE[name].columns for name in model.effects]
     if hypotheses:

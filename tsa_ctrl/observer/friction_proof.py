@@ -103,18 +103,20 @@ class FrictionProof:
     @property
     def confirms_sensor(self) -> bool:
         """Return True unless the sensor contradicts the elongation, or has not been compared with it yet."""
-        elongation = self._elongation
-        return elongation is None or not self._both or (not self.contradicted and self._compared)
+        return not self._both or (not self.contradicted and self._compared)
 
     @property
     def confirms_file(self) -> bool:
         """Return True if the friction itself was measured twice, or if the axis has only one measurement."""
-        elongation = self._elongation
-        return elongation is None or not self._both or (not self.contradicted and elongation.certain)
+        return not self._both or (not self.contradicted and self._is_certain)
 
     @property
     def _compared(self) -> bool:
-        return self.evidence.follows or (self._elongation is not None and self._elongation.certain)
+        return self.evidence.follows or self._is_certain
+
+    @property
+    def _is_certain(self) -> bool:
+        return self._elongation is not None and self._elongation.certain
 
     @property
     def modelled(self) -> float:
@@ -174,8 +176,8 @@ class FrictionProof:
         self._combine()
 
     def compare(self, sensor: float, elongation: float, confirmed: bool, omega_j: float) -> None:
-        """Compare the changes of both measurements, see `SensorEvidence.update`."""
-        if sensor == sensor and elongation == elongation:
+        """Compare the changes of both measurements, if the axis has both; see `SensorEvidence.update`."""
+        if self._both and sensor == sensor and elongation == elongation:
             self.evidence.update(sensor, elongation, confirmed, omega_j)
 
     def _combine(self) -> None:

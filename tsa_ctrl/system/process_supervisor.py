@@ -189,7 +189,7 @@ def supervise(
 
 
 def _is_hung_up() -> bool:
-    """Return True if stdin is a pipe whose other end is closed, as that of a `Child` whose parent has ended.
+    """Return True if stdin is a pipe whose other end is closed. This happens to a `Child` when its parent has ended.
 
     This also holds if the parent ended before `supervise` could read its process id.
     """

@@ -56,7 +56,9 @@ def cases(chosen: argparse.Namespace) -> list[Case]:
         changes = list(map(change_of, chosen.changes))
     rigs = itertools.product(chosen.loads, chosen.set_points, changes, chosen.delays, chosen.at, chosen.sensors)
     found = [Case(sensors, load, wanted, *change, delay, at) for load, wanted, change, delay, at, sensors in rigs]
-    return [case for case in found if case.change or case.stands or case.load != "wearer"]  # whose hand never rests
+    return [
+        case for case in found if case.change or case.stands or case.load != "wearer"
+    ]  # whose hand also moves at rest
 
 
 def change_of(text: str) -> tuple[str, float]:

@@ -551,7 +551,7 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     _, width, separator = best
     rows = _rows(some, separator, width=width)
     wide = [i for i, row in enumerate(rows) if len(row) == width]
-    digits = [_mostly_numbers(rows[i]) for i in wide]  # a single row of numbers may stand above the names
+    digits = [_mostly_numbers(rows[i]) for i in wide]  # one row of numbers may come before the names
     followed = (i for i, one, two in zip(wide, digits, [*digits[1:], True], strict=True) if one and two)
     numeric = next(followed, next((i for i, one in zip(wide, digits, strict=True) if one), None))
     if numeric is None:
