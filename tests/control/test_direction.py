@@ -170,18 +170,20 @@ def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, tu
 @pytest.mark.parametrize(
     ("angle", "ahead", "stood", "turns"),
     [
-        (0.09, 0.0, True, False),  # within the backlash, with little torque
-        (0.11, 0.0, True, True),  # farther
-        (0.09, 0.3, True, True),  # with torque
-        (0.09, math.nan, True, True),  # without a set-point
-        (0.09, 0.0, False, True),  # a leg that swings
+        (0.9, 0.0, True, False),  # within the backlash, with little torque
+        (1.1, 0.0, True, True),  # farther
+        (0.9, 0.3, True, True),  # with torque
+        (0.9, math.nan, True, True),  # without a set-point
+        (0.9, 0.0, False, True),  # a leg that swings
     ],
 )
+@pytest.mark.parametrize(("way", "backlash"), [(0.02, 0.002), (1.0, 0.003)])
 def test_a_standing_joint_that_crosses_its_backlash_turns_nothing(
-    angle: float, ahead: float, stood: bool, turns: bool
+    angle: float, ahead: float, stood: bool, turns: bool, way: float, backlash: float
 ) -> None:
-    """The travel that reverses the tendons is 1 rad, and the friction torque 2 N*m: a tenth of both is the limit."""
-    by = By(way=1.0, friction=2.0)
+    """The limit is 3 mrad or a tenth of the travel that reverses the tendons, and a tenth of the friction torque."""
+    angle *= backlash
+    by = By(way=way, friction=2.0)
     by(-1.0, angle=-2.0)
     for _ in range(100 if stood else 20):
         by(0.0)

@@ -17,6 +17,7 @@ from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 
 GEARING = 0.8  # r_M/r_J
+PER_STRETCH = 0.025 * 4.0 * 60e3 / 1.2  # N*m of joint torque per m of elongation, at a constant motor torque
 SPEED = 1.0  # rad/s
 Sensor = Callable[[float, float], float]  # joint torque and motor torque (N*m) -> sensor value (N*m)
 WRONG: dict[str, Sensor] = {
@@ -37,7 +38,9 @@ class Joint:
         observer = StretchObserver(MODEL, PERIOD, (1e-4, 1e-6))
         by_sensor = None if sensor is None else ProvenFriction(MODEL, PERIOD, 1e-4, True)
         by_elongation = ProvenFriction(MODEL, PERIOD, 1e-4, False, observer) if elongation else None
-        self.proof = FrictionProof(by_sensor, by_elongation, SensorEvidence(FRICTION / GEARING, PERIOD))
+        evidence = SensorEvidence(FRICTION / GEARING, PERIOD, (PER_STRETCH * 0.020, PER_STRETCH * 0.025))
+        self.proof = FrictionProof(by_sensor, by_elongation, evidence)
+        self.observed = 0.85  # of the load, by an observer with an inaccurate file
         self.sensor = sensor or (lambda tau_j, tau_m: math.nan)
         self.share, self.varies, self.mean = 1.0, varies, mean
         self.random = np.random.default_rng(4)
@@ -58,8 +61,8 @@ class Joint:
         stretch = (tau_m / 0.020 + load / 0.025) / (4.0 * 60e3 / 1.2) + 2e-6 * self.random.standard_normal()
         q_m = (stretch + 0.025 * self.q) / 0.020
         shown = self.sensor(load, tau_m) + 1e-3 * self.random.standard_normal()
-        estimate = 0.85 * load + 0.05 + 0.01 * self.random.standard_normal()  # of an observer with an inaccurate file
-        self.proof.compare(shown, estimate, True, sigma * SPEED)
+        estimate = self.observed * load + 0.05 + 0.01 * self.random.standard_normal()
+        self.proof.compare(shown, estimate, tau_m, q_m, self.q, True, sigma * SPEED)
         self.proof.update(tau_m, sigma * SPEED / GEARING, q_m, self.q, shown, sigma * SPEED, False, FRICTION)
 
 
@@ -112,6 +115,16 @@ def test_a_sensor_that_follows_the_elongation_counts(gain: float, share: float) 
         assert proof.confirms_sensor
         assert not proof.contradicted
     assert proof.confirms_file
+
+
+@pytest.mark.parametrize("observed", [0.0, -0.5])
+@pytest.mark.parametrize("sensor", [*WRONG.values(), correct], ids=[*WRONG, "correct"])
+def test_the_elongation_itself_decides_if_the_observer_is_wrong(sensor: Sensor, observed: float) -> None:
+    """The joint reverses within a second, so that motor torque and joint torque do not change in proportion."""
+    joint = Joint(sensor)
+    joint.observed = observed
+    joint.move(0.3, -0.3, 0.3, -0.3)
+    assert joint.proof.evidence.follows is (sensor is correct)
 
 
 def test_a_sensor_that_is_plugged_in_again_counts_again() -> None:

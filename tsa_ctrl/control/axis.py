@@ -300,7 +300,15 @@ class ControlAxis:
         proven, law = self.compensation_limit.proven, self.law
         stretch = self.joint_torque.stretch
         if stretch is not None and image.fresh and stretch.state is StretchState.ESTIMATED:
-            proven.compare(instruments.tau_j, stretch.torque, stretch.confirmation.confirmed, terms.omega_j)
+            proven.compare(
+                instruments.tau_j,
+                stretch.torque,
+                image.tau_m,
+                terms.q_m,
+                terms.q_j,
+                stretch.confirmation.confirmed,
+                terms.omega_j,
+            )
         if not image.fresh:
             proven.miss(self._period)
         elif not terms.permitted:

@@ -33,7 +33,7 @@ from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
-from tsa_ctrl.model.stretch import compliance_centre, profile_of
+from tsa_ctrl.model.stretch import compliance_centre, profile_of, stretch_line
 from tsa_ctrl.observer.friction_proof import FrictionProof, SensorEvidence
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
@@ -315,7 +315,12 @@ def friction_proof_of(
     by_sensor = None
     if settings.torque_sensor is not None or (settings.has_torque_sensor and stretch is None):
         by_sensor = ProvenFriction(model, period, inertia, True)
-    return FrictionProof(by_sensor, by_elongation, SensorEvidence(joint_torque.model.half_loop, period))
+    per_angle = (0.0, 0.0)
+    if stretch is not None:
+        per_stretch = stretch_line(model).per_stretch
+        per_angle = (per_stretch * model.motor_pulley_radius, per_stretch * model.joint_pulley_radius)
+    evidence = SensorEvidence(joint_torque.model.half_loop, period, per_angle)
+    return FrictionProof(by_sensor, by_elongation, evidence)
 
 
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, reason_for_fixed: str) -> Bound:
