@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.observer.test_proven_friction import FRICTION, MODEL, PERIOD
-from tsa_ctrl.observer.friction_proof import FrictionProof, SensorEvidence
+from tsa_ctrl.observer.friction_proof import EVERY, FrictionProof, SensorEvidence
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 
@@ -37,7 +37,8 @@ class Joint:
     def __init__(self, sensor: Sensor | None, elongation: bool = True, varies: float = 0.3, mean: float = 0.0) -> None:
         observer = StretchObserver(MODEL, PERIOD, (1e-4, 1e-6))
         by_sensor = None if sensor is None else ProvenFriction(MODEL, PERIOD, 1e-4, True)
-        by_elongation = ProvenFriction(MODEL, PERIOD, 1e-4, False, observer) if elongation else None
+        period = PERIOD if sensor is None else EVERY * PERIOD
+        by_elongation = ProvenFriction(MODEL, period, 1e-4, False, observer) if elongation else None
         evidence = SensorEvidence(FRICTION / GEARING, PERIOD, (PER_STRETCH * 0.020, PER_STRETCH * 0.025))
         self.proof = FrictionProof(by_sensor, by_elongation, evidence)
         self.observed = 0.85  # of the load, by an observer with an inaccurate file

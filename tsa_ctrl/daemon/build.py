@@ -34,7 +34,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre, profile_of, stretch_line
-from tsa_ctrl.observer.friction_proof import FrictionProof, SensorEvidence
+from tsa_ctrl.observer.friction_proof import EVERY, FrictionProof, SensorEvidence
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
@@ -311,10 +311,11 @@ def friction_proof_of(
     like friction.
     """
     stretch = joint_torque.stretch
-    by_elongation = None if stretch is None else ProvenFriction(model, period, inertia, False, stretch)
-    by_sensor = None
+    by_sensor = by_elongation = None
     if settings.torque_sensor is not None or (settings.has_torque_sensor and stretch is None):
         by_sensor = ProvenFriction(model, period, inertia, True)
+    if stretch is not None:
+        by_elongation = ProvenFriction(model, period * (EVERY if by_sensor else 1), inertia, False, stretch)
     per_angle = (0.0, 0.0)
     if stretch is not None:
         per_stretch = stretch_line(model).per_stretch

@@ -20,7 +20,7 @@ import math
 from tsa_ctrl.observer.proven_friction import MEMORY, ProvenFriction
 
 LATELY = 1.0  # s over which changes of sensor and elongation are compared: a stroke
-EVERY = 4  # cycles between two samples of the comparison, which limits the computing time
+EVERY = 4  # cycles between two samples of the elongation next to a sensor, which limits the computing time
 # 1, of the friction torque: standard deviation of the torque by the elongation from which the sensor must follow it.
 # Half of it is the noise of an encoder with 12 bit; 0.75 of the file's friction causes 0.1 at a set-point of 0.
 EVIDENT = 0.07
@@ -125,11 +125,15 @@ class FrictionProof:
     def __init__(
         self, by_sensor: ProvenFriction | None, by_elongation: ProvenFriction | None, evidence: SensorEvidence
     ) -> None:
-        """Combine the measurements that the axis has; None is a missing one."""
+        """Combine the measurements that the axis has; None is a missing one.
+
+        Next to a sensor, the measurement by the elongation has the period of `EVERY` cycles.
+        """
         self._sensor, self._elongation = by_sensor, by_elongation
         self._parts = tuple(part for part in (by_sensor, by_elongation) if part is not None)
         self._first = self._parts[0] if self._parts else None
         self._both = len(self._parts) == 2
+        self._wait = 0  # cycles until the next update by the elongation
         self._trusted = False
         self.evidence = evidence
         self.contradicted = False
@@ -211,8 +215,13 @@ class FrictionProof:
         modelled: float,
     ) -> None:
         """Process the measurements of one cycle, see `ProvenFriction.update`."""
-        for part in self._parts:
-            part.update(tau_m, omega_m, q_m, q_j, tau_j, velocity, turning, modelled)
+        if self._first is not None:
+            self._first.update(tau_m, omega_m, q_m, q_j, tau_j, velocity, turning, modelled)
+        if self._both and self._elongation is not None:
+            self._wait -= 1
+            if self._wait <= 0:
+                self._wait = EVERY
+                self._elongation.update(tau_m, omega_m, q_m, q_j, tau_j, velocity, turning, modelled)
         self._combine()
 
     def compare(
