@@ -71,7 +71,6 @@ class Person(io.StringIO):
         return next(self._answers)
 
 
-@pytest.mark.xfail(reason="the measured friction bounds the file's law as well, so the new file does no better there")
 @pytest.mark.slow
 def test_a_person_who_is_asked_moves_the_joint_and_the_tuning_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
