@@ -123,7 +123,7 @@ UNLOADED = "the observer learns from a walk without motor torque"
     ("friction", "rate"),
     [
         pytest.param(1.3, 250, marks=pytest.mark.xfail(reason=UNLOADED)),
-        pytest.param(0.8, 250, marks=[pytest.mark.soak, pytest.mark.xfail(reason=UNLOADED)]),
+        pytest.param(0.8, 250, marks=pytest.mark.soak),
         pytest.param(1.3, 1000, marks=[pytest.mark.soak, pytest.mark.xfail(reason=UNLOADED)]),
         pytest.param(0.8, 1000, marks=pytest.mark.soak),
         pytest.param(1.08, 250, marks=pytest.mark.soak),
