@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.motion_filter import HALF, LONGEST, QUIET, JointAngle, Motion
+from tsa_ctrl.control.motion_filter import HALF, LONGEST, MOST_EXPECTED, QUIET, JointAngle, Motion
 
 PERIOD = 1e-3
 
@@ -68,6 +68,20 @@ def test_a_missing_answer_is_no_standstill() -> None:
         motion.update(math.nan, fresh=False)
     motion.update(2.0 * 0.203)
     assert motion.velocity == pytest.approx(2.0, abs=0.01)
+
+
+@pytest.mark.parametrize("bits", [12, 20])
+@pytest.mark.parametrize("missing", [MOST_EXPECTED, 60_000])
+def test_a_joint_that_stops_during_a_long_gap_is_at_rest_after_it(bits: int, missing: int) -> None:
+    """Regression test: the parabola went on for the whole gap, and looked like motion for 0.1 s afterwards."""
+    t = np.arange(0.0, 0.2, PERIOD)
+    motion = fed(2.0 * t - 10.0 * t * t, bits)
+    for _ in range(missing):
+        motion.update(math.nan, fresh=False)
+    assert (motion.velocity, motion.acceleration) == (0.0, 0.0)
+    for _ in range(20):
+        motion.update(0.3)
+    assert (motion.angle, motion.velocity, motion.acceleration) == (0.3, 0.0, 0.0)
 
 
 def test_before_two_angles_nothing_moves() -> None:

@@ -38,7 +38,7 @@ from typing import Protocol
 from tsa_ctrl.control.damping import Damping
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.law_design import Plan
-from tsa_ctrl.control.motion_filter import JointAngle, Motion
+from tsa_ctrl.control.motion_filter import MOST_EXPECTED, JointAngle, Motion
 from tsa_ctrl.control.reversal import FrictionReversal, ReversalSlip
 from tsa_ctrl.control.settings import LawSettings
 from tsa_ctrl.control.torque_feedback import TorqueFeedback
@@ -54,7 +54,6 @@ STANDS = 0.02  # N*m/s; a set-point that changes more slowly counts as constant
 SETTLING = 0.3  # s in which the share e is applied; it is removed five times as fast
 BLIND = 2.0  # memories of the motion after a reversal, in which the motor angle alone shows no joint motion
 NEAR_SLACK = 0.3  # of the model file's pretension; below it, the friction hardly changes any more, but the domain does
-MOST_EXPECTED = 50  # periods without a cycle; after a longer gap, the watchdogs have removed the torque
 _REFRESH = 64  # cycles between two updates of the friction torque, because parameters change slowly
 
 

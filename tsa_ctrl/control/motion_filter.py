@@ -12,6 +12,7 @@ SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a ga
 FEWEST = 10.0 / 3.0  # least periods of memory, because with fewer the acceleration is only noise
 STEP = 1.2  # ratio of successive memories in the search
 QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
+MOST_EXPECTED = 50  # periods without an angle that end the extrapolation: the watchdogs have then removed the torque
 _SETTLED = 40  # memories after which a step has no effect
 
 
@@ -21,12 +22,13 @@ class Motion:
     A fading-memory filter of second degree fits a parabola in which each angle weighs m times as much as the next. A
     low-pass filter of differences would delay the reversal, which must be predicted. The memory dt/(1 - m) is the
     shortest at which one encoder count changes the extrapolated velocity by at most `QUIET`; `noise` (rad/s) is this
-    change.
+    change. The parabola also replaces missing angles. After `MOST_EXPECTED` of them, both values are 0, and the next
+    angle is the first one.
 
     Source: N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969, chapter 13.
     """
 
-    __slots__ = ("_g", "_h", "_k", "_period", "acceleration", "angle", "memory", "noise", "velocity")
+    __slots__ = ("_g", "_h", "_k", "_missing", "_period", "acceleration", "angle", "memory", "noise", "velocity")
 
     def __init__(self, period: float, resolution: float, horizon: float, shortest: float = SHORTEST) -> None:
         """Choose the memory.
@@ -59,22 +61,29 @@ class Motion:
         """Reset the filter; the next angle is the first one."""
         self.angle = math.nan
         self.velocity = self.acceleration = 0.0
+        self._missing = 0  # periods in a row without an angle
 
     def update(self, angle: float, fresh: bool = True) -> None:
         """Process the angle (rad) of this cycle; the prediction replaces an angle that is not `fresh` or is nan."""
+        known = fresh and angle == angle
         q = self.angle
-        if q != q:
-            self.angle = angle
+        if q != q or (known and self._missing >= MOST_EXPECTED):
+            self.angle, self._missing = angle, 0
             return
         dt = self._period
         omega, alpha = self.velocity, self.acceleration
         q += dt * (omega + 0.5 * dt * alpha)
         omega += dt * alpha
-        if fresh and angle == angle:
+        if known:
             r = angle - q
             q += self._g * r
             omega += self._h * r
             alpha += self._k * r
+            self._missing = 0
+        else:
+            self._missing += 1
+            if self._missing >= MOST_EXPECTED:
+                omega = alpha = 0.0
         self.angle, self.velocity, self.acceleration = q, omega, alpha
 
     def _step_response(self, horizon: float) -> float:
