@@ -66,6 +66,7 @@ class Dataset(Displayed):
         read: one sentence for each repair made while the file was read.
         left_out: columns of the file that are not used.
         jitter: largest deviation from the uniform grid in the file, as a fraction of the period.
+        simulated: True for the log of a virtual run.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Dataset(Displayed):
     left_out: tuple[str, ...] = ()
     jitter: float = 0.0
     label: str = ""
+    simulated: bool = False
 
     @staticmethod
     def from_arrays(
@@ -220,7 +222,7 @@ class Dataset(Displayed):
         columns = {name: np.interp(times, t, self.columns[name]) for name in recorded} | {"t": times}
         made = Dataset.from_arrays(columns, self.name, cutoff=self.motion.cutoff)
         note = f"{self.name}: resampled by straight lines from {self.rate:.5g} Hz to {rate:.5g} Hz for the other logs"
-        same = {name: getattr(self, name) for name in ("sha256", "left_out", "jitter", "label")}
+        same = {name: getattr(self, name) for name in ("sha256", "left_out", "jitter", "label", "simulated")}
         return dataclasses.replace(made, read=(*self.read, note), **same)
 
     @cached_property
@@ -505,6 +507,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
         left_out=table.left_out,
         jitter=jitter,
         label=table.label,
+        simulated=table.simulated,
     )
 
 

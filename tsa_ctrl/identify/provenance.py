@@ -30,12 +30,13 @@ def provenance(
         nominal: nominal model file.
         logs: datasets, or hash by name.
         found: quantities whose 95 % intervals are kept as [low, high] in SI units.
-        origin: the measured joint. Without it, the source is logs, which may be of any joint, and the joint of the
-            nominal file is kept.
+        origin: the measured joint. Without it, the source is logs, which may be of any joint, or simulated if one of
+            them is the log of a virtual run. The joint of the nominal file is kept.
         more: further entries of the table.
     """
     if origin is None:
-        origin = Origin("logs", _nodes_of(Path(nominal)))
+        simulated = not isinstance(logs, Mapping) and any(log.simulated for log in logs)
+        origin = Origin("simulated" if simulated else "logs", _nodes_of(Path(nominal)))
     return {
         "command": command,
         **({"source": origin.source} if origin.source else {}),

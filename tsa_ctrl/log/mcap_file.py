@@ -86,6 +86,7 @@ NOTES_ENCODING = "json"
 INFO, ERROR = 2, 4  # levels of foxglove.Log
 HEAD = "head"  # metadata record at the end of the head, with the checksum of all bytes between MAGIC and this record
 FILES = "file:"  # prefix of the metadata records that contain the text of a configuration file
+RUN = "run.json"  # file in the head that contains the arguments of a virtual run; other logs have none
 
 MESSAGE = np.dtype(
     [

@@ -35,6 +35,7 @@ class Table:
         above: number of lines above the first row of a text file; None for other files.
         axis: name of the axis; None for a table.
         recorded: True for a log of the daemon.
+        simulated: True for the log of a virtual run.
         rows: row of the file for each row of the table, (n,); None if they are the same.
         notes: descriptions of the repairs.
     """
@@ -45,6 +46,7 @@ class Table:
     above: int | None = None
     axis: str | None = None
     recorded: bool = False
+    simulated: bool = False
     rows: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
 
@@ -116,6 +118,7 @@ def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table
 
 def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> Table:
     """Read one axis of a log of the daemon, without empty columns."""
+    from tsa_ctrl.log.mcap_file import RUN
     from tsa_ctrl.log.reader import LogFile
 
     log = LogFile(path)
@@ -132,7 +135,7 @@ def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> T
     columns = {name: values for name, values in columns.items() if name == "t" or not np.isnan(values).all()}
     label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
     left_out = tuple(name for name in log.fields if name not in kept)
-    return Table(label, columns, left_out, axis=axis, recorded=True)
+    return Table(label, columns, left_out, axis=axis, recorded=True, simulated=RUN in log.files)
 
 
 def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
+from tsa_ctrl.log.mcap_file import RUN
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.plant.faults import FaultKind, nothing, parse_fault
 from tsa_ctrl.plant.machine import Machine
@@ -155,7 +156,6 @@ def put(mailbox: Mailbox, command: Command) -> None:
         raise UsageError("more settings at one time than the loop's queue holds; give them different times")
 
 
-RUN = "run.json"  # name of the arguments of a virtual run, in the header of a log
 MOST_FILES = 200  # most files in a header
 
 
