@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.control.laws import PERIOD, plan
 from tests.model.actuator import ACTUATOR
-from tsa_ctrl.control.law_design import BLIND, LAG, LEAST, MOST_LEAD, Limits, gain_margin
+from tsa_ctrl.control.law_design import BLIND, LAG, LEAST, MOST_LEAD, Limits, design_law, gain_margin
 from tsa_ctrl.control.reversal import FrictionReversal
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import Points
@@ -145,9 +145,31 @@ def test_a_speed_at_which_no_turn_is_possible_is_an_error_that_names_the_limit()
 
 def test_the_least_speed_limit_counts_and_without_a_joint_encoder_those_of_the_joint() -> None:
     settings_of = LimiterSettings(torque=2.0, joint_speed=6.0, over_speed=9.0, motor_over_speed=20.0)
-    found = [Limits.of(settings_of, most, ACTUATOR, encoder)[3:] for most, encoder in ((30.0, True), (15.0, True))]
+    found = [Limits.of(settings_of, most, ACTUATOR, encoder)[3:5] for most, encoder in ((30.0, True), (15.0, True))]
     assert found == [(20.0, "limits.motor_over_speed"), (15.0, "drive.max_speed")]
-    assert Limits.of(settings_of, 30.0, ACTUATOR, False)[3:] == (pytest.approx(7.5), "limits.joint_speed")
+    assert Limits.of(settings_of, 30.0, ACTUATOR, False)[3:5] == (pytest.approx(7.5), "limits.joint_speed")
+
+
+@pytest.mark.parametrize("has_encoder", [True, False])
+@pytest.mark.parametrize(
+    ("gear", "motor", "named"),
+    [
+        (1.0, 20.0, ""),
+        (1.0, 6.0, "limits.motor_over_speed 6 rad/s is reached at a joint speed of 4.8 rad/s, before "),
+        (2.0, 20.0, "limits.motor_over_speed 20 rad/s is reached at a joint speed of 8 rad/s, before "),
+    ],
+)
+def test_a_motor_speed_limit_that_acts_before_the_fade_of_the_torque_is_noted(
+    gear: float, motor: float, named: str, has_encoder: bool
+) -> None:
+    """The second rig has the shipped limits, but twice the ratio of the radii."""
+    model = dataclasses.replace(bent("uniform"), joint_pulley_radius=gear * ACTUATOR.joint_pulley_radius)
+    limits = Limits.of(LimiterSettings(torque=2.0, motor_over_speed=motor), motor, model, has_encoder)
+    found = design_law(
+        model, period=PERIOD, transport=PERIOD, late=0.0, has_encoder=has_encoder, limits=limits, inertia=INERTIA
+    )
+    noted = [note for note in found.notes if "is reached at a joint speed" in note]
+    assert [note.startswith(named) for note in noted] == [True] * bool(named)
 
 
 def test_a_command_never_runs_farther_ahead_of_the_measured_torque_than_allowed() -> None:

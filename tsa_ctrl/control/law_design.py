@@ -167,6 +167,8 @@ class Limits(NamedTuple):
     distance: float = math.inf  # N*m, command beyond measured torque
     speed: float = math.inf  # rad/s
     speed_key: str = "limits.motor_over_speed"  # the key that sets `speed`
+    gearing: float = 1.0  # r_J/r_M
+    joint_speed: float = 0.0  # rad/s of the joint, at which the torque has faded to 0
 
     @classmethod
     def of(cls, limits: LimiterSettings, max_speed: float, model: TendonSheath, has_encoder: bool) -> Limits:
@@ -177,7 +179,8 @@ class Limits(NamedTuple):
             speeds["limits.over_speed"] = gearing * limits.over_speed
             speeds["limits.joint_speed"] = gearing * limits.joint_speed
         key = min(speeds, key=lambda name: speeds[name])
-        return cls(limits.rate, limits.torque, limits.distance or limits.torque, speeds[key], key)
+        distance = limits.distance or limits.torque
+        return cls(limits.rate, limits.torque, distance, speeds[key], key, gearing, limits.joint_speed)
 
 
 @dataclass(frozen=True)
@@ -236,6 +239,13 @@ def design_law(
         turn = _duration(model, front, stiffness, mass, period, limits._replace(rate=rate))
     half_loop = abs(sliding(model).motor_half_loop)
     turn = _slowed(turn, _way(front, half_loop, stiffness), limits, where, notes)
+    reached = limits.speed / limits.gearing
+    if reached < (1.0 - 1e-9) * limits.joint_speed:
+        notes.append(
+            f"{limits.speed_key} {limits.speed:.3g} rad/s is reached at a joint speed of {reached:.3g} rad/s, before "
+            f"limits.joint_speed {limits.joint_speed:.3g} rad/s has faded the torque: lower joint_speed below "
+            f"{reached:.3g} rad/s, or raise {limits.speed_key}"
+        )
     if half_loop >= limits.torque:
         notes.append(
             f"limits.torque {limits.torque:g} N*m does not exceed the friction torque of {half_loop:.3g} N*m at the "
