@@ -117,8 +117,11 @@ BAND = 1.96  # standard deviations of 95 %
 # Share of the filter's variance of the tendons that the band includes. The filter assumes more drift and temporary
 # friction than tendons show, so that it follows a change of 40 % within 10 s. With all of that variance the band would
 # be three times as wide as necessary. With this share and `TOLD` the band contains 95 to 97 % of the samples of
-# simulated rigs on average (tools/run bench/stretch). Single rigs differ, because the residual is not noise.
+# simulated rigs on average (tools/run bench/stretch). Single rigs differ, because the residual is not noise. Before the
+# tendons have slid in both directions, friction, stiffness and zero are not separately identifiable, and the band
+# includes all of the variance.
 OF_TENDONS = 0.035
+SLIDES = 0.9  # friction state z, beyond which the tendons slide in one direction
 # 1, error over the friction torque in the middle of a reversal, if the file has only the centre of the bends. Two bends
 # with a straight piece between them change the slip fronts by this much (5.3 % RMS over the reversal).
 COURSE = 0.06
@@ -203,6 +206,7 @@ class StretchObserver:
     def reset(self) -> None:
         """Reset all states and the zero of s; the next measurement sets the zero again."""
         self._gap = 0.0
+        self._slid_forward = self._slid_backward = False
         self.confirmation.reset()
         self._origin = math.nan  # m, elongation at the first measurement; the zero is relative to it
         self._memory[:] = 0.0
@@ -356,7 +360,12 @@ class StretchObserver:
             turning = 0.0
         torque = self._r_j * tensions
         difference = torque - self._per_torque * tau_m
-        variance = OF_TENDONS * (self._r_j * deviation) ** 2 + self._noise
+        if slid and z > SLIDES:
+            self._slid_forward = True
+        elif slid and z < -SLIDES:
+            self._slid_backward = True
+        share = OF_TENDONS if self._slid_forward and self._slid_backward else 1.0
+        variance = share * (self._r_j * deviation) ** 2 + self._noise
         variance += self._bent * difference * difference + self._turn_variance * turning
         self._misled_by = 0.0
         if slid:
