@@ -100,6 +100,17 @@ def test_short_spikes_are_replaced_and_counted(name: str, factor: float, length:
     assert any(note.startswith(f"{told} first at row 101") for note in found.notes)
 
 
+@pytest.mark.parametrize("name", ["tau_m", "tau_j", "q_j"])
+def test_strict_rejects_spikes_with_their_first_row(tmp_path: Path, name: str) -> None:
+    table = columns(q_j=-np.cos(5.0 * T) / 5.0, omega_j=np.sin(5.0 * T))
+    assert not load_log(as_csv(tmp_path / "good.csv", table), strict=True).notes
+    spiked = table[name].copy()
+    spiked[100] += 20.0 * np.std(spiked)
+    path = as_csv(tmp_path / "a.csv", {**table, name: spiked})
+    with pytest.raises(UsageError, match=rf"a.csv: column {name} has 1 spike.* row 101.*--strict allows no repair"):
+        load_log(path, strict=True)
+
+
 def test_a_torque_with_too_many_spikes_is_rejected() -> None:
     table = columns()
     spiked = table["tau_m"].copy()
@@ -352,11 +363,11 @@ class TestTablesAsTheyCome:
 
 class TestDaemonLog:
     @staticmethod
-    def recorded(path: Path, keep: NDArray[np.int64], **changed: NDArray[np.float64]) -> Dataset:
+    def recorded(path: Path, keep: NDArray[np.int64], strict: bool = False, **changed: NDArray[np.float64]) -> Dataset:
         log = McapFile(path, ONE)
         log.write([records(N, **{**motion(N), **changed})[keep]])
         log.finish()
-        return load_log(path)
+        return load_log(path, strict)
 
     @pytest.mark.parametrize(
         ("lost", "silent", "first", "rows", "said"),
@@ -381,6 +392,10 @@ class TestDaemonLog:
         assert said in found.notes[0]
         for name in ("tau_m", "tau_j"):
             assert np.max(np.abs(found[name] - motion(N)[name][first : first + rows])) < 1e-4
+
+        if "the first" not in said:
+            with pytest.raises(UsageError, match=r"(filled|left out).*; --strict allows no repair"):
+                self.recorded(tmp_path / "y.mcap", keep, strict=True, tau_m=torque)
 
     @pytest.mark.parametrize("rows", [1, 9])
     def test_a_few_complete_rows_are_no_log(self, tmp_path: Path, rows: int) -> None:

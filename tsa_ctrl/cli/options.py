@@ -33,5 +33,5 @@ CUTOFF = click.option(
 STRICT = click.option(
     "--strict",
     is_flag=True,
-    help="Reject late rows, lost samples, duplicate time stamps and gaps instead of repairing them.",
+    help="Reject late rows, lost samples, duplicate time stamps, gaps and spikes instead of repairing them.",
 )

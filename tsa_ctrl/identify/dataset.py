@@ -485,12 +485,13 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
     if not any(column in columns for column in ("omega_j", "q_j", "omega_m", "q_m")):
         raise UsageError(_missing(table.label, "omega_j or q_j", everything))
     if table.recorded:
-        table = _recorded(dataclasses.replace(table, columns=columns), notes)
+        table = _recorded(dataclasses.replace(table, columns=columns), notes, strict)
         columns = table.columns
     _check_numbers(table, columns)
-    if not strict:
-        columns = without_spikes(table, _unwrapped(columns, notes), NEEDED, notes)
-    read = columns
+    repairs: list[str] = []
+    read = columns = without_spikes(table, _unwrapped(columns, notes), NEEDED, repairs)
+    for repair in repairs:
+        _add_repair(notes, repair, table.label, strict)
     columns, period, jitter = _uniform(table, read, notes, strict)
     notes += check_columns(table.label, columns, period)
     check_sizes(table.label, read, table.place)
@@ -556,7 +557,14 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
     return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
 
 
-def _recorded(table: Table, notes: list[str]) -> Table:
+def _add_repair(notes: list[str], repair: str, label: str, strict: bool) -> None:
+    """Add the sentence on a repair to the notes; raise UsageError with it in strict mode."""
+    if strict:
+        raise UsageError(f"{label}: {repair}; --strict allows no repair: correct the log, or omit --strict")
+    notes.append(repair)
+
+
+def _recorded(table: Table, notes: list[str], strict: bool) -> Table:
     """Return the longest usable part of a daemon's log.
 
     Other parts are unusable because devices were silent or the loop was interrupted. Raises UsageError if the longest
@@ -582,10 +590,11 @@ def _recorded(table: Table, notes: list[str]) -> Table:
         )
     first, end = int(rows[0]), int(rows[-1]) + 1
     if end - first < len(complete) - start:
-        notes.append(
+        gap = (
             f"the daemon stood still, or a device was silent, for more than {1e3 * LONGEST_SKIP:g} ms at least once: "
             f"the longest stretch without is used, {len(complete) - start - (end - first)} rows are left out"
         )
+        _add_repair(notes, gap, table.label, strict)
     columns = {name: values[rows] for name, values in columns.items()}
     return dataclasses.replace(table, columns=columns, rows=rows if table.rows is None else table.rows[rows])
 
@@ -641,7 +650,8 @@ def _uniform(
         share = grid.skipped / (grid.index[-1] + 1)
         lost = "cycles" if table.recorded else "samples"
         cause = "the daemon skipped" if table.recorded else "the file lacks"
-        notes.append(f"{grid.skipped} {lost} ({share:.2%}) that {cause} are filled by straight lines")
+        filled = f"{grid.skipped} {lost} ({share:.2%}) that {cause} are filled by straight lines"
+        _add_repair(notes, filled, table.label, strict)
     period = f"the period of {grid.period * 1e3:.4g} ms"
     if grid.jitter > MOST_JITTER:
         off = np.abs(np.diff(t) / grid.period - np.diff(grid.index)) > MOST_JITTER
