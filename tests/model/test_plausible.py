@@ -17,7 +17,6 @@ from tests.virtual.files import controller, merged, write
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, dump_model, model_from
-from tsa_ctrl.model.plausible import check_consistent
 
 EXAMPLE = tomllib.loads((ROOT / "config" / "actuator.toml").read_text(encoding="utf-8"))
 
@@ -54,6 +53,7 @@ def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value:
     [
         ({"tendon": {"axial_stiffness": 60.0}}, "modulus of 0.212 GPa; allowed is 0.3 to 1000 GPa.*not in kN"),
         ({"tendon": {"axial_stiffness": 60e6}}, "modulus of 2.12e.05 GPa"),
+        ({"tendon": {"axial_stiffness": 1e-300}}, "modulus of 3.54e-303 GPa"),
         ({"pretension": {"value": 4500.0}}, "strains .* by 7.5 %; allowed is 4 %.*gram-force"),
         ({"pretension": {"value": 10.0 / 0.00981}}, "stresses .* 3.61 GPa; allowed is 3 GPa.*gram-force"),
         ({"tendon": {"diameter": 0.06e-3}}, "modulus of 2.12e.04 GPa.*diameter in m"),
@@ -62,11 +62,25 @@ def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value:
     ],
 )
 def test_numbers_that_contradict_each_other_are_rejected(changes: dict[str, dict[str, float]], words: str) -> None:
-    """The check comes before a motor runs. A log of such a rig can still be calibrated and diagnosed."""
-    model = model_from(merged(EXAMPLE, changes), "knee.toml")
+    """Every command that reads the file rejects it, because `model_from` does."""
+    assert rejected(changes, words).startswith("knee.toml: ")
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "value", "words"),
+    [
+        ("rigid_drive", "inertia", 1e6, "<= 1000.0, found 1e.06 .*g.cm"),
+        ("rigid_drive", "coulomb_friction", 1e300, "<= 500.0, found 1e.300 .*N.mm"),
+        ("rigid_drive", "viscous_friction", 2e3, "<= 1000.0, found 2000"),
+        ("rigid_drive", "torque_offset", -1e4, ">= -500.0, found -10000"),
+        ("geared_drive", "ratio", 1e-9, ">= 0.01, found 1e-09 .*motor turns"),
+    ],
+)
+def test_a_number_that_no_drive_has_is_rejected(kind: str, key: str, value: float, words: str) -> None:
+    needed = {"ratio": 50.0} if kind == "geared_drive" else {}
     with pytest.raises(UsageError, match=words) as error:
-        check_consistent(model)
-    assert str(error.value).startswith("knee.toml: ")
+        model_from({"actuator": {"kind": kind, **needed, key: value}}, "knee.toml")
+    assert f"knee.toml: actuator.{key}" in str(error.value)
     assert "\n" not in str(error.value)
 
 

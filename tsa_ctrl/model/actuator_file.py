@@ -11,13 +11,14 @@ from msgspec import Meta
 from tsa_ctrl.model.routing import RoutingSection
 
 # The description of a range is part of the error: the unit, the reason for the range, and the likely mistake.
-Positive = Annotated[float, Meta(gt=0.0)]
-NonNegative = Annotated[float, Meta(ge=0.0)]
 Radius = Annotated[
     float, Meta(ge=1e-3, le=0.5, description="m; pulleys of joints are 1 mm to 0.5 m; divide millimetres by 1000")
 ]
 Stiffness = Annotated[float, Meta(gt=0.0, description="N; multiply kilonewtons by 1000")]
-SeriesStiffness = Annotated[float, Meta(gt=0.0, description="N/m; multiply N/mm by 1000")]
+SeriesStiffness = Annotated[
+    float,
+    Meta(ge=1.0, le=1e9, description="N/m; omit it without a spring; multiply N/mm by 1000"),
+]
 Length = Annotated[
     float, Meta(ge=0.01, le=20.0, description="m; tendons are 10 mm to 20 m long; divide millimetres by 1000")
 ]
@@ -60,24 +61,34 @@ class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     joint_pulley_radius: Radius  # r_J, m
 
 
+# Limits of a drive, from the motor of a small joint to the largest that a log may contain
+Inertia = Annotated[float, Meta(ge=0.0, le=1e3, description="kg*m^2; multiply g*cm^2 by 1e-7")]
+Torque = Annotated[float, Meta(ge=0.0, le=500.0, description="N*m; divide N*mm by 1000")]
+SignedTorque = Annotated[float, Meta(ge=-500.0, le=500.0, description="N*m; divide N*mm by 1000")]
+Damping = Annotated[float, Meta(ge=0.0, le=1e3, description="N*m*s/rad; divide N*mm*s/rad by 1000")]
+Ratio = Annotated[
+    float, Meta(ge=0.01, le=1e4, description="motor turns per joint turn; gears of joints have up to some hundred")
+]
+
+
 class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Define [actuator] of a drive without joint torque sensor."""
 
     kind: Literal["rigid_drive"]
-    inertia: NonNegative | None = None  # J, kg*m^2
-    coulomb_friction: NonNegative | None = None  # tau_c, N*m
-    viscous_friction: NonNegative | None = None  # b, N*m*s/rad
-    torque_offset: float | None = None  # c, N*m
+    inertia: Inertia | None = None  # J, kg*m^2
+    coulomb_friction: Torque | None = None  # tau_c, N*m
+    viscous_friction: Damping | None = None  # b, N*m*s/rad
+    torque_offset: SignedTorque | None = None  # c, N*m
 
 
 class GearedDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """Define [actuator] of a drive with a gear and a joint torque sensor, without tendons."""
 
     kind: Literal["geared_drive"]
-    ratio: Positive  # N, motor turns per joint turn
+    ratio: Ratio  # N, motor turns per joint turn
     efficiency: Annotated[float, Meta(gt=0.0, le=1.0, description="1; divide per cent by 100")] | None = None  # eta
-    coulomb_friction: NonNegative | None = None  # tau_c, N*m at the joint
-    viscous_friction: NonNegative | None = None  # b, N*m*s/rad at the joint
+    coulomb_friction: Torque | None = None  # tau_c, N*m at the joint
+    viscous_friction: Damping | None = None  # b, N*m*s/rad at the joint
 
 
 class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
