@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.identify.diagnosis.nominal import MODEL
+from tests.identify.diagnosis.nominal import model as tendons
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
@@ -186,6 +188,42 @@ def test_a_mistake_is_one_line_and_code_2(
     assert output.out == ""
     assert said in output.err
     assert output.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("moves", "changed", "factor", "words"),
+    [
+        ("one way", "tau_j", -1.0, "column tau_j is likely reversed: .*slope .* -0.999"),
+        ("one way", "tau_m", -1.0, "column tau_m is likely reversed"),
+        ("locked", "tau_m", -1.0, "column tau_j or tau_m is likely reversed"),
+        ("one way", "tau_j", 10.197, "column tau_j is likely in kgf.cm: with 0.09807 .* 10.*; convert it to N.m"),
+        ("steady load", "tau_j", 100.0, "column tau_j is likely in N.cm: with 0.01 .*; convert it to N.m"),
+        ("steady load", "tau_m", 1000.0, "column tau_m is likely in N.mm"),
+        ("steady load", "tau_j", 1e-3, "column tau_j is likely in kN.m"),
+        ("steady load", "tau_j", -100.0, "column tau_j is likely reversed and in N.cm.* and turn its sign"),
+        ("one way", "tau_j", 1.0, ""),
+        ("one way", "tau_j", 1.8, ""),
+        ("steady load", "tau_j", 1.0, ""),
+    ],
+)
+def test_a_likely_sign_or_unit_is_named(moves: str, changed: str, factor: float, words: str) -> None:
+    """The check of energy needs motion in both directions, and the check of units a load that changes."""
+    omega = {"one way": 1.0 + 0.5 * np.sin(T), "locked": 0.0 * T, "steady load": OMEGA}[moves]
+    tau_m = 0.1 + 0.0 * T if moves == "steady load" else TAU_M
+    loss = 2.0 * PRETENSION * np.sign(omega) * math.sinh(X)
+    log = {"t": T, "tau_m": tau_m, "tau_j": R_J * (tau_m / R_M * math.cosh(X) - loss), "omega_j": omega}
+    log["tau_j"] = log["tau_j"] + 0.1 * ERROR
+    log[changed] = factor * log[changed]
+    assert re.match(words or "$", simulate(Dataset.from_arrays(log, "log"), tendons()).likely)
+
+
+def test_the_likely_sign_is_a_note_in_one_line(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_csv(bench / "one_way.csv", t=T, tau_m=TAU_M, tau_j=-expected() + 2.0 * R_J * TAU_M / R_M, omega_j=0.0 * T + 1)
+    assert tsa("one_way.csv", "--model", "a.toml", "--json") == 0
+    assert not any("likely" in note for note in json.loads(capsys.readouterr().out)["notes"])
+    write_csv(bench / "locked.csv", t=T, tau_m=TAU_M, tau_j=-R_J * TAU_M / R_M, omega_j=0.0 * T)
+    assert tsa("locked.csv", "--model", "a.toml") == 0
+    assert "note: column tau_j or tau_m is likely reversed: " in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -60,6 +60,7 @@ def command(
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
     notes = [*notes_of([with_unused(dataset, model, "simulate") for model in loaded])]
     notes += filter(None, [unmoved(dataset)])
+    notes += [f"{simulation.likely} ({simulation.name})" for simulation in simulations if simulation.likely]
     kept = {path: outputs.keep(path) for path in (out, picture) if path is not None}
     if out is not None:
         write_csv(out, dataset, simulations)

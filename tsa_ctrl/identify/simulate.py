@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,18 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
+from tsa_ctrl.identify.units import TORQUES
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import beyond_slack, predict
+from tsa_ctrl.model.signals import Signals
 
 Array = NDArray[np.float64]
 
+# Error over the RMS of the measured torque: a model with a smaller error describes the log as it was recorded
+LARGE = 0.5
+ALIKE = 1.2  # ratio of two errors up to which either column may be wrong, as on a locked joint
+MUCH_BETTER = 0.3  # largest ratio of the error with the corrected column: a wrong model does not improve as much
 COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # columns; one of them must vary for a meaningful error
 
 
@@ -40,6 +47,7 @@ class Simulation:
     beyond_slack: float
     slack_modelled: bool
     errors: ThreeErrors = field(default_factory=ThreeErrors)  # unknown without a measured torque
+    likely: str = ""  # the likely wrong sign or unit of a torque column; empty without one
 
     @property
     def rms(self) -> float | None:
@@ -91,7 +99,61 @@ def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
         )
     slack_modelled = isinstance(model, TendonSheath) and "tendon_slack" in model.effects
     errors = ThreeErrors() if residual is None else three_errors([dataset], [residual], quantity)
-    return Simulation(name, quantity, predicted, residual, beyond_slack(model, signals), slack_modelled, errors)
+    likely = "" if residual is None else likely_mistake(dataset[quantity], model, signals, predicted)
+    return Simulation(name, quantity, predicted, residual, beyond_slack(model, signals), slack_modelled, errors, likely)
+
+
+def likely_mistake(measured: Array, model: Model, signals: Signals, predicted: Array) -> str:
+    """Return the sign or unit of a torque column that is likely wrong; empty without one.
+
+    A sign or a unit is wrong if the model describes the log much better with this column corrected.
+
+    Args:
+        measured: measured torque of the column that the model predicts, (n,) in N*m.
+        model: the model.
+        signals: the signals of the log.
+        predicted: torque predicted from these signals, (n,) in N*m.
+    """
+    before = _relative(measured, predicted)
+    if not before > LARGE:
+        return ""
+    corrected = [(_relative(factor * measured, predicted), model.target, factor) for factor, _ in _factors()]
+    if model.target != "tau_m":
+        corrected += [(_by_motor(factor, measured, model, signals), "tau_m", factor) for factor, _ in _factors()]
+    after, _, factor = min(corrected)
+    if not after < MUCH_BETTER * before:
+        return ""
+    columns = " or ".join(name for error, name, own in corrected if own == factor and error < ALIKE * after)
+    fault, remedy = dict(_factors())[factor]
+    slope = float(predicted @ measured) / max(float(predicted @ predicted), 1e-300)
+    return (
+        f"column {columns} is likely {fault}: with {factor:.4g} times its values, the error is {after:.0%} instead of "
+        f"{before:.0%} of the measured torque (regression slope of measured over predicted torque {slope:.3g}); "
+        f"{remedy}"
+    )
+
+
+def _factors() -> Iterator[tuple[float, tuple[str, str]]]:
+    """Yield each factor that corrects a sign or a unit, with the fault and its remedy."""
+    yield -1.0, ("reversed", "turn its sign")
+    for sign, turned, also in ((1.0, "", ""), (-1.0, "reversed and ", " and turn its sign")):
+        for size, unit in TORQUES:
+            yield sign / size, (f"{turned}in {unit}", f"convert it to N*m{also}")
+        yield sign * 1000.0, (f"{turned}in kN*m", f"convert it to N*m{also}")
+
+
+def _by_motor(factor: float, measured: Array, model: Model, signals: Signals) -> float:
+    """Return the error as in `_relative` with `factor` times the motor torque; infinite if no torque is predicted."""
+    try:
+        return _relative(measured, predict(model, replace(signals, tau_m=factor * signals.tau_m)))
+    except UsageError:  # the formula of a model file may have no value beyond its range
+        return math.inf
+
+
+def _relative(measured: Array, predicted: Array) -> float:
+    """Return the RMS error over the RMS of the measured torque; not a finite number without a torque."""
+    with np.errstate(all="ignore"):
+        return float(np.sqrt(np.mean(np.square(measured - predicted)) / np.mean(np.square(measured))))
 
 
 def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[Simulation]:
