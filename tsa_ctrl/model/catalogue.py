@@ -21,7 +21,8 @@ CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
 )
 
-PARAMETER_ERROR = "parameter_error"  # not an effect: the competing hypothesis of wrong parameters only
+# Not effects, but competing hypotheses: wrong parameters only, and a torque sensor whose error depends on its load
+PARAMETER_ERROR, SENSOR_ERROR = "parameter_error", "torque_sensor_error"
 
 
 def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.blind.cases import finish, none_case, single_case
-from tests.identify.diagnosis.nominal import diagnosed, model, named
+from tests.identify.diagnosis.nominal import MODEL, diagnosed, model, named
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
 
@@ -28,7 +28,7 @@ def coloured(rng: np.random.Generator, count: int) -> Array:
 def log(seed: int, flaw: str = "") -> Columns:
     """Return a log with three sines of the joint angle and four of the motor torque.
 
-    `flaw` is the fault of the drive that reports the torque.
+    `flaw` is the fault of the drive that reports the torque, or of the joint torque sensor.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(round(SECONDS * RATE)) / RATE
@@ -77,3 +77,45 @@ def test_one_rig_has_one_answer_or_its_group_whatever_its_noise(effect: str, see
         assert all(len(names) == 1 and effect in names[0] for names in answers), answers
     else:
         assert answers == [[]] * seeds
+
+
+def sensor(flaw: str, tau: Array, forces: Array) -> Array:
+    """Return the reading of a faulty torque sensor, N*m, for a joint torque in N*m and a sum of tendon forces in N."""
+    peak, size = float(np.max(np.abs(tau))), float(np.std(tau))
+    if flaw.startswith("gain"):
+        return np.where(tau > 0.0, tau, float(flaw.split()[1]) * tau)
+    readings = {
+        "soft limit": 1.5 * peak * np.tanh(tau / (1.5 * peak)),
+        "curved bridge": tau + 0.1 * tau**2 / peak,
+        "dead zone": np.sign(tau) * np.maximum(np.abs(tau) - 0.1 * size, 0.0),
+        "axial force": tau + 0.05 * R_J * forces,
+    }
+    return readings[flaw]
+
+
+def sensor_log(seed: int, flaw: str, rubs: float, steady: bool) -> Columns:
+    """Return a log of a faulty torque sensor on a rig with friction angle `rubs`; `steady` motion has one speed."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(SECONDS * RATE)) / RATE
+    swings = zip(rng.uniform(0.2, 0.5, 3), rng.uniform(0.0, 6.28, 3), strict=True)
+    q = np.sum([0.6 / (1 + k) * np.sin(6.28 * f * t + phase) for k, (f, phase) in enumerate(swings)], axis=0)
+    if steady:
+        q = np.convolve(np.pad(2.0 * np.abs(0.22 * t % 1.0 - 0.5), 25, mode="edge"), np.full(51, 1.0 / 51.0), "valid")
+    omega = np.gradient(q, t)
+    loads = zip(rng.uniform(0.2, 0.4, 4), rng.uniform(0.1, 0.9, 4), rng.uniform(0.0, 6.28, 4), strict=True)
+    tau_m = np.sum([size * np.sin(6.28 * f * t + phase) for size, f, phase in loads], axis=0)
+    half, sigma = tau_m / (2.0 * R_M), np.sign(omega)
+    a, b = (PRETENSION - half) * np.exp(sigma * rubs), (PRETENSION + half) * np.exp(-sigma * rubs)
+    tau_j = sensor(flaw, R_J * (b - a), a + b) + 0.01 * coloured(rng, len(t))
+    measured = {"tau_m": tau_m + rng.normal(0.0, 0.003, len(t)), "omega_j": omega + rng.normal(0.0, 0.003, len(t))}
+    return {"t": t, **measured, "q_j": q, "tau_j": tau_j}
+
+
+@pytest.mark.parametrize("flaw", ["gain 0.85", "gain 1.1", "soft limit", "curved bridge", "dead zone", "axial force"])
+@pytest.mark.parametrize(("rubs", "steady"), [(0.26, False), (0.5, True), (0.75, False)])
+def test_an_error_of_the_torque_sensor_is_never_named_as_a_certain_cause(flaw: str, rubs: float, steady: bool) -> None:
+    """The catalogue does not contain these errors. A cause then has alternatives, or none is named."""
+    rig = model(MODEL.replace("friction_coefficient = 0.1", f"friction_coefficient = {rubs / 2.6}"))
+    found = diagnose({"log": sensor_log(3, flaw, rubs, steady)}, rig)
+    assert found.causes or found.verdict is not Verdict.EXPLAINED
+    assert all(cause.alternatives for cause in found.causes), found.sentence

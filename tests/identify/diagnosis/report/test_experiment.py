@@ -16,6 +16,7 @@ from tsa_ctrl.identify.diagnosis.report.experiment import parted_by
         (("parameter_error", "torque_constant_error"), ["known weight"]),
         (("inertia", "joint_stiffness"), ["two or more frequencies"]),
         (("thermal_friction_drift", "pretension_relaxation"), ["heat and cool"]),
+        (("sheath_asymmetry", "torque_sensor_error"), ["torques of both signs"]),
         (("torque_ripple", "inertia"), ["several speeds", "torques of both signs"]),
     ],
 )

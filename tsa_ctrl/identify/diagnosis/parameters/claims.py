@@ -29,7 +29,7 @@ from tsa_ctrl.identify.diagnosis.residual.changes import DRIFT
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.flatness import not_flat
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion, residual_structure, structure_share
-from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
+from tsa_ctrl.identify.diagnosis.rivals.elsewhere import VISIBLY, Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups, made_up
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.entry import FEWEST_LOGS, left_out_error, used_logs
@@ -65,7 +65,8 @@ def stand_in(
     """Return the index of the cause that a formula replaces, or None if no formula is clearly better.
 
     `formula` describes the residual of `found` and is reported with it. A cause with alternatives is less specific. It
-    is replaced only by a formula with a single term that is also better than each alternative. Logs of one program
+    is replaced only by a formula with a single term that is also better than each alternative. An error of the torque
+    sensor does not count as an alternative here, because the formula may describe that error. Logs of one program
     share the times of their events without a physical reason, so a formula of time must be better by the factor `FAR`.
     """
     held = with_direction(problem, found, split.held)
@@ -75,7 +76,7 @@ def stand_in(
     best, least = None, np.inf
     for index, group in enumerate(groups):
         described = formula_of_what_is_left(problem, backward_step(problem, found, index), split)
-        if described is None or (group.alternatives and described.terms > 1):
+        if described is None or (group.catalogued and described.terms > 1):
             continue
         if _is_written_by(problem, described, found, index, held):
             continue
@@ -84,9 +85,9 @@ def stand_in(
             continue
         if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
             continue  # A delay shows only in the reversals, where the direction is unknown.
-        others = (rival.fitted for rival in group.alternatives if not made_up(problem, rival.name))
+        others = (rival.fitted for rival in group.catalogued if not made_up(problem, rival.name))
         twins = (_described(problem, other, None, split) for other in others)
-        if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
+        if all(VISIBLY * error.error < _squares(problem, twin, held).error for twin in twins):
             best, least = index, error.error
     return best
 
@@ -305,17 +306,17 @@ def _simpler(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | N
 def _less_than_structure(
     problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
 ) -> list[int]:
-    """Return the indices of those causes without alternatives that explain less than the unexplained structure.
+    """Return the indices of those causes that explain less than the unexplained structure.
 
-    A cause is listed only if it explains less of the white residual and also less of the simulation error, because
-    structure distorts the noise model.
+    A cause with alternatives in the catalogue is not listed. Any other cause is listed only if it explains less of the
+    white residual and also less of the simulation error, because structure distorts the noise model.
     """
     shares = [finding.share for finding in findings if finding.found and finding.what != DRIFT]
     left = min(max(shares, default=0.0), 1.0)
     error = simulation_error(problem, fitted) if left > 0.0 else 0.0
     out = []
     for i, group in enumerate(grouped):
-        if left <= 0.0 or group.alternatives:
+        if left <= 0.0 or group.catalogued:
             continue
         smaller = backward_step(problem, fitted, i)
         explained = simulation_error(problem, smaller, models_reversals(fitted)) - error

@@ -15,7 +15,7 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Experiment, Verdict
-from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.catalogue import CATALOGUE, SENSOR_ERROR
 from tsa_ctrl.model.effects.specification import Kind, Motion
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, TendonSheath
@@ -102,8 +102,11 @@ def parted_by(names: Sequence[str]) -> list[str]:
 def _parting(first: str, second: str) -> tuple[Motion, ...]:
     """Return the motions that separate two effects, as listed in the catalogue for one of them.
 
-    Without an entry, two motions that separate most pairs are returned.
+    An error of the torque sensor follows the sign of the torque, not the direction. For any other pair without an
+    entry, two motions that separate most pairs are returned.
     """
+    if SENSOR_ERROR in (first, second):
+        return (Motion.SIGNS,)
     for name, other in ((first, second), (second, first)):
         if name in CATALOGUE and (motions := CATALOGUE[name].parted_from(other)):
             return motions

@@ -8,7 +8,7 @@ from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Ver
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import MORE_THAN_NOISE, ThreeErrors
-from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
+from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR, SENSOR_ERROR
 
 MOST_WORDS = 35  # largest number of words in the first sentence: a longer one needs a second reading
 # Ratio of the largest to the smallest detection limit: below it, a single number describes both
@@ -258,12 +258,12 @@ def insufficient_sentence(reason: str) -> str:
 
 
 def summary_of(name: str) -> str:
-    """Return the summary of an effect from the catalogue, or that of `parameter_error`, which is not in it."""
-    return (
-        CATALOGUE[name].summary
-        if name in CATALOGUE
-        else "the file's friction angle or pretension is further off than its [uncertainty]"
-    )
+    """Return the summary of an effect from the catalogue, or that of a hypothesis that is not in it."""
+    others = {
+        PARAMETER_ERROR: "the file's friction angle or pretension is further off than its [uncertainty]",
+        SENSOR_ERROR: "the joint torque sensor is not linear, or it also measures the sum of the tendon forces",
+    }
+    return others[name] if name in others else CATALOGUE[name].summary
 
 
 def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:

@@ -21,10 +21,11 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversal
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
+from tsa_ctrl.identify.diagnosis.rivals.sensor import sensor_fits
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
-from tsa_ctrl.model.catalogue import PARAMETER_ERROR, twins_of
+from tsa_ctrl.model.catalogue import PARAMETER_ERROR, SENSOR_ERROR, twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
@@ -85,6 +86,11 @@ class Group:
         return tuple(rival for rival in self.rivals if not rival.excluded)
 
     @property
+    def catalogued(self) -> tuple[Rival, ...]:
+        """Return the alternatives except a torque sensor error, which a formula may describe instead of a cause."""
+        return tuple(rival for rival in self.alternatives if rival.name != SENSOR_ERROR)
+
+    @property
     def probabilities(self) -> dict[str, float]:
         """Return the probability of the cause and of each alternative within the group."""
         weights = {self.name: 1.0} | {rival.name: rival.weight for rival in self.alternatives}
@@ -127,6 +133,11 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
     found = _judged_elsewhere(problem, fitted, smaller, found)
+    if all(rival.excluded for rival in found):
+        sensor = [_sensor_error(problem, fitted, index, each) for each in sensor_fits(problem, fitted, index)]
+        if structure is not None:
+            sensor = _by_simulation_error(problem, sensor, structure, smaller, models_reversals(fitted))
+        found += _judged_elsewhere(problem, fitted, smaller, sensor)
     best: dict[str, Rival] = {}  # the best hypothesis of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
@@ -200,6 +211,18 @@ def _limits(problem: Problem, name: str) -> set[str]:
         return set()
     turned = max(float(np.ptp(run.angle)) for run in problem.frame.runs) > STILL
     return {"joint_stiffness", "gravity_load"} if turned else {"joint_stiffness"}
+
+
+def _sensor_error(problem: Problem, fitted: Fit, index: int, found: Fit) -> Rival:
+    """Return a sensor error as a competing hypothesis in place of cause number `index` of `fitted`.
+
+    The choice among several laws costs as much as one coordinate. A wrong zero and a wrong gain of the sensor are
+    effects themselves. A sensor error that replaces only such an effect is excluded unless it explains more.
+    """
+    rival = compared(problem, fitted, found, SENSOR_ERROR)
+    itself = len(found.names) == len(fitted.names) and fitted.names[index] in ("torque_offset", "torque_constant_error")
+    worse = rival.worse + PER_COORDINATE
+    return dataclasses.replace(rival, worse=worse, limit=itself and worse > 0.0)
 
 
 def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
