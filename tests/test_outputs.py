@@ -11,10 +11,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from rich.table import Table
 
 from tsa_ctrl import outputs
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 
 
 def row(i: int) -> str:
@@ -123,3 +125,19 @@ def test_a_picture_that_cannot_be_written_leaves_the_old_file(tmp_path: Path, fa
     with pytest.raises(UsageError, match=r"trend\.png: "):
         outputs.save_picture(SimpleNamespace(savefig=savefig), path, 100)
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("trend.png", "precious")]
+
+
+def test_the_terminal_shows_text_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    """The title and the cells of a table are also shown without markup and emoji codes."""
+    text = "datagram:b: [axis.law] [bus]"
+    table = Table(text, title=text)
+    table.add_row(text)
+    for shown in (text, table):
+        terminal().print(shown)
+    assert capsys.readouterr().out.count(text) == 4
+
+
+def test_every_console_is_that_terminal() -> None:
+    package = Path(outputs.__file__).parent
+    found = {path.name for path in package.rglob("*.py") if "import Console" in path.read_text(encoding="utf-8")}
+    assert found == {"outputs.py", "summary.py"}  # the latter imports a type

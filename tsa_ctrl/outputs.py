@@ -1,4 +1,4 @@
-"""Write output files without overwriting inputs.
+"""Write output files without overwriting inputs, and text to the terminal without changing it.
 
 A command never overwrites a file that it reads. Any other existing file is kept next to the new one as `NAME.~N~`. A
 file that is written repeatedly has a name with a date.
@@ -14,13 +14,23 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from tsa_ctrl.errors import UsageError
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 LOCK = ".tsa.lock"  # file in a folder while files are written to it
+
+
+def terminal(stderr: bool = False) -> Console:
+    """Return a console that prints text as it is: no names such as [axis.law] as markup, no ":b:" as an emoji."""
+    from rich.console import Console  # not loaded by a daemon
+
+    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
 def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> None:

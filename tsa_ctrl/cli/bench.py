@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tsa_ctrl.cli.options import Finite
-from tsa_ctrl.outputs import json_types
+from tsa_ctrl.outputs import json_types, terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.bench.run import Found, Measured, Times
@@ -31,7 +31,6 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
     simulates them, and a run at the highest rate confirms it. Exit code 1: a drive did not confirm that it is off.
     """
-    from rich.console import Console
     from rich.progress import Progress
 
     from tsa_ctrl.config import load_configuration
@@ -41,7 +40,7 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
 
     unconfirmed: list[str] = []
     try:
-        with Progress(console=Console(file=sys.stderr), transient=True, disable=not sys.stderr.isatty()) as bar:
+        with Progress(console=terminal(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
             task = bar.add_task("bench", total=1.0)
             found = bench(
                 configuration,
@@ -61,15 +60,13 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
 
 
 def _show(found: Found) -> None:
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
-    console = Console()
+    console = terminal()
     nodes = "a process simulates the nodes" if found.simulated else "the nodes answer with their drives disabled"
-    console.print(f"{found.bus}: {nodes}; {found.rights}", markup=False, highlight=False)
+    console.print(f"{found.bus}: {nodes}; {found.rights}")
     for line in found.missing:
-        console.print(f"missing: {line}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"missing: {line}", soft_wrap=True)
     table = Table("us", "p50", "p99", "p99.9", "worst")
     for measured in (found.configured, found.confirmed):
         if measured is None:
@@ -81,13 +78,12 @@ def _show(found: Found) -> None:
     console.print(table)
     limits = Table("bound", "Hz", "found")
     for bound in found.bounds:
-        limits.add_row(bound.name, f"{bound.rate:.0f}", escape(bound.found))
+        limits.add_row(bound.name, f"{bound.rate:.0f}", bound.found)
     console.print(limits)
     fits = "within that" if found.fits else "above that: lower [controller] rate"
     console.print(
         f"highest rate with {100 * found.margin:.0f} % margin: {found.highest:g} Hz, limited by: {found.limited_by}; "
         f"configured: {found.configured.rate:g} Hz, {fits}",
-        markup=False,
         highlight=False,
         soft_wrap=True,
     )

@@ -13,6 +13,7 @@ import click
 from tsa_ctrl import outputs
 from tsa_ctrl.cli.options import CUTOFF, STRICT
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.calibrate import Calibration
@@ -168,7 +169,6 @@ def _change(text: str) -> tuple[str, float]:
 
 
 def _show(result: Calibration, nominal: TendonSheath) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from tsa_ctrl.identify.diagnosis.report.words import of_the_written_model
@@ -185,7 +185,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
         value = "" if given is None else f"{given:.4g}"
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
         table.add_row(name, value, f"{quantity.value:.4g}", interval, _unit(quantity))
-    console = Console()
+    console = terminal()
     console.print(table)
     if result.split:
         console.print(
@@ -226,7 +226,6 @@ def _unit(quantity: Quantity) -> str:
 
 
 def _show_stretch(fit: StretchFit) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("quantity", "value", "95 % interval", "unit", title="identified from the tendon elongation")
@@ -234,7 +233,7 @@ def _show_stretch(fit: StretchFit) -> None:
     for name, quantity in rows.items():
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
         table.add_row(name.replace("_", " "), f"{quantity.value:.4g}", interval, _unit(quantity))
-    console = Console()
+    console = terminal()
     console.print(table)
     for note in fit.notes:
         console.print(f"note: {note}", soft_wrap=True)

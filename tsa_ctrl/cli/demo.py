@@ -12,6 +12,7 @@ import click
 
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.demo.circle import Circle
@@ -149,13 +150,12 @@ def _leg(seconds: float | None, out: Path | None, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(found.to_dict(), allow_nan=False))
         return
-    from rich.console import Console
     from rich.table import Table
 
     table = Table("joint", "without compensation", "without routing", "with routing", title="RMS error, mN·m")
     for name in found.runs[FOLLOWED]:
         table.add_row(name, *(f"{1e3 * found.runs[run][name].rms:.0f}" for run in (WITHOUT, FIXED, FOLLOWED)))
-    Console().print(table)
+    terminal().print(table)
     click.echo(f"picture: {found.picture}")
     click.echo(f"reduction: {found.reduction:.1f} %")
 
@@ -191,10 +191,9 @@ def _bus(asked: str | None, virtual: bool) -> BusChoice:
 def _progress(bus: BusChoice) -> Iterator[Progress]:
     """Show the current step and its share on stderr if stderr is a terminal."""
     from rich import progress as bars
-    from rich.console import Console
 
-    console = Console(stderr=True)
-    columns = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TimeElapsedColumn())
+    console = terminal(stderr=True)
+    columns = (bars.TextColumn("{task.description}", markup=False), bars.BarColumn(), bars.TimeElapsedColumn())
     with bars.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"demo on {bus.name}", total=1.0)
         yield lambda what, share: progress.update(task, description=what, completed=share)
@@ -241,7 +240,6 @@ def _folder(out: Path | None) -> Path:
 
 
 def _show(outcome: Outcome, asked: float | None) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from tsa_ctrl.demo.run import RATE
@@ -251,7 +249,7 @@ def _show(outcome: Outcome, asked: float | None) -> None:
     table.add_row("desired", f"{data['rms']['wanted']:.4f}")
     table.add_row("error without compensation", f"{data['rms']['without']:.4f}")
     table.add_row("error with compensation", f"{data['rms']['with']:.4f}")
-    console = Console()
+    console = terminal()
     console.print(table)
     cycles = data["cycles"]
     if asked is None and outcome.rate < RATE:
@@ -276,12 +274,11 @@ def _show(outcome: Outcome, asked: float | None) -> None:
 
 def _show_circle(circle: Circle, folder: Path) -> None:
     """Print the hidden effect, the result, and the error of each stage; `folder` contains all files."""
-    from rich.console import Console
     from rich.table import Table
 
     from tsa_ctrl.demo.circle import STAGES
 
-    console = Console()
+    console = terminal()
     table = Table("run", "RMS error (mN·m)", title=f"full circle on {circle.bus}", title_justify="left")
     for stage in STAGES:
         table.add_row(STAGE_WORDS[stage], f"{1e3 * circle.rms(stage):.1f}")
@@ -293,5 +290,5 @@ def _show_circle(circle: Circle, folder: Path) -> None:
         *(f"note: {note}" for note in circle.notes),
         f"all files: {folder}",
     ):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
-    console.print(f"share of the reachable reduction: {100.0 * circle.share('none'):.1f} %", highlight=False)
+        console.print(line, soft_wrap=True)
+    console.print(f"share of the reachable reduction: {100.0 * circle.share('none'):.1f} %")

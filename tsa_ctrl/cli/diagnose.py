@@ -12,6 +12,7 @@ import click
 from tsa_ctrl import outputs
 from tsa_ctrl.cli.options import CUTOFF, STRICT
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
@@ -147,7 +148,6 @@ def _diagnose(
     if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to import as everything else together
         worker_context("tsa_ctrl.identify.diagnosis.report.pictures")
 
-    from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     import tsa_ctrl.system.lazy_imports  # noqa: F401 (before all that imports scipy)
@@ -158,8 +158,8 @@ def _diagnose(
 
     give_back_large()
     given = load_model(model)
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = terminal(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     hidden = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=hidden)
     with outputs.sole_writer(out), drawing() as plot, bar as progress:
@@ -177,16 +177,15 @@ def _diagnose(
 
 
 def _show(result: Diagnosis, out: Path) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from tsa_ctrl.identify.diagnosis.report.page import PAGE
     from tsa_ctrl.identify.diagnosis.report.words import four_lines, remarks, spoken
 
-    console = Console()
-    console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
+    console = terminal()
+    console.print(result.sentence, soft_wrap=True)
     for name, line in four_lines(result).items():
-        console.print(f"{name}: {line}", soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{name}: {line}", soft_wrap=True)
     if result.causes:
         table = Table("cause", "or", "parameter", "value", "95 % interval")
         for cause in result.causes:
@@ -198,11 +197,9 @@ def _show(result: Diagnosis, out: Path) -> None:
                 first = False
         console.print(table)
     for remark in remarks(result):
-        console.print(remark, soft_wrap=True, markup=False, highlight=False)
-    console.print(
-        f"verdict: {result.verdict.value}; next experiment: {result.experiment.text}", soft_wrap=True, markup=False
-    )
-    console.print(f"report: {out / PAGE}", soft_wrap=True, markup=False)
+        console.print(remark, soft_wrap=True)
+    console.print(f"verdict: {result.verdict.value}; next experiment: {result.experiment.text}", soft_wrap=True)
+    console.print(f"report: {out / PAGE}", soft_wrap=True)
 
 
 def _shown(value: Quantity) -> tuple[str, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tsa_ctrl.cli.options import Finite
-from tsa_ctrl.outputs import json_types
+from tsa_ctrl.outputs import json_types, terminal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -96,19 +96,18 @@ def _write_serial_numbers(configuration: Configuration) -> int:
 
 
 def _show(found: list[Check]) -> None:
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
-    console = Console()
+    console = terminal()
     table = Table("check", "result", "found", "required")
     for check in found:
-        result = f"[{COLOURS[check.result.value]}]{check.result.value}[/]"
-        table.add_row(escape(check.name), result, escape(check.found), escape(check.wanted))
+        result = Text(check.result.value, style=COLOURS[check.result.value])
+        table.add_row(check.name, result, check.found, check.wanted)
     console.print(table)
     for check in found:
         if check.fix:
-            console.print(f"{check.name}: {check.fix}", soft_wrap=True, markup=False, highlight=False)
+            console.print(f"{check.name}: {check.fix}", soft_wrap=True)
 
 
 def serial_numbers(

@@ -6,14 +6,13 @@ import json
 from pathlib import Path
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from tsa_ctrl.identify.fleet import Row, executors, logs_in, sweep
 from tsa_ctrl.identify.fleet.ledger import TABLE, counted
 from tsa_ctrl.model.parameters import load_model
-from tsa_ctrl.outputs import json_types
+from tsa_ctrl.outputs import json_types, terminal
 
 SHOWN = 40  # maximum number of rows on the screen; verdicts.csv has all of them
 
@@ -32,9 +31,9 @@ def diagnose_folder(
     """Diagnose the logs of a folder, and print the results; a log that cannot be read is a row of the table."""
     load_model(model)  # reports an error of the model file once, before the logs
     logs = logs_in(folder)
-    console = Console(stderr=True)
+    console = terminal(stderr=True)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
@@ -47,10 +46,10 @@ def diagnose_folder(
         def tell(done: int, total: int, row: Row | None) -> None:
             bar.update(task, completed=done)
             if row is None and done:
-                console.print(f"{done} of {total} logs are already diagnosed in {out}", soft_wrap=True, markup=False)
+                console.print(f"{done} of {total} logs are already diagnosed in {out}", soft_wrap=True)
 
         def say(line: str) -> None:
-            console.print(line, soft_wrap=True, markup=False, highlight=False)
+            console.print(line, soft_wrap=True)
 
         rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell, say=say)
     verdicts, causes = counted(rows)
@@ -62,7 +61,7 @@ def diagnose_folder(
 
 
 def _show(rows: list[Row], out: Path) -> None:
-    console = Console()
+    console = terminal()
     table = Table("log", "verdict", "causes (or)", "recalibrated", "extended, mN*m")
     for row in rows[:SHOWN]:
         errors = [row.rms.get(step) for step in ("recalibrated", "extended")]
@@ -78,4 +77,4 @@ def _show(rows: list[Row], out: Path) -> None:
     )
     if causes:
         console.print("causes: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()), soft_wrap=True)
-    console.print(f"table: {out / TABLE}; the reports are in the same folder", soft_wrap=True, markup=False)
+    console.print(f"table: {out / TABLE}; the reports are in the same folder", soft_wrap=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 from tsa_ctrl.safety.causes import Cause
 
 PACKAGE = Path(__file__).parents[1]
@@ -82,9 +83,8 @@ def _page(text: str) -> None:
     if not sys.stdout.isatty():
         click.echo(text)
         return
-    from rich.console import Console
     from rich.markdown import Markdown
 
-    console = Console()
+    console = terminal()
     with console.pager(styles=True):
         console.print(Markdown(text))

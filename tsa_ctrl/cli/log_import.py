@@ -18,6 +18,7 @@ from tsa_ctrl.log.foreign.cells import is_number
 from tsa_ctrl.log.foreign.mapping import Imported, Mapped
 from tsa_ctrl.log.foreign.names import listed
 from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign, row_clock
+from tsa_ctrl.outputs import terminal
 from tsa_ctrl.signals import COLUMNS
 
 MOST_SIGNALS = 100  # different names in a column of signal names
@@ -191,11 +192,9 @@ def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
 
 def show(done: Understood) -> None:
     """Print the interpretation of the table before anything is written."""
-    from rich.console import Console
-    from rich.markup import escape
     from rich.table import Column, Table
 
-    shape, console = done.table.shape, Console()
+    shape, console = done.table.shape, terminal()
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
     rows = len(done.columns["t"])
     text = (
@@ -204,29 +203,29 @@ def show(done: Understood) -> None:
     )
     if shape == NO_TEXT:
         text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
-    console.print(text, markup=False, highlight=False)
+    console.print(text)
     if done.table.note:
-        console.print(f"note: {done.table.note}", markup=False, highlight=False)
+        console.print(f"note: {done.table.note}")
     for name, markers in done.markers.items():
         count, texts = sum(markers.values()), ", ".join(f"'{text}'" for text in list(markers)[:4])
-        console.print(f"note: column '{name}' has {count} cells without a number ({texts})", markup=False)
+        console.print(f"note: column '{name}' has {count} cells without a number ({texts})")
     for name, share in done.sparse.items():
-        console.print(f"note: column '{name}' has a number in {share:.0%} of the rows and is omitted", markup=False)
+        console.print(f"note: column '{name}' has a number in {share:.0%} of the rows and is omitted")
     if done.dropped:
-        console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps", markup=False)
+        console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps")
     if done.table.ignored:
-        console.print(f"note: {done.table.ignored} lines that are not table rows are ignored", markup=False)
+        console.print(f"note: {done.table.ignored} lines that are not table rows are ignored")
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
         unit = COLUMNS[column.name].unit
-        view.add_row(column.name, escape(column.source), escape(column.unit), f"{column.scale:.6g}", low, high, unit)
+        view.add_row(column.name, column.source, column.unit, f"{column.scale:.6g}", low, high, unit)
     console.print(view)
     if done.left:
         without = " ".join(f"--column '{proposal}'" for proposal in mapping.without_unit(done.table, done.mapped))
         if without:
-            console.print(f"note: no unit is stated; in SI units, add {without}", markup=False, highlight=False)
-        console.print(f"not imported: {listed(done.left)}", markup=False, highlight=False)
+            console.print(f"note: no unit is stated; in SI units, add {without}")
+        console.print(f"not imported: {listed(done.left)}")
 
 
 def as_dict(done: Understood, written: Imported) -> dict[str, Any]:

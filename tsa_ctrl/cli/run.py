@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.cli.options import Finite
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
@@ -76,9 +77,7 @@ def command(
     if as_json:
         click.echo(json.dumps(summary.as_dict()))
     else:
-        from rich.console import Console
-
-        summary.show(Console(file=sys.stderr))
+        summary.show(terminal(stderr=True))
     return 1 if summary.failed else 0
 
 

@@ -16,6 +16,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.client import MOST_RATE, Client, stop_daemon
 from tsa_ctrl.ipc.parameters import of_unit
+from tsa_ctrl.outputs import terminal
 
 FOLLOW_PERIOD = 0.1  # s between two statuses of --follow
 RECOVERY = 15.0  # s for the bring-up of a slow drive and the settling cycles
@@ -41,7 +42,6 @@ SOCKET = click.option(
 @SOCKET
 def status_command(as_json: bool, once: bool, follow: bool, path: str) -> None:
     """Show the state of a running daemon: a live page on a terminal, else once."""
-    from rich.console import Console
 
     from tsa_ctrl.ipc.page import Page, watch  # rich's layouts are not needed for --json
 
@@ -52,7 +52,7 @@ def status_command(as_json: bool, once: bool, follow: bool, path: str) -> None:
                 time.sleep(FOLLOW_PERIOD)
                 click.echo(json.dumps(client.ask(protocol.Status())))
         elif once or not (sys.stdout.isatty() and sys.stdin.isatty()):
-            page, console = Page(), Console()
+            page, console = Page(), terminal()
             page.take(client.ask(protocol.Status()))
             console.print(page.render())
             while follow:

@@ -14,6 +14,7 @@ import click
 
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.virtual.result import Simulation
@@ -155,18 +156,16 @@ def _log_of(report: Path, folder: Path) -> Path:
 @contextlib.contextmanager
 def _progress() -> Iterator[Callable[[float], None]]:
     """Show the share of the simulated time on stderr if it is a terminal."""
-    from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = terminal(stderr=True)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("simulating", total=1.0)
         yield lambda share: progress.update(task, completed=share)
 
 
 def _show(simulation: Simulation) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     data = simulation.to_dict()
@@ -176,12 +175,12 @@ def _show(simulation: Simulation) -> None:
         errors = ("-" if axis[key] is None else f"{1e3 * axis[key]:.1f}" for key in ("rms", "p99", "peak"))
         speeds = ("-" if axis[key] is None else f"{axis[key]:.3f}" for key in ("joint_speed_rms", "joint_speed_peak"))
         table.add_row(axis["name"], *errors, *speeds, axis["state"])
-    console = Console()
+    console = terminal()
     console.print(table)
     for event in simulation.summary.events:
-        console.print(str(event), style="red" if event.fault else None, highlight=False, markup=False)
+        console.print(str(event), style="red" if event.fault else None)
     for note in simulation.notes:
-        console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
     for name in ("log", "record"):
         if data[name] is not None:
-            console.print(f"{name}: {data[name]}", soft_wrap=True, highlight=False, markup=False)
+            console.print(f"{name}: {data[name]}", soft_wrap=True)

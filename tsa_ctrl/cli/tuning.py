@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 
 import click
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import AxisMeasured, Client
+from tsa_ctrl.outputs import terminal
 
 PATIENCE = 0.05  # s for an answer, because requests are sent between two polls of the run
 
@@ -24,8 +24,13 @@ def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float]
     Yield a function that shows phase and completed share, and one that prints a line and waits for Enter. `socket` is
     the socket of the daemon of each run, or None in virtual time.
     """
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[live]}"))
+    console = terminal(stderr=True)
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(20),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[live]}", markup=False),
+    )
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("tune", total=1.0, live="")
         live = None if socket is None or not console.is_terminal else Live(axis, socket)

@@ -11,6 +11,7 @@ import click
 
 from tsa_ctrl.cli.options import Finite
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import terminal
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
@@ -99,8 +100,8 @@ def _confirm(torque: float, axes: int, question: str = "three times. Is the join
 
 
 def _show(found: Verification) -> None:
-    from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     from tsa_ctrl.drills.trials import Trial
 
@@ -114,13 +115,13 @@ def _show(found: Verification) -> None:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
         zero = "never" if timing.zero_after is None else f"{1e3 * timing.zero_after:.0f} ms"
-        verdict = "[green]in time[/green]" if outcome.safe else "[bold red]NOT SAFE[/bold red]"
+        verdict = Text("in time", style="green") if outcome.safe else Text("NOT SAFE", style="bold red")
         allowed = f"{1e3 * outcome.limit:.0f} ms"
         seen = (timing.source or "-").upper()
         table.add_row(
             words[outcome.trial], outcome.axis, before, zero, allowed, seen, _acted(outcome), str(outcome.pull), verdict
         )
-    Console().print(table)
+    terminal().print(table)
     for outcome in found.outcomes:
         if outcome.watchdog.warning:
             click.echo(f"warning: {words[outcome.trial]}, axis '{outcome.axis}': {outcome.watchdog.warning}")

@@ -125,9 +125,9 @@ class Summary:
             nodes.add_row(node.axis, node.node, *(str(count) for count in counts))
         console.print(nodes)
         for event in self.events:
-            console.print(str(event), style="red" if event.fault else None, highlight=False, markup=False)
+            console.print(str(event), style="red" if event.fault else None)
         for line in self.unconfirmed:
-            console.print(line, style="bold red", highlight=False, markup=False)
+            console.print(line, style="bold red")
 
 
 def _torque(errors: tuple[TorqueError, ...]) -> Table:

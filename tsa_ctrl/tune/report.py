@@ -10,12 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined
-from rich.console import Console
 from rich.table import Table
 
 from tsa_ctrl.identify.diagnosis.report.words import of_the_written_model
 from tsa_ctrl.identify.quantity import Quantity, spelled
-from tsa_ctrl.outputs import json_types
+from tsa_ctrl.outputs import json_types, terminal
 from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.version import __version__
 
@@ -122,8 +121,8 @@ def notes(outcome: Outcome) -> list[str]:
 
 def show(outcome: Outcome, difference: str, page: Path | None) -> None:
     """Print the diff, then tables and notes, before the user accepts or rejects the result."""
-    console = Console()
-    console.print(difference or "the file would not change", markup=False, highlight=False, soft_wrap=True)
+    console = terminal()
+    console.print(difference or "the file would not change", soft_wrap=True)
     table = Table("quantity", "given", "new", "95 % interval", "unit", title="estimated", title_justify="left")
     for row in parameter_rows(outcome):
         table.add_row(*row)
@@ -134,10 +133,10 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
             runs.add_row(*cells)
         console.print(runs)
     for note in notes(outcome):
-        console.print(f"note: {note}", soft_wrap=True, markup=False, highlight=False)
-    console.print(headline(outcome), soft_wrap=True, markup=False)
+        console.print(f"note: {note}", soft_wrap=True)
+    console.print(headline(outcome), soft_wrap=True)
     if page is not None:
-        console.print(f"page: {page}", soft_wrap=True, markup=False, highlight=False)
+        console.print(f"page: {page}", soft_wrap=True)
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:
