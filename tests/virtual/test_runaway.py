@@ -68,7 +68,7 @@ def test_lost_friction_moves_no_joint(
 def test_a_limb_whose_tendons_lose_nearly_all_pretension_is_stopped(tmp_path: Path) -> None:
     """At 4.5 N the slack tendon separates motor and joint, so a fault latches before the friction is measured.
 
-    The limit is that of every sudden loss of friction, 30 mJ. The joint gets 10.3 mJ.
+    Every sudden loss of friction has the limit 30 mJ. The joint gets 10.3 mJ.
     """
     result = play(tmp_path, "limb", GAIT, AT + 2.0, faults=[Fault("pretension value=0.1", AT)])
     truth, axis = result.truth, result.axes[0]

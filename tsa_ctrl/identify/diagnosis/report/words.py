@@ -258,7 +258,7 @@ def insufficient_sentence(reason: str) -> str:
 
 
 def summary_of(name: str) -> str:
-    """Return the summary of an effect from the catalogue, or that of a hypothesis that is not in it."""
+    """Return the summary of an effect of the catalogue or of another hypothesis."""
     others = {
         PARAMETER_ERROR: "the file's friction angle or pretension is further off than its [uncertainty]",
         SENSOR_ERROR: "the joint torque sensor is not linear, or it also measures the sum of the tendon forces",

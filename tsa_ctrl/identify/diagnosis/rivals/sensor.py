@@ -39,7 +39,7 @@ def sensor_fits(problem: Problem, fitted: Fit, index: int) -> Iterator[Fit]:
 
     Two causes may imitate a sensor error with a wrong gain or zero. The sensor error then replaces this cause together
     with one other cause. The number of free coordinates remains the same. Nothing is yielded if the logs have no torque
-    sensor, or if the model file has a formula of its own.
+    sensor, or if the model file already has a formula.
     """
     if problem.base.target != "tau_j" or "custom" in problem.base.given.effects:
         return
