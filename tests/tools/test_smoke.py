@@ -17,7 +17,7 @@ WEIGHT = "--sensors encoder --loads weight"
 SOAK = pytest.mark.soak  # more than ten seconds of processor time
 LINES = {
     "bench/checks --loads held --faults nothing --sensors encoder --set-points sine": "told / off (s)",
-    "bench/control --joints held --shapes uniform --laws none true --cycles 1 --json": '"rms"',
+    "bench/control --joints held --shapes motor_end --angles 1.2 --laws none true --cycles 1 --json": '"rms"',
     "figures/models --seconds 0.5 --out {out}": "simplified (3.55)",
     f"campaign/runaway changes {WEIGHT} --set-points sine --changes friction=0.5 --delays 1": "1 runs",
     f"campaign/runaway healthy --seconds 1 {WEIGHT} --json": '"said": []',

@@ -34,6 +34,7 @@ from rich.table import Table
 
 from tests.virtual.joints import rms
 from tools import command
+from tools.bench.rigs import confine, plant_drive
 from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
 from tsa_ctrl.control.law_design import LAG
@@ -87,11 +88,8 @@ class Case:
 
     def confine(self, tables: rig.Tables, model: TendonSheath) -> None:
         """Set the torque limits in a controller's tables."""
-        if self.x is None:
-            return
-        axis, torque = tables["axis"][0], self.torque(model)
-        axis["limits"] |= {"torque": torque, "rate": 80.0 * torque}
-        axis["drive"]["max_torque"] = max(3.0, 1.2 * torque)
+        if self.x is not None:
+            confine(tables["axis"][0], self.torque(model))
 
 
 DEMO = Case()
@@ -181,12 +179,12 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
     for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):
         case, profile = Case(x, arguments.off), PROFILES.get(shape, shape)
         axis = {"tendon": {"curvature": profile}, "motor": {"inertia": arguments.inertia}}
-        peak = max(3.0, 1.5 * case.torque(true_model(profile, case.nominal, case.factors)))
-        axis |= {"drive": {**drive, "peak_torque": peak}, "perturbation": case.factors}
+        model = true_model(profile, case.nominal, case.factors)
+        axis |= {"drive": {**drive, **plant_drive(case.torque(model))}, "perturbation": case.factors}
         missing = {law for law in arguments.laws for joint in arguments.joints if (shape, joint, law, x) not in kept}
         with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
             folder = Path(name)
-            save_model(true_model(profile, case.nominal, case.factors), folder / "true.toml")
+            save_model(model, folder / "true.toml")
             tuned = [law for law in ("tuned", "extended") if law in missing]
             failed = {law: tune(folder, law, axis, arguments.rate, case) for law in tuned}
             for law, reason in failed.items():
