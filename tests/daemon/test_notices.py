@@ -11,6 +11,7 @@ import pytest
 
 from tests.virtual.joints import play
 from tsa_ctrl.daemon.notices import AGAIN, AxisNotices, Events
+from tsa_ctrl.virtual.script import Change
 
 
 def said(words: list[tuple[float, int]]) -> list[tuple[float, str]]:
@@ -56,3 +57,14 @@ def test_a_drive_that_gives_less_says_so_and_a_healthy_one_nothing(tmp_path: Pat
         result = play(tmp_path, "held", constant, 1.2, faults=list(faults))
         texts = [event.text for event in result.summary.events if "bit 11" in event.text]
         assert len(texts) == told
+
+
+@pytest.mark.parametrize("asked", [1.31, 1.42, 1.55])
+def test_losses_before_a_recovery_are_not_counted_after_it(tmp_path: Path, asked: float) -> None:
+    """The nodes have no power for 0.4 s. The loop counts losses once a second, and each recovery ends within one."""
+    faults, changes = ["power_cycle duration=0.4@0.8"], [Change("recover", 1.0, asked)]
+    result = play(tmp_path, "held", {"kind": "constant", "offset": 0.8}, 3.5, faults=faults, changes=changes)
+    texts = [event.text for event in result.summary.events]
+    assert any("recovery number 1" in text for text in texts)
+    assert result.axes[0].until > 3.0
+    assert not any("cycles were without all answers" in text for text in texts)

@@ -343,6 +343,8 @@ class Loop:
         self.phase = phase
         if phase is not LoopPhase.FAULTED:
             self._recovery_asked = math.inf
+        if phase is LoopPhase.RUNNING:
+            self._notices.restart_losses(self.cycles)
         if self._recovering and phase in (LoopPhase.RUNNING, LoopPhase.FAULTED):
             self._recovering = False
             if phase is LoopPhase.RUNNING:

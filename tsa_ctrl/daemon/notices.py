@@ -124,7 +124,7 @@ class AxisSensors:
 AGAIN = 10.0  # s between two notices of one kind on one axis; the log has the reason of every cycle
 LESS, AS_SAID = 0.93, 0.97  # of the file's friction torque: reported below LESS, and again only after more than AS_SAID
 LOST_SHARE = 0.05  # share of the cycles since the last check; a sound bus loses fewer than one in 10,000
-LEAST_LOST = 2  # lost commands of a drive; a single one may be lost by a bus error
+LEAST_LOST = 2  # lost commands, or cycles without all answers; a single one may be lost by a bus error
 SENSOR_FAILS = 0.3  # s of a contradiction until an event reports it; an unknown effect ends it within 0.2 s
 SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
 BITS = (  # bits of the statusword that are reported without a stop
@@ -291,20 +291,24 @@ class AxisNotices:
                     "longer uses the reported torque alone",
                 )
 
-    def update_losses(self, t: float, run: int) -> None:
-        """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last call."""
-        axis = self._axis
-        image, readback, permitted = axis.image, axis.io.readback, axis.terms.permitted
+    def restart_losses(self) -> tuple[int, int, int]:
+        """Count losses from now on, and return the lost cycles, reads of 0x6071 and old commands among them so far."""
+        image, readback = self._axis.image, self._axis.io.readback
+        missed, self._missed = image.missed - self._missed, image.missed
         before, self._read_back = self._read_back, (readback.asked, readback.outdated)
-        asked, outdated = readback.asked - before[0], readback.outdated - before[1]
+        return missed, readback.asked - before[0], readback.outdated - before[1]
+
+    def update_losses(self, t: float, run: int) -> None:
+        """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last restart."""
+        image, permitted = self._axis.image, self._axis.terms.permitted
+        lost, asked, outdated = self.restart_losses()
         if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_outdated.permits(t):
             self._add(
                 t,
                 f"{image.nodes[0]} held an older command {outdated} of the last {asked} times that 0x6071 was read "
                 "back: commands are lost; look at the cable, the bus load, and the drive's cycle",
             )
-        lost, self._missed = image.missed - self._missed, image.missed
-        if permitted and lost >= LOST_SHARE * run and self._may_report_missed.permits(t):
+        if permitted and lost >= max(LEAST_LOST, LOST_SHARE * run) and self._may_report_missed.permits(t):
             nodes = ", ".join(f"{node} {node.missed}" for node in image.nodes if node.missed)
             self._add(
                 t,
@@ -333,6 +337,12 @@ class Notices:
         """Report changes since the last call; `t` is in s of the log."""
         for axis in self._axes:
             axis.update(t)
+
+    def restart_losses(self, cycles: int) -> None:
+        """Count losses from now on, because torque begins; `cycles` is the number of cycles so far."""
+        self._cycles = cycles
+        for axis in self._axes:
+            axis.restart_losses()
 
     def update_losses(self, t: float, cycles: int) -> None:
         """Report a bus that loses answers or commands, about once a second; `cycles` is the number of cycles so far."""
