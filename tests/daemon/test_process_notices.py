@@ -14,7 +14,10 @@ class Process:
         self.heard = 0.0
         self.replaced = 0
         self.events = Events()
-        self.notices = ProcessNotices("log", lambda: self.heard, lambda: self.replaced, "hang", "on")
+        self.alive = True
+        self.notices = ProcessNotices(
+            "log", lambda: self.alive, lambda: self.heard, lambda: self.replaced, "hang", "on"
+        )
 
     def until(self, begin: float, end: float, beats: bool) -> None:
         for look in range(round((end - begin) / STATUS)):
@@ -56,3 +59,12 @@ def test_process_that_comes_back_or_is_replaced_is_said_and_may_hang_again() -> 
     other.until(101.0, 102.0, beats=True)
     ((_, text),) = other.said
     assert "another one took over" in text
+
+
+def test_process_that_has_ended_does_not_hang() -> None:
+    process = Process()
+    process.until(100.0, 101.0, beats=True)
+    process.alive = False
+    process.until(101.0, 105.0, beats=False)
+    assert process.said == []
+    assert process.notices.silent == 0.0

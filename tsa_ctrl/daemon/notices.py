@@ -299,7 +299,7 @@ class AxisNotices:
         return missed, readback.asked - before[0], readback.outdated - before[1]
 
     def update_losses(self, t: float, run: int) -> None:
-        """Report lost commands and answers while torque is permitted; `run` counts the cycles since the last restart."""
+        """Report lost commands and answers while torque is permitted; `run` counts the cycles since a restart."""
         image, permitted = self._axis.image, self._axis.terms.permitted
         lost, asked, outdated = self.restart_losses()
         if permitted and outdated >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_outdated.permits(t):
@@ -375,12 +375,19 @@ class ProcessNotices:
     """
 
     def __init__(
-        self, name: str, heard: Callable[[], float], replaced: Callable[[], int], if_hung: str, if_replaced: str
+        self,
+        name: str,
+        alive: Callable[[], bool],
+        heard: Callable[[], float],
+        replaced: Callable[[], int],
+        if_hung: str,
+        if_replaced: str,
     ) -> None:
         """Prepare the monitoring of one process.
 
         Args:
             name: name of the process in the events.
+            alive: returns False once it has ended, which is reported elsewhere; then it does not hang.
             heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
             replaced: returns the number of its replacements so far.
             if_hung: consequence of a hanging process, for the events.
@@ -388,6 +395,7 @@ class ProcessNotices:
         """
         self.silent = 0.0  # s since the last sign of life if more than `SILENT`, else 0
         self._name = name
+        self._alive = alive
         self._heard = heard
         self._replaced = replaced
         self._if_hung, self._if_replaced = if_hung, if_replaced
@@ -404,13 +412,14 @@ class ProcessNotices:
                 t, "", f"{self._name}: its process hung or was gone, and another one took over; {self._if_replaced}"
             )
         age = now - heard
-        if age > SILENT and self.silent == 0.0:
+        hangs = age > SILENT and self._alive()
+        if hangs and self.silent == 0.0:
             events.add(
                 t, "", f"{self._name}: its process hangs, nothing was heard of it for {age:.1f} s; {self._if_hung}"
             )
         elif age <= SILENT and self.silent:
             events.add(t, "", f"{self._name}: its process answers again")
-        self.silent = age if age > SILENT else 0.0
+        self.silent = age if hangs else 0.0
 
 
 def _range(domain: tuple[float, float]) -> str:

@@ -75,10 +75,6 @@ class Children:
         limits = LogLimits(log.file_size * MEGA, log.file_age, log.folder_size and log.folder_size * MEGA)
         return LogProcess(untaken(folder, LOG_KIND, LOG_SUFFIX), self.ring, log_header(configuration), limits)
 
-    @property
-    def server_alive(self) -> bool:
-        return self._server.alive
-
     def end(self) -> None:
         """Complete the log and end all processes; may be called twice."""
         self.sensors.close()
@@ -185,7 +181,7 @@ class Daemon:
                         children.sensors,
                         self._notifier,
                     )
-                    telemetry.watch_server(lambda: children.server_alive)
+                    telemetry.watch_server(server)
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 
 from tsa_ctrl.bus.canopen.cia402 import decode
@@ -15,6 +15,7 @@ from tsa_ctrl.daemon.build import STATE_CODE, LoopPhase
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.notices import AxisSensors, Events, ProcessNotices
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Parameters, Row
+from tsa_ctrl.ipc.server_process import ServerProcess
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.ring import RingWriter
@@ -59,12 +60,13 @@ class Telemetry:
         self._noted = 0
         self._error_frames = 0
         self._warnings: dict[tuple[int, int], int] = {}  # number of reported warnings of each node
-        self._server_alive: Callable[[], bool] | None = None
+        self._server: ServerProcess | None = None
         self._processes: list[ProcessNotices] = []
         if ring is not None and log is not None:
             self._processes.append(
                 ProcessNotices(
                     "log",
+                    lambda: log.alive,
                     lambda: ring.heard,
                     lambda: ring.replaced,
                     "the loop goes on, records wait in memory for some seconds",
@@ -206,13 +208,14 @@ class Telemetry:
                     times = f", {more} times" if more > 1 else ""
                     self._events.add(t, axis.name, f"warning of {health}: {health.warning}{times}")
 
-    def watch_server(self, alive: Callable[[], bool]) -> None:
+    def watch_server(self, server: ServerProcess) -> None:
         """Monitor the socket server as well."""
-        self._server_alive = alive
+        self._server = server
         mailbox = self._mailbox
         self._processes.append(
             ProcessNotices(
                 "socket",
+                lambda: server.alive,
                 lambda: mailbox.heard,
                 lambda: mailbox.replaced,
                 "the loop goes on, a signal (SIGTERM) ends it; a process in its place follows",
@@ -221,10 +224,20 @@ class Telemetry:
         )
 
     def check_server(self, t: float) -> None:
-        """Add an event when the socket server no longer responds; called about once a second."""
-        if self._server_alive is not None and not self._server_alive():
-            self._server_alive = None
-            self._events.add(t, "", "socket: its process is gone; the loop goes on, a signal (SIGTERM) ends it")
+        """Replace the socket server if it has ended, and add an event; called about once a second."""
+        if self._server is None or self._server.alive:
+            return
+        if self._server.take_over():
+            self._mailbox.alive()  # on behalf of the spare process, which has not had time to respond
+            self._events.add(t, "", "socket: its process is gone; the loop goes on, and a spare process takes over")
+            return
+        self._server = None
+        self._events.add(
+            t,
+            "",
+            "socket: its process is gone, and nothing replaces it; the loop goes on, but clients cannot connect; end "
+            "the run with tsa stop or SIGTERM, and start it again",
+        )
 
     def check_log(self, t: float, records: int) -> None:
         """Add an event when the log writer fails or has ended; called about once a second.
@@ -249,4 +262,9 @@ class Telemetry:
         if not log.alive:
             self._log_alive = False
             self._written = health.written + health.lost
-            self._events.add(t, "", "log: its process is gone; the loop goes on, records are lost from here")
+            self._events.add(
+                t,
+                "",
+                "log: its process is gone; the loop goes on, records are lost from here; end the run and start it "
+                "again for a new log",
+            )
