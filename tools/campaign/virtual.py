@@ -8,10 +8,12 @@ starts, enables, fades in, runs, is tuned, stops, is in fault, resets or recover
 (imposed, held, free, spring, weight, limb, wearer), shape of the sheath, set-point, motor, delay, sensor and number of
 axes of each trial. A repeated trial has the same result to the last bit. --pairs injects two faults at once.
 
+A fault is watched until the loop or a guard latches, and 0.45 s longer, or for 3 s. Then its cause is removed.
+
 A trial is safe if the plant's motor torque stays within the limiter's limit. After a fault that must end the torque,
 the torque must become zero within [safety] zero_torque_within and stay zero, and the cause must be reported. The joint
-must not exceed the motion of the reference runs (see phase/verdict.py) by more than 2 rad/s, 0.35 rad or 0.1 J. A wrong
-signal that only a motion reveals is judged by these three limits.
+must not exceed the motion of the reference runs (see phase/verdict.py) by more than 2 rad/s, 0.35 rad or 0.1 J. The
+work of the set-point does not count. A wrong signal that only a motion reveals is judged by these three limits.
 
 Each trial is written to --rows (default virtual.jsonl) immediately, so the same command continues an interrupted run.
 --part I/N runs every N-th trial, starting with the I-th, and --sample N the first N in a random order. --keep writes
@@ -33,6 +35,7 @@ from tools.campaign.passive.experiment import SENSORS
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial, chosen
 from tools.campaign.phase.results import KEPT, row, summary
+from tools.campaign.phase.stage import WATCH
 from tools.campaign.phase.verdict import judge
 from tools.command import Row
 from tsa_ctrl import settings
@@ -92,6 +95,7 @@ def keep(rows: list[Row], seed: int) -> None:
         "date": datetime.date.today().isoformat(),
         "python": platform.python_version(),
         "seed": seed,
+        "watched": WATCH,
         "trials": len(rows),
         "pairs": sum(len(each["names"]) == 2 for each in rows),
         "safe": sum(not each["wrong"] for each in rows),

@@ -34,13 +34,14 @@ def load() -> dict[str, Any]:
 
 def rows() -> list[tuple[str, ...]]:
     """Return a line for each hazard with results, in the order of the catalogue."""
-    found = load()["hazards"]
-    return [_line(hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found]
+    kept = load()
+    found, watched = kept["hazards"], kept["about"]["watched"]
+    return [_line(hazard, found[hazard.name], watched) for hazard in HAZARDS if hazard.name in found]
 
 
-def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
+def _line(hazard: Hazard, row: dict[str, Any], watched: float) -> tuple[str, ...]:
     stopped, running = row["stopped"], row["running"]
-    goes_on = hazard.goes_on or "no effect within 0.45 s"
+    goes_on = hazard.goes_on or f"no effect within {watched:g} s"
     if not running:
         reaction = "no trial with torque in this sample"
     elif not stopped:

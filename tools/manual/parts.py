@@ -142,7 +142,7 @@ def hazard_table() -> str:
     counted = (
         f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}` on {about['date']}, "
         f"{about['pairs']} of them with two faults at once, of {hazards.WHOLE} and {hazards.PAIRS} possible trials: "
-        f"{about['safe']} safe."
+        f"{about['safe']} safe. Each fault was watched for at most {about['watched']:g} s."
     )
     missing = hazards.not_shown()
     shown = f"Causes that are not among the two most frequent of any hazard: {', '.join(missing)}." if missing else ""

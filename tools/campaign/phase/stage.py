@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.virtual.daemon import Daemon
+from tools.campaign.passive.judge import latches
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
 from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.mailbox import Command
+from tsa_ctrl.plant.axis import COLUMNS
 from tsa_ctrl.plant.faults import parse_fault
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.safety.supervisor import Phase
@@ -103,12 +105,15 @@ ACTS: dict[str, Callable[[Machine, Wire], None]] = {
 
 RECOVER_ACT = "recover"  # `act` of a hazard in which a client requests a recovery
 LOOK = 2.5e-4  # s between two checks of the phase
-WATCH = 0.45  # s from a fault until its cause is removed, longer than the torque may last
+WATCH = 3.0  # s from a fault until its cause is removed, if nothing latches
+LATCHED = 0.45  # s of observation after a latch, longer than the torque may last
 AFTER = 0.15  # s of observation after that
 BRING_UP = 0.25  # s of a startup or a recovery during which the fault is injected
 READY = FADE_IN + 0.1  # s of torque before a fault of a running loop
 PERIOD = 1e-3  # s between two rows of the truth
-LONGEST = 6.0  # s after which a trial is stopped
+LONGEST = 8.0  # s after which a trial is stopped
+DESIRED = "tau_j_des"  # N*m of the joint, 0 after a fault and without torque
+_PLACE = [name for name, _ in COLUMNS].index("axis")
 Traces = dict[str, NDArray[np.float64]]  # columns of the record of one axis of the plant, one row per PERIOD
 
 
@@ -117,7 +122,8 @@ class Seen:
     """The results of a trial. Times are in s of the plant's clock.
 
     Attributes:
-        axes: Record of each axis of the plant.
+        axes: Record of each axis of the plant, with the desired torque as `DESIRED`.
+        watch: Time from the fault until its cause was removed, or None if the trial ended before.
         injected: Time of the fault, or None if it was not injected.
         cleared: Time at which the cause was removed, or infinity.
         asked: Time of the last request for torque, or 0 for startup.
@@ -129,6 +135,7 @@ class Seen:
     """
 
     axes: tuple[Traces, ...]
+    watch: float | None
     injected: float | None
     cleared: float
     asked: float
@@ -140,10 +147,30 @@ class Seen:
     crashed: str
 
 
-class Stage:
-    """The plant, the daemon's loop that controls it, and the actions of a trial."""
+class _Truth(Truth):
+    """The true state of the plant, with the desired joint torque in N*m, which `desired` returns for each axis."""
 
-    def __init__(self, draw: Draw, compensation: float | None = None) -> None:
+    def __init__(self, axes: int, desired: Callable[[int], float]) -> None:
+        super().__init__(axes, PERIOD)
+        self._desired = desired
+        self._torques: list[list[float]] = [[] for _ in range(axes)]
+
+    def row(self, values: Sequence[float]) -> None:
+        super().row(values)
+        place = int(values[_PLACE])
+        self._torques[place].append(self._desired(place))
+
+    def columns(self, place: int) -> Traces:
+        return {**super().columns(place), DESIRED: np.array(self._torques[place])}
+
+
+class Stage:
+    """The plant, the daemon's loop that controls it, and the actions of a trial.
+
+    The time `watch` (s) from the fault until its cause is removed replaces the wait for a latch.
+    """
+
+    def __init__(self, draw: Draw, compensation: float | None = None, watch: float | None = None) -> None:
         self.draw = draw
         self.over = False
         configuration = controller_of(draw, compensation)
@@ -152,7 +179,7 @@ class Stage:
         self.wire = Wire(file.bus.bitrate)
         self.machine = Machine(plant_of(draw), self.wire.plant, self.wire.plant.clock, self.wire.switch)
         self.wire.attach(self.machine)
-        self.truth = Truth(draw.axes, PERIOD)
+        self.truth = _Truth(draw.axes, self._desired)
         self.machine.recorder = self.truth
         self.daemon = Daemon(configuration, self.wire)
         self.loop = self.daemon.loop
@@ -160,7 +187,12 @@ class Stage:
         self.cleared = math.inf
         self.asked = 0.0
         self.stopped = math.inf
-        self.watch = WATCH
+        self.watch = watch
+
+    def _desired(self, place: int) -> float:
+        """Return the joint torque (N*m) that an axis should have: its set-point, or 0 after a fault."""
+        axis = self.daemon.axes[place]
+        return 0.0 if self.loop.faulty or not axis.terms.permitted else axis.ramp * axis.terms.tau_j_des
 
     def recover(self) -> None:
         """Request a recovery."""
@@ -214,8 +246,10 @@ class Stage:
                     self.wire.pass_until(self.wire.now + 0.02)
             self.daemon.mailbox.close()
         events = self.daemon.events.all
+        axes = tuple(self.truth.columns(place) for place in range(self.draw.axes))
         return Seen(
-            tuple(self.truth.columns(place) for place in range(self.draw.axes)),
+            axes,
+            self.watch,
             self.injected,
             self.cleared,
             self.asked,
@@ -252,6 +286,7 @@ class _Script:
     def __init__(self, stage: Stage, trial: Trial | None) -> None:
         self._stage = stage
         self._trial = trial
+        self._first_event = 0  # number of the first event after the fault
         self._steps = self._story()
         self._end = stage.wire.now + LONGEST
 
@@ -269,7 +304,7 @@ class _Script:
         stage, trial = self._stage, self._trial
         if trial is None:
             yield from self._until(lambda: stage.enabled)
-            yield from self._wait(READY + WATCH + AFTER)
+            yield from self._wait(READY + LATCHED + AFTER)
             stage.stop()
             return
         yield from self._reach(trial)
@@ -281,7 +316,13 @@ class _Script:
         if trial.phase == "stopping":
             yield from self._wait(1.0)
             return
-        yield from self._wait(offset + stage.watch)
+        yield from self._wait(offset)
+        if stage.watch is None:
+            yield from self._until(lambda: trial.phase == "fault" or self._latched(), WATCH - LATCHED)
+            yield from self._wait(LATCHED)
+            stage.watch = stage.wire.now - (stage.injected or stage.wire.now)
+        else:
+            yield from self._wait(stage.watch)
         if trial.phase in ("fault", "start", "enabling"):
             yield from self._wait(0.1)
         if not any(hazard.stays or hazard.released for hazard in hazards):  # a tendon does not heal
@@ -331,11 +372,16 @@ class _Script:
             yield from self._until(lambda: not stage.faulted, 0.5)
             yield from self._wait(share * 0.05)
 
+    def _latched(self) -> bool:
+        """Return True once the loop or a guard has latched after the fault was injected."""
+        return any(latches(event) for event in self._stage.daemon.events.since(self._first_event))
+
     def _inject(self, hazards: Sequence[Hazard], now: float) -> None:
         stage = self._stage
         stage.machine.advance(now)
         if stage.injected is None:
             stage.injected = now
+            self._first_event = stage.daemon.events.next_number
         for hazard in hazards:
             for line in hazard.lines:
                 stage.begin(line)
@@ -355,10 +401,11 @@ class _Script:
             yield True
 
 
-def play(trial: Trial, compensation: float | None = None) -> tuple[Seen, float]:
+def play(trial: Trial, compensation: float | None = None, watch: float | None = None) -> tuple[Seen, float]:
     """Return the results, and the time in s within which the torque must be zero.
 
-    `compensation` replaces the shipped value.
+    `compensation` replaces the shipped value. `watch` (s) is the time from the fault until its cause is removed. None
+    waits until the fault latches, or for `WATCH`.
     """
-    stage = Stage(trial.draw, compensation)
+    stage = Stage(trial.draw, compensation, watch)
     return stage.play(trial), stage.bound

@@ -25,7 +25,7 @@ from tools.campaign.passive.judge import windows
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import Trial
 from tools.campaign.phase.rigs import LIMIT, STOP_TIME
-from tools.campaign.phase.stage import PERIOD, Seen, Traces, play
+from tools.campaign.phase.stage import DESIRED, PERIOD, Seen, Traces, play
 
 ZERO = 0.01  # N*m, 1 % of the rated torque; a smaller motor torque counts as zero
 PEAK = 1.05 * LIMIT  # N*m, the limiter's limit and the noise of the current loop
@@ -46,7 +46,10 @@ Excess = tuple[float, float, float]  # rad/s, rad, J
 
 @dataclass(frozen=True)
 class Motion:
-    """The motion of the joints: highest speed (rad/s), range of the angle (rad), and largest work of any window (J)."""
+    """The motion of the joints: highest speed (rad/s), range of the angle (rad), and largest excess work (J).
+
+    The excess work is the integral of (tau_J - tau_J_des) omega_J over the window in which it is largest.
+    """
 
     speed: float
     low: float
@@ -75,7 +78,8 @@ def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Mot
             angle, omega = truth["q_j"][on], truth["omega_j"][on]
             speed = max(speed, float(np.abs(omega).max()))
             low, high = min(low, float(angle.min() - angle[0])), max(high, float(angle.max() - angle[0]))
-            energy = max(energy, float(windows(truth["tau_j"][on] * omega * PERIOD).max(initial=0.0)))
+            work = (truth["tau_j"] - truth[DESIRED])[on] * omega * PERIOD
+            energy = max(energy, float(windows(work).max(initial=0.0)))
     return Motion(speed, low, high, energy)
 
 
@@ -167,9 +171,12 @@ class Judge:
         if all(hazard.sticks for hazard in self._hazards):
             draw = dataclasses.replace(self._trial.draw, friction=LOOSE * self._trial.draw.friction)
             others.append((dataclasses.replace(self._trial, draw=draw), (), None))
+        length = _end(self._seen.axes) - self._since  # the references must not move for longer
         for trial, names, compensation in others:  # run the next reference only if the excess is still too large
-            twin, _ = play(dataclasses.replace(trial, names=names), compensation)
-            there = motion(twin.axes, self._since if twin.injected is None else twin.injected)
+            watch = length if self._seen.watch is None else self._seen.watch
+            twin, _ = play(dataclasses.replace(trial, names=names), compensation, watch)
+            began = self._since if twin.injected is None else twin.injected
+            there = motion(twin.axes, began, began + length)
             excess = _less(excess, here, there)
             if _borne(excess):
                 return excess, []
@@ -190,8 +197,8 @@ class Judge:
     def _wanted(self) -> Motion:
         """Return the motion of a startup without a fault, over the time that this trial was enabled after recovery."""
         began = first_enabled(self._seen.axes, self._seen.asked)
-        length = max((float(each["clock"][-1]) for each in self._seen.axes if each["clock"].size), default=0.0) - began
-        twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"))
+        length = max(0.0, _end(self._seen.axes) - began)
+        twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"), watch=length)
         start = first_enabled(twin.axes, 0.0)
         return motion(twin.axes, start, start + length)
 
@@ -200,6 +207,11 @@ def first_enabled(axes: Sequence[Traces], since: float) -> float:
     """Return the first time from `since` on at which one of these axes was enabled, s, or infinity."""
     times = (each["clock"][(each["clock"] >= since) & (each["enabled"] > 0.0)] for each in axes)
     return float(np.concatenate([[math.inf], *times]).min())
+
+
+def _end(axes: Sequence[Traces]) -> float:
+    """Return the time of the last row of these axes, s."""
+    return max((float(each["clock"][-1]) for each in axes if each["clock"].size), default=0.0)
 
 
 def _less(excess: Excess, here: Motion, there: Motion) -> Excess:
