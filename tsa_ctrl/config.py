@@ -41,6 +41,7 @@ from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.model.plausible import (
     check_against_command,
     check_against_motor,
+    check_consistent,
     check_motion,
     check_set_point,
 )
@@ -358,6 +359,7 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{file.controller.rate:g} Hz; raise it"
         )
     most = max(PEAK * drive.rated_torque * drive.gear_ratio, axis.limits.torque)
+    check_consistent(model)
     half_loop, rated = abs(sliding(model).motor_half_loop), drive.rated_torque * drive.gear_ratio
     check_against_motor(model, half_loop, most, axis.law.motor_inertia, where)
     check_against_command(model, half_loop, rated / PER_MILLE, axis.law.compensation > 0.0, where)

@@ -62,7 +62,7 @@ def summary() -> Summary:
 
 def shown(found: Summary) -> str:
     stream = io.StringIO()
-    found.show(Console(file=stream, width=100))
+    found.show(Console(file=stream, width=100, markup=False))
     return stream.getvalue()
 
 

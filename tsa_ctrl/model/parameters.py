@@ -28,7 +28,7 @@ from tsa_ctrl.model.actuator_file import (
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
 from tsa_ctrl.model.effects.specification import Kind
-from tsa_ctrl.model.plausible import check_consistent
+from tsa_ctrl.model.plausible import OFFLINE, check_consistent
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 from tsa_ctrl.model.routing import Routing
 
@@ -266,7 +266,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         origin=origin_of(file.provenance, where),
     )
     model = dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
-    check_consistent(model)
+    check_consistent(model, OFFLINE)
     return _with_routing_of_effects(dataclasses.replace(model, effects=check_effects(file.effects, where)))
 
 

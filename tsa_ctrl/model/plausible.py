@@ -35,6 +35,9 @@ RINGING = (2.0, 5000.0)  # Hz, of the motor on its tendons; below 2 Hz, no torqu
 RATIO = 10.0  # 1, r_J/r_M or r_M/r_J; one tendon runs over both pulleys, so a larger ratio needs a gear
 STEPS = 10.0  # least steps of the drive's torque command before a tendon goes slack; fewer allow no torque control
 LEAST_FRICTION = 0.01  # 1; a polymer liner with lubricant has 0.03, and only an oil film at speed has less than this
+# Factor by which a file that no motor uses may exceed these limits. A log of a rig with a wrong unit can still be
+# calibrated and diagnosed, and a table of random models needs no real material.
+OFFLINE = 1e3
 TENDON_SPEED = 5.0  # m/s in a sheath; polymer liners are rated for 2 m/s at most, and wear out within minutes above
 
 
@@ -67,15 +70,19 @@ class Tendons(Protocol):
     def tendon_stiffness(self) -> float: ...
 
 
-def check_consistent(model: Tendons) -> None:
+def check_consistent(model: Tendons, tolerance: float = 1.0) -> None:
     """Compare the numbers of one model file with each other.
+
+    Args:
+        model: the tendons and their sheaths.
+        tolerance: factor by which a value may exceed its limit.
 
     Raises:
         UsageError: Two of them contradict each other. The message has both values, the range and the likely unit error.
     """
     where, tension = model.source or "model", model.pretension
     ratio = model.joint_pulley_radius / model.motor_pulley_radius
-    if not 1.0 / RATIO <= ratio <= RATIO:
+    if not 1.0 / RATIO / tolerance <= ratio <= RATIO * tolerance:
         raise UsageError(
             f"{where}: [actuator] joint_pulley_radius {model.joint_pulley_radius:g} m over motor_pulley_radius "
             f"{model.motor_pulley_radius:g} m is {ratio:.3g}; allowed is {1.0 / RATIO:g} to {RATIO:g}: give both radii "
@@ -84,37 +91,37 @@ def check_consistent(model: Tendons) -> None:
     area = math.pi * model.diameter**2 / 4.0
     modulus, stress, strain = model.axial_stiffness / area, tension / area, tension / model.axial_stiffness
     given = f"[tendon] axial_stiffness {model.axial_stiffness:g} N and diameter {model.diameter:g} m"
-    if not MODULUS[0] <= modulus <= MODULUS[1]:
+    if not MODULUS[0] / tolerance <= modulus <= MODULUS[1] * tolerance:
         raise UsageError(
             f"{where}: {given} give a modulus of {1e-9 * modulus:.3g} GPa; allowed is {1e-9 * MODULUS[0]:g} to "
             f"{1e-9 * MODULUS[1]:g} GPa (soft polymer to carbon fibre): give E A in N, not in kN, and the diameter in m"
         )
-    if strain > STRAIN:
+    if strain > STRAIN * tolerance:
         raise UsageError(
             f"{where}: the pretension of {tension:g} N strains a tendon of axial_stiffness {model.axial_stiffness:g} N "
             f"by {100.0 * strain:.3g} %; allowed is {100.0 * STRAIN:g} %, where fibres break: give the pretension in N "
             "(gram-force times 0.00981) and E A in N"
         )
-    if stress > STRENGTH:
+    if stress > STRENGTH * tolerance:
         raise UsageError(
             f"{where}: the pretension of {tension:g} N stresses a tendon of diameter {model.diameter:g} m by "
             f"{1e-9 * stress:.3g} GPa; allowed is {1e-9 * STRENGTH:g} GPa, the strongest wire: give the pretension in "
             "N (gram-force times 0.00981) and the diameter in m"
         )
     lengthened = tension / model.tendon_stiffness / model.unstrained_length
-    if lengthened > SPRING_TRAVEL:
+    if lengthened > SPRING_TRAVEL * tolerance:
         raise UsageError(
             f"{where}: the pretension of {tension:g} N lengthens tendon and series_stiffness "
             f"{model.series_stiffness or 0.0:g} N/m by {100.0 * lengthened:.3g} % of unstrained_length; allowed is "
             f"{100.0 * SPRING_TRAVEL:g} %: give series_stiffness in N/m, not in N/mm"
         )
-    if model.friction_angle > MOST_FRICTION_ANGLE:
+    if model.friction_angle > MOST_FRICTION_ANGLE * tolerance:
         raise UsageError(
             f"{where}: [sheath] friction_coefficient {model.friction_coefficient:g} times bending_angle "
             f"{model.bending_angle:g} rad is {model.friction_angle:.3g}; allowed is {MOST_FRICTION_ANGLE:g}, where 5 % "
             "of the tension arrives: give the bending angle in rad, not in degrees"
         )
-    if model.bending_angle * model.diameter > model.unstrained_length:
+    if model.bending_angle * model.diameter > model.unstrained_length * tolerance:
         raise UsageError(
             f"{where}: [sheath] bending_angle {model.bending_angle:g} rad within unstrained_length "
             f"{model.unstrained_length:g} m bends to a radius below the tendon's diameter of {model.diameter:g} m: "
