@@ -64,7 +64,7 @@ def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> N
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
-    listed = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", "ipc.server"], capture_output=True, text=True)
+    listed = subprocess.run(["pgrep", "-o", "-P", str(daemon.pid), "-f", "ipc.server"], capture_output=True, text=True)
     (supervisor,) = map(int, listed.stdout.split())
     os.kill(supervisor, signal.SIGSTOP)
     daemon.terminate()
