@@ -64,6 +64,25 @@ def test_sensor_offset_is_not_taken_for_friction() -> None:
     assert estimator.friction_angle == pytest.approx(X, rel=0.02)
 
 
+def test_a_reversal_that_runs_through_the_sheath_is_not_taken_for_less_friction() -> None:
+    """The friction reverses over 0.4 of the joint travel 2 h/K of bends at the motor, long after the term."""
+    estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
+    friction = 2.0 * R_J * PRETENSION * math.sinh(X)  # N*m at the joint
+    way = 2.0 * friction * MODEL.unstrained_length / (2.0 * MODEL.axial_stiffness * R_J**2)  # rad
+    speed, passed, t = 0.3, 0.0, 0.0  # rad/s, rad since the reversal, s
+    for stroke in range(60):
+        sigma = 1.0 if stroke % 2 else -1.0
+        passed = 0.0
+        while passed < 2.0 * way:
+            t, passed = t + PERIOD, passed + speed * PERIOD
+            held = sigma * min(1.0, 2.0 * passed / (0.4 * way) - 1.0)  # direction of the friction, -1 to 1
+            load = 0.4 * math.sin(1.3 * t)
+            tau_m = (load + sigma * friction) * R_M / R_J / math.cosh(X)
+            estimator.update(Sample(sigma, sigma * speed, math.nan, tau_m, load + (sigma - held) * friction, True))
+    assert estimator.state is EstimateState.ESTIMATED
+    assert estimator.half_loop_ratio == pytest.approx(1.0, abs=0.02)
+
+
 def test_one_direction_is_too_little() -> None:
     """Motion in one direction cannot separate friction from an offset, so the estimate does not change."""
     estimator = KalmanEstimator(MODEL, EstimatorSettings(kind="sensor"), PERIOD)

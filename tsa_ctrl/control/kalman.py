@@ -31,7 +31,7 @@ from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding
+from tsa_ctrl.model.steady_sliding import sliding, wound_by_friction
 
 _WITHIN = (Stage.BENDING, Stage.PRETENSION, Stage.FRICTION, Stage.TENSION)
 
@@ -128,6 +128,10 @@ OUTLYING = 2.0  # standard deviations to which an innovation is limited; a jerk 
 BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction needs
 CERTAIN = 0.1  # 1, standard deviation of the friction torque over nominal, below which it counts as estimated
 PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up to which both are certain to pull
+# Share of the travel in which a reversal runs through a sheath that bends at the motor, after which a moving joint
+# counts as sliding. With 0.3, reversals still make the estimate too small there. With 1, too few samples are left on
+# random rigs.
+GATE = 0.5
 FOLLOWS = 0.9  # of the slope s, which is known within a tenth; less shows that a part of the sheath still sticks
 
 
@@ -150,6 +154,7 @@ class KalmanEstimator(GatedEstimator):
         self._block = max(1, round(BLOCK / period))
         self._settle = settings.settle
         self._least_speed = settings.least_speed
+        self._gate = GATE * wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius  # rad
         transmission = Stack.of(model.effects, model.source).transmission(model)
         self._pulling = tuple(
             tuple(PULLING * end for end in transmission.limits(sigma, model.friction_angle, model.pretension))
@@ -197,6 +202,7 @@ class KalmanEstimator(GatedEstimator):
             self._begin_stroke()
         elif direction:
             self._since += self._period
+            self._way += abs(omega_j) * self._period
             low, high = self._pulling[direction > 0]
             if self._since > self._settle and low < tau_m < high:
                 known = self._load if self._motor else tau_j
@@ -206,7 +212,7 @@ class KalmanEstimator(GatedEstimator):
         self._approach()
 
     def _begin_stroke(self) -> None:
-        self._since, self._count = 0.0, 0
+        self._since, self._way, self._count = 0.0, 0.0, 0
         self._farthest = -math.inf  # N*m, largest motor torque along the direction
         self._begun = -math.inf, math.inf  # N*m along the direction, motor and joint torque from which it must follow
         self._slides = False  # the joint torque has followed the motor torque over the last `_followed`
@@ -219,7 +225,7 @@ class KalmanEstimator(GatedEstimator):
         self._count += 1
         self._tau_m += tau_m
         self._tau_j += tau_j
-        self._moved = self._moved and moves
+        self._moved = self._moved and moves and self._way > self._gate
         if self._count < self._block:
             return
         tau_m, tau_j = self._tau_m / self._count, self._tau_j / self._count
