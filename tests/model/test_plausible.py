@@ -71,7 +71,7 @@ def test_numbers_that_contradict_each_other_are_rejected(changes: dict[str, dict
 
 
 def test_a_value_a_thousand_times_beyond_its_limit_is_rejected_by_every_command() -> None:
-    """Random models without a real material still load, for example those of a benchmark."""
+    """Random models without a real material, for example of a benchmark, still load."""
     rejected({"tendon": {"axial_stiffness": 1e-300}}, "modulus of 3.54e-303 GPa")
     assert model_from(merged(EXAMPLE, {"tendon": {"axial_stiffness": 60e6}}), "knee.toml")
 

@@ -84,7 +84,6 @@ def _show(found: Found) -> None:
     console.print(
         f"highest rate with {100 * found.margin:.0f} % margin: {found.highest:g} Hz, limited by: {found.limited_by}; "
         f"configured: {found.configured.rate:g} Hz, {fits}",
-        highlight=False,
         soft_wrap=True,
     )
 

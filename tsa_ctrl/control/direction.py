@@ -51,8 +51,8 @@ STANDING = 0.05  # s of rest after which a joint counts as standing; a swinging 
 # crosses its backlash. On 4 random rigs with 1.1 to 1.9 mrad of it, a small sine has an error of 10 to 29 mN*m instead
 # of 76 to 87.
 BACKLASH, UNLOADED = 0.1, 0.1
-# rad, of that motion: the backlash of a usual joint. Without this bound, tendons with much friction may move five times
-# as far, and a human-in-the-loop load had up to 18 % more error on 13 random rigs.
+# rad, of that motion: the backlash of a usual joint. Without this bound, a joint with much friction could move five
+# times as far, and a human-in-the-loop load had up to 18 % more error on 13 random rigs.
 MOST_CROSSED = 3e-3
 UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at 10 N*m/s, as in a gait
 # Share of the friction torque. With 0.12, a random rig with prescribed motion had twice the error, and a

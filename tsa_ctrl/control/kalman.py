@@ -31,7 +31,7 @@ from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import reversal_travel, sliding
 
 _WITHIN = (Stage.BENDING, Stage.PRETENSION, Stage.FRICTION, Stage.TENSION)
 
@@ -129,7 +129,7 @@ BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction need
 CERTAIN = 0.1  # 1, standard deviation of the friction torque over nominal, below which it counts as estimated
 PULLING = 0.95  # 1, share of the motor torque at which a tendon goes slack, up to which both are certain to pull
 # Share of the travel in which a reversal runs through a sheath that bends at the motor, after which a moving joint
-# counts as sliding. With 0.3, reversals still make the estimate too small there. With 1, too few samples are left on
+# counts as sliding. With 0.3, reversals still make the estimate too small there. With 1, it has too few samples on
 # random rigs.
 GATE = 0.5
 FOLLOWS = 0.9  # of the slope s, which is known within a tenth; less shows that a part of the sheath still sticks
@@ -154,7 +154,7 @@ class KalmanEstimator(GatedEstimator):
         self._block = max(1, round(BLOCK / period))
         self._settle = settings.settle
         self._least_speed = settings.least_speed
-        self._gate = GATE * wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius  # rad
+        self._gate = GATE * reversal_travel(model)  # rad of the joint
         transmission = Stack.of(model.effects, model.source).transmission(model)
         self._pulling = tuple(
             tuple(PULLING * end for end in transmission.limits(sigma, model.friction_angle, model.pretension))

@@ -135,7 +135,7 @@ class FrictionReversal:
         Args:
             sigma: direction; a new one starts a transition to it.
             age: age of a new transition, periods.
-            slower: ratio of its duration to that of a whole reversal, 1. A faster transition accelerates those that
+            slower: its duration over the duration of a whole reversal, 1. A faster transition accelerates those that
                 have not ended.
         """
         ramps = self._ramps

@@ -32,7 +32,14 @@ from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import (
+    joint_compliance,
+    least_stiffness,
+    motor_stiffness,
+    reversal_travel,
+    sliding,
+    wound_by_friction,
+)
 from tsa_ctrl.model.stretch import compliance_centre, profile_of, stretch_line
 from tsa_ctrl.observer.friction_proof import EVERY, FrictionProof, SensorEvidence
 from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
@@ -201,7 +208,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     if settings.temperature.source != "none":
         signals.add("temperature")
     inverse = Feedforward(model, period, signals)
-    way = wound_by_friction(model) * r_m / r_j
+    way = reversal_travel(model)
     friction = abs(sliding(model).half_loop)
     unsure = UNSURE if bent_at_joint(model) else UNSURE + OVERSHOOT * friction
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, unsure, friction)

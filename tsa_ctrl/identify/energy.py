@@ -28,8 +28,8 @@ from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.parameters import GearedDrive, Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import last_reversal, low_pass
+from tsa_ctrl.model.steady_sliding import reversal_travel
 from tsa_ctrl.model.steady_sliding import sliding as steady_sliding
-from tsa_ctrl.model.steady_sliding import wound_by_friction
 
 Array = NDArray[np.float64]
 
@@ -207,7 +207,7 @@ def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: 
     apart = [np.sign(omega), angle, np.sin(angle), np.cos(angle), acceleration, np.ones_like(omega)]
     torques = [low_pass(values, dataset.period, BAND) for values in (expected, dataset["tau_j"])]
     path = np.cumsum(np.abs(omega)) * dataset.period
-    through = wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius
+    through = reversal_travel(model)
     here = np.flatnonzero(sliding & (path - path[last_reversal(omega)] > THROUGH * through))[::thin]
     if len(here) < FEWEST:
         return math.nan

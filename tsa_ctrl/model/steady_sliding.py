@@ -142,6 +142,11 @@ def wound_by_friction(model: TendonSheath) -> float:
     return 2.0 * half_loop / motor_stiffness(model)
 
 
+def reversal_travel(model: TendonSheath) -> float:
+    """Return the joint travel (rad) in which a reversal runs through a sheath whose bends are all at the motor."""
+    return wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius
+
+
 def bending_centre(model: TendonSheath) -> float:
     """Return s_c, 1: the centre of the bending along the sheath, 0 at the motor and 1 at the joint.
 

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.steady_sliding import sliding, wound_by_friction
+from tsa_ctrl.model.steady_sliding import reversal_travel, sliding
 from tsa_ctrl.model.stretch import compliance_centre, stretch_line
 from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
 
@@ -106,7 +106,7 @@ class ProvenFriction:
         self._least = LEAST * self._expected + 1e-9
         self.modelled = max(self._expected, self._least)
         self.slopes = sliding(model, 1.0).slope, sliding(model, -1.0).slope
-        self._gate = GATE * wound_by_friction(model) * r_m / r_j
+        self._gate = GATE * reversal_travel(model)
         self._ratio = r_j / r_m
         self._has_sensor = has_sensor
         self._observer = observer
