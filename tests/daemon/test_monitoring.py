@@ -13,7 +13,7 @@ from tsa_ctrl.daemon.monitor_process import Report
 from tsa_ctrl.daemon.monitoring import MonitorState, SecondChannel, monitor_line, watched_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.report import MONITOR
-from tsa_ctrl.monitor.watch import Stop
+from tsa_ctrl.monitor.watched import Stop
 from tsa_ctrl.safety.causes import Cause, Finding
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"

@@ -6,7 +6,8 @@ import math
 import struct
 from collections.abc import Callable, Iterator
 
-from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched, WatchedAxis
+from tsa_ctrl.monitor.watch import Monitor
+from tsa_ctrl.monitor.watched import Frame, Stop, Watched, WatchedAxis
 
 PERIOD = 1e-3  # s
 ENABLED, READY = 0x1237, 0x1231  # statuswords

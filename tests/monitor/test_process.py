@@ -18,7 +18,7 @@ from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.monitor.watch import Frame
+from tsa_ctrl.monitor.watched import Frame
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.system.torque_off import OutputSettings
 

@@ -24,7 +24,8 @@ from tests.monitor.healthy import (
     watched,
     without,
 )
-from tsa_ctrl.monitor.watch import FINDINGS, Frame, Monitor
+from tsa_ctrl.monitor.watch import Monitor
+from tsa_ctrl.monitor.watched import FINDINGS, Frame
 
 AT = 1.0  # s, start of the fault
 ONCE = {"last": AT}

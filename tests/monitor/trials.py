@@ -11,7 +11,7 @@ import numpy as np
 from tests.virtual.files import controller, plant, write
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.monitoring import watched_of
-from tsa_ctrl.monitor.watch import Frame, Stop
+from tsa_ctrl.monitor.watched import Frame, Stop
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.lockstep import End
 from tsa_ctrl.virtual.result import Simulation

@@ -19,7 +19,8 @@ import msgspec
 
 from tsa_ctrl.bus.wire.datagram import DatagramBus
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched
+from tsa_ctrl.monitor.watch import Monitor
+from tsa_ctrl.monitor.watched import Frame, Stop, Watched
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.system.process_supervisor import READY, Child
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space

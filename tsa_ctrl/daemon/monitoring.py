@@ -12,7 +12,7 @@ from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.build import give_of
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess, Report
-from tsa_ctrl.monitor.watch import Watched, WatchedAxis
+from tsa_ctrl.monitor.watched import Watched, WatchedAxis
 from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.plausibility import DEFAULT_TORQUE
 

@@ -7,135 +7,22 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import deque
 from collections.abc import Callable
 from typing import Any
-
-import msgspec
 
 from tsa_ctrl.bus.canopen import cia301, cia402, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
+from tsa_ctrl.monitor.watched import COUNTER, FINDINGS, Angle, Frame, Stop, Stream, Unchanged, Watched, WatchedAxis
 
-FINDINGS = {  # id: title, s for which it must last, detail
-    "command_torque": ("commanded torque above the limit", 0.0, "{:.2f} N*m, the limit is {:g} N*m"),
-    "command_step": ("commanded torque grows too fast", 0.0, "by {:.2f} N*m in {:.4f} s, the limit is {:g} N*m/s"),
-    "torque": ("reported torque above the limit", 0.01, "{:.2f} N*m, the limit is {:g} N*m"),
-    "torque_error": ("reported torque differs from the command", 0.15, "{:.2f} N*m, the command is {:.2f} N*m"),
-    "motor_speed": ("motor too fast", 0.0, "{:.1f} rad/s, the limit is {:g} rad/s"),
-    "joint_speed": ("joint too fast", 0.0, "{:.1f} rad/s, the limit is {:g} rad/s"),
-    "travel": ("joint beyond its travel", 0.0, "{:.2f} rad, the limits are {:g} and {:g} rad"),
-    "velocity": ("velocity contradicts position", 0.0, "0x606C {:.2f} rad/s, derivative of 0x6064 {:.2f} rad/s"),
-    "apart": ("motor and joint moved apart", 0.02, "by {:.3f} rad at the motor, the limit is {:.3f} rad"),
-    "frozen": ("feedback of the drive is frozen", 0.03, "no bit changed while the command moved by {:.2f} N*m"),
-    "stuck": ("motor position is frozen", 0.1, "no bit changed while the command moved by {:.2f} N*m"),
-    "surplus": ("more than one frame per SYNC", 0.0, "identifier 0x{:03X}, {:.0f} frames too many"),
-    "silent": ("a frame is missing", 0.0, "identifier 0x{:03X}, none for {:.3f} s"),
-    "sync_rate": ("SYNC at a wrong rate", 0.0, "{:.0f} Hz, the rate is {:.0f} Hz"),
-    "nmt": ("NMT command while torque is on", 0.0, "command 0x{:02X} to node {}"),
-    "lss": ("LSS command while torque is on", 0.0, "command 0x{:02X}"),
-    "sdo_write": ("SDO write while torque is on", 0.0, "object 0x{:02X}{:02X}"),
-    "lss_question": ("LSS frame of another master", 0.0, "command 0x{:02X}"),
-    "time": ("TIME frame of another master", 0.0, "identifier 0x100"),
-    "bus": ("the monitor cannot hear the bus", 0.0, "{}"),
-    "daemon": ("the daemon ended while torque was on", 0.0, "its pipe is closed"),
-}
-
-
-class Stop(msgspec.Struct, frozen=True):
-    """The reason why the monitor stops the torque, or a notice that requires no action."""
-
-    id: str
-    title: str
-    detail: str
-    time: float  # s
-
-    def __str__(self) -> str:
-        return f"{self.title}: {self.detail}"
-
-
-class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
-    """The monitor's settings of one axis, with torque and angle at the motor pulley. Digits have the bus sign."""
-
-    name: str
-    node_id: int  # node id of the drive
-    slot: int = 1
-    pdo_node_id: int | None = None
-    has_error_code: bool = True  # 0x603F is in the second TPDO
-    lean: bool = False  # 0x6064 is in the first TPDO instead of 0x606C
-    encoder_id: int | None = None  # node of the joint encoder
-    torque_digit: float  # N*m
-    position_digit: float  # rad
-    velocity_digit: float  # rad/s; 0: 0x606C is not used
-    joint_digit: float = 0.0  # rad of the joint
-    joint_zero: int = 0  # counts
-    joint_range: int = 1 << 32  # counts
-    torque: float  # N*m, absolute limit
-    torque_rate: float  # N*m/s, fastest growth of the command
-    torque_error: float  # N*m, reported against commanded
-    over_speed: float  # rad/s of the joint
-    motor_over_speed: float  # rad/s
-    travel: tuple[float, float] | None = None  # rad of the joint
-    ratio: float  # 1, r_J / r_M
-    slack: float  # rad, largest elongation without torque
-    compliance: float  # rad/(N*m), elongation by the motor torque
-    silence: float  # s without SYNC, command or answer
-
-
-class Watched(msgspec.Struct, frozen=True, kw_only=True):
-    """The axes and nodes of one bus that a monitor checks."""
-
-    axes: tuple[WatchedAxis, ...]
-    nodes: tuple[int, ...]  # all nodes of the axes
-    period: float  # s of SYNC
-    host_node_id: int
-    host_silence: float  # s without the heartbeat of the host
-
-
-SPEED_WINDOW = 0.01  # s over which positions are differentiated
-SURPLUS, FORGIVEN = 3.0, 0.05  # frames beyond one per SYNC, and their decrease per SYNC, because bus errors repeat some
 RATE_WINDOW, FAST, SLOW = 32, 1.5, 0.5  # SYNC periods over which SYNCs are counted; bounds as multiples of the rate
 MEMORY = 0.2  # s over which 0x606C is compared with 0x6064, and for which tendons may stay stretched after a torque
 VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: errors of a drive's 0x606C
 RATIO_ERROR, LATE, CREEP = 0.02, 3e-3, 0.2  # 1, of the travel; s, between encoders; 1/s, of the permitted elongation
 STUCK, FROZEN = 0.25, 0.05  # of the torque limit, change of the command during which a measurement must change
-_COUNTER = 1 << 32  # range of 0x6064
 _ON = frozenset({PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE})
 _SDO_WRITES = frozenset({0, 1, 6})  # client command specifiers: download segment, download, block download
 _LSS_QUESTIONS = range(0x46, 0x60)  # CiA 305: identify and inquire; all other LSS services may change a node
-Frame = tuple[int, bytes]
-
-
-class _Angle:
-    """The angle (rad) of a counter that wraps, with its last step (rad) and its speed (rad/s) over `SPEED_WINDOW`."""
-
-    def __init__(self, digit: float, wraps: int, zero: int, period: float) -> None:
-        self._digit, self._wraps, self.count, self._last, self._fresh = digit, wraps, zero, zero, False
-        self._past: deque[tuple[float, float]] = deque(maxlen=1 + math.ceil(SPEED_WINDOW / period))
-        self.angle = self.speed = self.step = 0.0
-
-    def take(self, values: tuple[Any, ...], now: float) -> None:
-        self.count, self._fresh = values[0], True
-
-    def update(self, sampled: float) -> bool:
-        """Update the angle with the count of the SYNC at `sampled` (s). Return False without a new count."""
-        if not self._fresh:
-            return False
-        half = self._wraps // 2
-        self.step = self._digit * ((self.count - self._last + half) % self._wraps - half)
-        self._last, self._fresh = self.count, False
-        self.angle += self.step
-        self._past.append((sampled, self.angle))
-        elapsed = sampled - self._past[0][0]
-        self.speed = (self.angle - self._past[0][1]) / elapsed if elapsed > 0.0 else 0.0
-        return True
-
-
-class _Stream:
-    """The frames of one identifier: the time of the last one, and the number of surplus frames beyond one per SYNC."""
-
-    def __init__(self, can_id: int, silence: float) -> None:
-        self.can_id, self.silence, self.heard, self.credit, self.surplus = can_id, silence, -math.inf, 2, 0.0
 
 
 class _Axis:
@@ -150,9 +37,9 @@ class _Axis:
         self.watched, self._period, self._act = watched, period, act
         layout = pdo.drive_layout(watched.node_id, watched.slot, watched.pdo_node_id, watched.lean)
         self.layout = layout if watched.has_error_code else layout.without(objects.ERROR_CODE)
-        self.motor = _Angle(watched.position_digit, _COUNTER, 0, period)
-        self.joint = _Angle(watched.joint_digit, watched.joint_range, watched.joint_zero, period)
-        self.streams: list[_Stream] = []
+        self.motor = Angle(watched.position_digit, COUNTER, 0, period)
+        self.joint = Angle(watched.joint_digit, watched.joint_range, watched.joint_zero, period)
+        self.streams: list[Stream] = []
         self.controlword, self.statusword = (
             struct.pack("<HB", *entry.of(watched.slot).key) for entry in (objects.CONTROLWORD, objects.STATUSWORD)
         )
@@ -166,7 +53,7 @@ class _Axis:
         for stream in self.streams:
             stream.heard = max(stream.heard, now)
         self._since: dict[str, float] = {}  # s, start of each failing check
-        self._held: dict[str, tuple[object, float, float]] = {}  # content, and the command's range since it changed
+        self._frozen, self._stuck = Unchanged(), Unchanged()
         self._offset, self._from = math.nan, self.motor.angle
         self._load = self._fast = self._way = self._mismatch = 0.0
 
@@ -178,14 +65,6 @@ class _Axis:
             lasting = FINDINGS[cause][1]
             if now - self._since.setdefault(cause, now) >= lasting + (3.0 * self._period if lasting else 0.0):
                 self._act(cause, now, *values, where=f"axis '{self.watched.name}': ")
-
-    def _moved(self, name: str, content: object) -> float:
-        """Return the range of the command (N*m) since `content` last changed."""
-        held, low, high = self._held.get(name, (None, 0.0, 0.0))
-        command = self._command
-        low, high = (min(low, command), max(high, command)) if held == content else (command, command)
-        self._held[name] = content, low, high
-        return high - low
 
     def _switch(self, now: float) -> None:
         on = self._commanded or self._enabled
@@ -237,9 +116,8 @@ class _Axis:
         if not self.on:
             return
         geared = watched.encoder_id is None
-        q_j, omega_j = joint.angle, joint.speed
-        if geared:
-            q_j, omega_j = motor.angle / watched.ratio, motor.speed / watched.ratio
+        source, ratio = (motor, watched.ratio) if geared else (joint, 1.0)
+        q_j, omega_j = source.angle / ratio, source.speed / ratio
         torque, command, limit = self._torque, self._command, watched.torque
         omega_m = max(abs(motor.speed), abs(self._speed))
         check(now, "motor_speed", omega_m > watched.motor_over_speed, omega_m, watched.motor_over_speed)
@@ -248,9 +126,9 @@ class _Axis:
             check(now, "travel", not watched.travel[0] <= q_j <= watched.travel[1], q_j, *watched.travel)
         check(now, "torque", abs(torque) > limit + watched.torque_error, torque, limit)
         check(now, "torque_error", abs(torque - command) > watched.torque_error, torque, command)
-        by = self._moved("frozen", (self._raw, motor.count))
+        by = self._frozen.update((self._raw, motor.count), command)
         check(now, "frozen", by > FROZEN * limit, by)
-        by = self._moved("stuck", motor.count)
+        by = self._stuck.update(motor.count, command)
         check(now, "stuck", by > max(STUCK * limit, watched.slack / watched.compliance), by)
         if moved and elapsed > 0.0:
             self._compare(elapsed, now, joint_moved and not geared)
@@ -293,8 +171,8 @@ class Monitor:
         self._handlers: dict[int, list[Callable[[bytes, float], None]]] = {}
         silence = max(axis.silence for axis in watched.axes)
         self._window = max(RATE_WINDOW * watched.period, 4.0 * silence)
-        self._sync = _Stream(cia301.SYNC, silence)
-        self._host = _Stream(cia301.HEARTBEAT + watched.host_node_id, watched.host_silence)
+        self._sync = Stream(cia301.SYNC, silence)
+        self._host = Stream(cia301.HEARTBEAT + watched.host_node_id, watched.host_silence)
         self._hear(self._sync.can_id, self._take_sync)
         self._hear(self._host.can_id, lambda data, now: setattr(self._host, "heard", now))
         self._hear(cia301.NMT, self._meet_nmt)
@@ -303,12 +181,10 @@ class Monitor:
         for node in watched.nodes:
             self._hear(cia301.SDO_REQUEST + node, self._meet_sdo)
         for axis in self._axes:
-            layout, encoder = axis.layout, axis.watched.encoder_id
+            layout, lean, encoder = axis.layout, axis.watched.lean, axis.watched.encoder_id
             self._hear_pdo(axis, layout.command, layout.node_id, axis.take_command)
-            if axis.watched.lean:
-                self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_lean_motion)
-            else:
-                self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_motion)
+            self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_lean_motion if lean else axis.take_motion)
+            if not lean:
                 self._hear_pdo(axis, layout.position, layout.node_id, axis.motor.take)
             if encoder is not None:
                 self._hear_pdo(axis, pdo.ENCODER, encoder, axis.joint.take)
@@ -355,15 +231,13 @@ class Monitor:
     def act(self, cause: str, now: float, *values: object, where: str = "") -> None:
         """Latch `cause`, an id of `FINDINGS`, with the values of its detail, unless a cause is latched already."""
         if self.stop is None:
-            title, _, detail = FINDINGS[cause]
-            self.stop = Stop(cause, title, where + detail.format(*values), now)
+            self.stop = Stop.of(cause, now, values, where)
             for axis in self._axes:
                 axis.gone = not axis.on
 
     def _notice(self, cause: str, now: float, *values: object) -> None:
         if self.on and cause not in self.notices:
-            title, _, detail = FINDINGS[cause]
-            self.notices[cause] = Stop(cause, title, detail.format(*values), now)
+            self.notices[cause] = Stop.of(cause, now, values)
 
     def _meet(self, cause: str, now: float, *values: object) -> None:
         """Stop the torque on a frame that only another master sends while torque is on."""
@@ -374,20 +248,15 @@ class Monitor:
         self._handlers.setdefault(can_id, []).append(handler)
 
     def _hear_pdo(self, axis: _Axis, layout: pdo.Pdo, node_id: int, take: Callable[..., None]) -> None:
-        stream = _Stream(layout.cob_id(node_id), axis.watched.silence)
+        stream = Stream(layout.cob_id(node_id), axis.watched.silence)
         axis.streams.append(stream)
         unpack, length = layout.struct.unpack, layout.length
 
         def handle(data: bytes, now: float) -> None:
             if len(data) != length:  # not the expected PDO
                 return
-            stream.heard = now
-            if stream.credit:
-                stream.credit -= 1
-            else:
-                stream.surplus += 1.0
-                if stream.surplus > SURPLUS and axis.on:
-                    self.act("surplus", now, stream.can_id, stream.surplus)
+            if stream.receive(now) and axis.on:
+                self.act("surplus", now, stream.can_id, stream.surplus)
             take(unpack(data), now)
 
         self._hear(stream.can_id, handle)
@@ -398,9 +267,7 @@ class Monitor:
         for axis in self._axes:
             axis.judge(sampled, now)
             for stream in axis.streams:
-                stream.credit = 1 if stream.credit == 0 else 2  # 2 permits an answer that is late by one SYNC
-                if stream.surplus > 0.0:
-                    stream.surplus -= FORGIVEN
+                stream.renew()
         began, count = self._counted
         if not self.on:
             self._counted = now, 0
@@ -412,13 +279,11 @@ class Monitor:
                 self.act("sync_rate", now, rate, expected)
 
     def _look_for_silence(self, now: float) -> None:
-        for axis in self._axes:
-            if axis.on and self.stop is None:
-                for stream in (self._sync, self._host, *axis.streams):
-                    if now - stream.heard > stream.silence:
-                        self.act(
-                            "silent", now, stream.can_id, now - stream.heard, where=f"axis '{axis.watched.name}': "
-                        )
+        for axis in self._axes if self.stop is None else ():
+            for stream in (self._sync, self._host, *axis.streams) if axis.on else ():
+                silent, where = now - stream.heard, f"axis '{axis.watched.name}': "
+                if silent > stream.silence:
+                    self.act("silent", now, stream.can_id, silent, where=where)
 
     def _meet_nmt(self, data: bytes, now: float) -> None:
         if len(data) == 2 and data[1] in (cia301.ALL_NODES, *self._watched.nodes):

@@ -30,7 +30,8 @@ from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
 from tsa_ctrl.log.writer import LogWriter
-from tsa_ctrl.monitor.watch import Frame, Monitor, Watched
+from tsa_ctrl.monitor.watch import Monitor
+from tsa_ctrl.monitor.watched import Frame, Watched
 from tsa_ctrl.outputs import keep, move_into, refuse_inputs
 from tsa_ctrl.plant.axis import COLUMNS, Recorder, Rows
 from tsa_ctrl.plant.machine import Machine
