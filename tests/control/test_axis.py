@@ -14,7 +14,7 @@ from tests.daemon.machine import Machine
 from tsa_ctrl.control.axis import BENT, ControlAxis
 from tsa_ctrl.control.estimator import Sample
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
-from tsa_ctrl.safety.guard import Observed
+from tsa_ctrl.safety.compensation_backoff import Observed
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.supervisor import Phase, Request
 

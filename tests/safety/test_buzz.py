@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tsa_ctrl.safety.guard import ChatterDetector
+from tsa_ctrl.safety.compensation_backoff import ChatterDetector
 
 PERIOD = 1e-3
 LEVEL = 0.03  # N*m RMS

@@ -29,7 +29,7 @@ ROOMS: dict[str, str] = {  # folder of tsa_ctrl: modules that run in each cycle
         "stretch_estimator temperature tension_estimator torque_feedback"
     ),
     "observer": "friction_proof joint_torque proven_friction stretch",
-    "safety": "debounce guard lost_commands passivity plausibility polarity_check residuals supervisor",
+    "safety": "compensation_backoff debounce lost_commands passivity plausibility polarity_check residuals supervisor",
     "bus/live": "axis image read_back rig",
     "bus/canopen": "cia301 cia402 pdo",
     "daemon": "loop telemetry torque_error monitoring",

@@ -20,7 +20,7 @@ from tsa_ctrl.model.steady_sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.guard import Guard, Observed
+from tsa_ctrl.safety.compensation_backoff import CompensationBackoff, Observed
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.lost_commands import LostCommands
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -118,7 +118,7 @@ class Safeguards:
     supervisor: Supervisor
     limiter: Limiter
     polarity_check: PolarityCheck
-    guard: Guard
+    guard: CompensationBackoff
     plausibility: Plausibility
     joint_torque: JointTorque
     compensation_limit: CompensationLimit

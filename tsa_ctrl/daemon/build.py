@@ -47,7 +47,7 @@ from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.readiness import loose_lines
 from tsa_ctrl.safety.causes import REMEDIES
-from tsa_ctrl.safety.guard import Guard
+from tsa_ctrl.safety.compensation_backoff import CompensationBackoff
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.polarity_check import PolarityCheck
@@ -168,7 +168,7 @@ def safeguards_of(
         supervisor=supervisor,
         limiter=Limiter(settings.limits, period),
         polarity_check=polarity_check_of(settings, model, period),
-        guard=Guard(
+        guard=CompensationBackoff(
             settings.passivity,
             period,
             by_stretch=not settings.has_torque_sensor,

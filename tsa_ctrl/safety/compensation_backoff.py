@@ -144,7 +144,7 @@ class Observed:
     turns: bool = False
 
 
-class Guard:
+class CompensationBackoff:
     """Withdraw compensation and damping when they feed energy into the motion.
 
     A client can only lower `back_off`, and the guard latches the lower value. `release` and `reset` restore it.

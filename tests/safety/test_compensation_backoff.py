@@ -7,7 +7,16 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.guard import CLEAR, FALL, FORGIVEN, HOLD, RECOVERY, RETURNED, Guard, Observed
+from tsa_ctrl.safety.compensation_backoff import (
+    CLEAR,
+    FALL,
+    FORGIVEN,
+    HOLD,
+    RECOVERY,
+    RETURNED,
+    CompensationBackoff,
+    Observed,
+)
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.settings import PassivitySettings
 
@@ -21,10 +30,10 @@ class Rig:
     def __init__(self, share: float = 0.3, by_stretch: bool = False) -> None:
         self.share = share
         more = [True] if by_stretch else []  # the default is a torque sensor
-        self.guard = Guard(PassivitySettings(), PERIOD, *more)
+        self.guard = CompensationBackoff(PassivitySettings(), PERIOD, *more)
         self.cycles = 0
 
-    def run(self, seconds: float, speed: float = 1.0, buzz: float = 0.0) -> Guard:
+    def run(self, seconds: float, speed: float = 1.0, buzz: float = 0.0) -> CompensationBackoff:
         guard = self.guard
         for _ in range(round(seconds / PERIOD)):
             self.cycles += 1
@@ -123,7 +132,7 @@ def test_what_drove_the_joint_is_turned_round_for_a_moment() -> None:
 
 
 def test_a_loop_of_200_hz_has_no_time_for_that() -> None:
-    guard = Guard(PassivitySettings(), 5e-3)
+    guard = CompensationBackoff(PassivitySettings(), 5e-3)
     while not guard.count:
         guard.update(Observed(tau_j=0.35, omega_j=1.0, term=HALF_LOOP, half_loop=HALF_LOOP, added=0.5))
     assert guard.share == guard.back_off < 0.2
