@@ -95,10 +95,14 @@ def _printed(line: str, number: int, out: Path) -> tuple[str, float]:
 def table(name: str, text: str) -> Row:
     """Return the first table in an output: lines with `|`, a drawn table, or columns separated by two spaces.
 
+    [titles] names a later table of the output by the line above it.
+
     Raises:
-        UsageError: The output has no table.
+        UsageError: The output has no table, or none of this title.
     """
     rows: list[list[str]] = []
+    if title := listed()["titles"].get(name):
+        _, _, text = re.sub(rf"^{re.escape(title)} *$", "\f", text, count=1, flags=re.MULTILINE).partition("\f")
     for line in text.splitlines():
         drawn = re.split(r"[|│┃]", line.strip())
         row = [cell.strip() for cell in (drawn[1:-1] if len(drawn) > 2 else re.split(r"\s{2,}", line.strip()))]

@@ -28,6 +28,7 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
+import textwrap
 from collections.abc import Sequence
 
 from rich.table import Table
@@ -120,7 +121,7 @@ LISTED: command.Columns = {
     "latched (s)": command.seconds_of("latched"),
     "after (mJ)": lambda row: None if row["acted"] is None else f"{1e3 * row['after']:.1f}",
     "late (mJ)": lambda row: f"{1e3 * row['late_added']:.1f}",
-    "words": lambda row: row["words"].split(";")[0].split(":")[0][:24],
+    "report": lambda row: textwrap.shorten(row["words"].split(";")[0].split(":")[0], 34, placeholder=" ..."),
 }
 
 
