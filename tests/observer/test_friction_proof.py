@@ -13,7 +13,7 @@ import pytest
 
 from tests.observer.test_proven_friction import FRICTION, MODEL, PERIOD
 from tsa_ctrl.observer.friction_proof import EVERY, FrictionProof, SensorEvidence
-from tsa_ctrl.observer.proven_friction import ProvenFriction
+from tsa_ctrl.observer.proven_friction import MEMORY, ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 
 GEARING = 0.8  # r_M/r_J
@@ -39,7 +39,7 @@ class Joint:
         by_sensor = None if sensor is None else ProvenFriction(MODEL, PERIOD, 1e-4, True)
         period = PERIOD if sensor is None else EVERY * PERIOD
         by_elongation = ProvenFriction(MODEL, period, 1e-4, False, observer) if elongation else None
-        evidence = SensorEvidence(FRICTION / GEARING, PERIOD, (PER_STRETCH * 0.020, PER_STRETCH * 0.025))
+        evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING, (PER_STRETCH * 0.020, PER_STRETCH * 0.025))
         self.proof = FrictionProof(by_sensor, by_elongation, evidence)
         self.observed = 0.85  # of the load, by an observer with an inaccurate file
         self.sensor = sensor or (lambda tau_j, tau_m: math.nan)
@@ -163,3 +163,52 @@ def test_a_reset_forgets_the_comparison() -> None:
     joint.proof.reset()
     assert not joint.proof.confirms_sensor
     assert (joint.proof.low, joint.proof.high) == (0.0, math.inf)
+
+
+def compared(
+    evidence: SensorEvidence, sensor: Sensor, motor: Callable[[float], float], way: float, sliding: int
+) -> None:
+    """Compare for `way` rad at 1 rad/s while the elongation shows nothing; `motor`: change of its torque by angle."""
+    random = np.random.default_rng(8)
+    for cycle in range(round(way / SPEED / PERIOD)):
+        tau_m = FRICTION + motor(cycle * SPEED * PERIOD)
+        shown = sensor((tau_m - FRICTION) / GEARING, tau_m) + 5e-3 * random.standard_normal()
+        evidence.update(shown, 0.0, tau_m, 0.0, 0.0, False, SPEED, sliding)
+
+
+def falls(way: float) -> float:
+    """Return the change of the motor torque (N*m) when a third of the friction term fades out within 0.1 rad."""
+    return -FRICTION / 3.0 * min(1.0, max(0.0, (way - 0.3) / 0.1))
+
+
+@pytest.mark.parametrize("sliding", [1, 0])
+@pytest.mark.parametrize("sensor", [*WRONG.values(), correct], ids=[*WRONG, "correct"])
+def test_only_a_correct_sensor_follows_the_motor_while_the_tendons_slide(sensor: Sensor, sliding: int) -> None:
+    """The motor torque does not reach the joint unless the tendons slide, so this is no evidence."""
+    evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)
+    compared(evidence, sensor, falls, 0.5, sliding)
+    assert evidence.follows is (sensor is correct and sliding != 0)
+
+
+def test_noise_at_the_begin_of_a_stroke_is_no_evidence() -> None:
+    """Two samples always have a correlation of 1 or -1."""
+    evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)
+    for stroke in range(200):
+        compared(
+            evidence, WRONG["unplugged"], lambda way: 0.5 * FRICTION * math.sin(50.0 * way), 0.06, 1 - stroke % 2 * 2
+        )
+        assert not evidence.follows
+
+
+def test_a_proof_fades_gradually_while_there_is_nothing_to_follow() -> None:
+    """A step of the whole friction term would pull the joint, although the sensor is correct."""
+    evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)
+    compared(evidence, correct, falls, 0.5, 1)
+    weights = []
+    for _ in range(20):
+        compared(evidence, correct, lambda way: 0.0, 0.1 * MEMORY, 0)
+        weights.append(evidence.weight)
+    assert weights[:3] == [1.0, 1.0, 1.0]
+    assert weights[-1] == 0.0
+    assert max(-np.diff(weights)) < 0.11
+    assert np.mean(weights) == pytest.approx(0.5, abs=0.1)  # as much as a sudden end after `MEMORY`

@@ -31,6 +31,7 @@ import numpy as np
 import tomlkit
 from rich.table import Table
 
+from tests.virtual.joints import rms
 from tools import command
 from tools.command import Row
 from tsa_ctrl.demo import rig as demo
@@ -40,6 +41,7 @@ from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.system.process_supervisor import tsa
+from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 X = (0.05, 1.2)  # 1, friction angle
@@ -238,26 +240,30 @@ def trial(rig: Rig, folder: Path) -> Row:
 
 def evaluate(folder: Path, name: str) -> Row:
     """Run the tuned controller with and without compensation with one load, and return its reduction or error."""
-    joint = "held" if name == "small" else name
-    errors = {}
     row: Row = {}
-    for law in ("tuned", "none"):
-        tables = tomllib.loads((folder / "out" / "controller.toml").read_text(encoding="utf-8"))
-        axis = tables["axis"][0]
-        axis["setpoint"] = {"kind": "file", "file": f"{joint}.csv", "loop": True}
-        if name == "small":
-            axis["setpoint"] = {"kind": "sine", "amplitude": SMALL, "frequency": 0.5}
-        axis["model"] = f"out/{Path(axis['model']).name}"
-        if law == "none":
-            axis["law"] = {"compensation": 0.0, "fade_in": demo.FADE_IN}
-        path = folder / f"evaluate-{name}-{law}.toml"
-        path.write_text(tomlkit.dumps(tables), encoding="utf-8")
-        result = simulate_loop(path, folder / f"plant-{joint}.toml", SECONDS[name]).axes[0]
-        errors[law] = float(np.sqrt(np.mean(np.square(result.error))))
-        if result.faults:
-            row[f"{name}_faults"] = list(result.faults)
-    row[name] = 1e3 * errors["tuned"] if name == "small" else 100.0 * (1.0 - errors["tuned"] / errors["none"])
+    tuned, none = (play(folder, name, law) for law in ("tuned", "none"))
+    if faults := [*tuned.faults, *none.faults]:
+        row[f"{name}_faults"] = faults
+    row[name] = 1e3 * rms(tuned.error) if name == "small" else 100.0 * (1.0 - rms(tuned.error) / rms(none.error))
     return row
+
+
+def play(folder: Path, name: str, law: str) -> AxisResult:
+    """Run the tuned controller with one load; the law "none" has no compensation, and "open" no torque feedback."""
+    joint = "held" if name == "small" else name
+    tables = tomllib.loads((folder / "out" / "controller.toml").read_text(encoding="utf-8"))
+    axis = tables["axis"][0]
+    axis["setpoint"] = {"kind": "file", "file": f"{joint}.csv", "loop": True}
+    if name == "small":
+        axis["setpoint"] = {"kind": "sine", "amplitude": SMALL, "frequency": 0.5}
+    axis["model"] = f"out/{Path(axis['model']).name}"
+    if law == "none":
+        axis["law"] = {"compensation": 0.0, "fade_in": demo.FADE_IN}
+    elif law == "open":
+        axis["law"]["feedback"] = 0.0
+    path = folder / f"evaluate-{name}-{law}.toml"
+    path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+    return simulate_loop(path, folder / f"plant-{joint}.toml", SECONDS[name]).axes[0]
 
 
 def report(rows: list[Row]) -> Iterator[Table | str]:

@@ -327,7 +327,9 @@ def friction_proof_of(
     if stretch is not None:
         per_stretch = stretch_line(model).per_stretch
         per_angle = (per_stretch * model.motor_pulley_radius, per_stretch * model.joint_pulley_radius)
-    evidence = SensorEvidence(joint_torque.model.half_loop, period, per_angle)
+    evidence = SensorEvidence(
+        joint_torque.model.half_loop, period, model.joint_pulley_radius / model.motor_pulley_radius, per_angle
+    )
     return FrictionProof(by_sensor, by_elongation, evidence)
 
 

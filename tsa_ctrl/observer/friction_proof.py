@@ -20,10 +20,13 @@ import math
 from tsa_ctrl.observer.proven_friction import MEMORY, ProvenFriction
 
 LATELY = 1.0  # s over which changes of sensor and elongation are compared: a stroke
+BRIEFLY = 0.2  # s over which sensor and motor torque are compared while the tendons slide, at least half of it
 EVERY = 4  # cycles between two samples of the elongation next to a sensor, which limits the computing time
 # 1, of the friction torque: standard deviation of the torque by the elongation from which the sensor must follow it.
 # Half of it is the noise of an encoder with 12 bit; 0.75 of the file's friction causes 0.1 at a set-point of 0.
 EVIDENT = 0.07
+# 1, the same where correlation with the sensor excludes noise. A good compensation leaves only small changes.
+FAINT = 0.02
 # 1, of the change by the elongation: least share that the sensor must show. An unplugged sensor shows nothing, and a
 # reversed one the negative. With 0.5, a correct sensor counted a stroke later on a rig with an inaccurate file.
 SHOWN = 0.35
@@ -33,26 +36,32 @@ ALIKE = 0.7
 
 
 class SensorEvidence:
-    """Compare the changes of the joint torque by its sensor and by the elongation, in two ways.
+    """Compare the changes of the joint torque by its sensor with the other measurements, in three ways.
 
     1. With the estimate of the observer, whose error is large while friction, stiffness or bends of the file are wrong.
     2. With the elongation itself, s = c_M tau_M + c_J tau_J + constant. Regression on tau_M eliminates c_M, and thereby
        friction and stiffness of the file. The rest of s must follow the rest of the sensor. This requires that tau_M
        and tau_J do not change in proportion, as they do until the tendons reverse.
+    3. With the motor torque, while the tendons slide in one direction: tau_J = a tau_M - b, whatever the friction. If
+       the set-point is constant, a correct sensor shows the change of the torque when the proof fades.
     """
 
-    def __init__(self, half_loop: float, period: float, per_angle: tuple[float, float] = (0.0, 0.0)) -> None:
+    def __init__(
+        self, half_loop: float, period: float, gearing: float, per_angle: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         """Prepare the comparison.
 
         Args:
             half_loop: friction torque at the joint, N*m.
             period: s.
+            gearing: r_J/r_M, about the slope a.
             per_angle: joint torque per angle of motor and of joint by the elongation, with constant motor torque,
                 N*m/rad.
         """
-        self._least = (EVIDENT * half_loop) ** 2
+        self._least, self._faint = (EVIDENT * half_loop) ** 2, (FAINT * half_loop) ** 2
         self._period = EVERY * period
-        self._forget = self._period / LATELY
+        self._forget, self._forget_briefly = self._period / LATELY, self._period / BRIEFLY
+        self._gearing = gearing
         self._per_motor, self._per_joint = per_angle
         self.reset()
 
@@ -60,8 +69,19 @@ class SensorEvidence:
         """Forget all measurements."""
         self._means = (math.nan,) * 4  # N*m: sensor, observer, elongation, motor
         self._products = (0.0,) * 8  # (N*m)^2, of the deviations from the means
+        self._sliding, self._slid = 0, 0.0  # direction in which the tendons slide, and s since they do
+        self._brief = (0.0,) * 5  # within `BRIEFLY`: means of sensor and motor at the joint, and products
         self._since = math.inf  # rad of travel since the sensor last followed the elongation
         self._wait = 0  # cycles
+
+    @property
+    def weight(self) -> float:
+        """Return the part of the proof by the sensor that is left, 1 to 0.
+
+        It fades around `MEMORY`. A good compensation at a small set-point leaves nothing to follow, and a sudden end
+        would be a step of the torque. A gradual one is itself a change that a correct sensor follows.
+        """
+        return min(1.0, max(0.0, 1.5 - self._since / MEMORY))
 
     @property
     def follows(self) -> bool:
@@ -69,7 +89,15 @@ class SensorEvidence:
         return self._since < MEMORY
 
     def update(
-        self, sensor: float, estimate: float, tau_m: float, q_m: float, q_j: float, confirmed: bool, omega_j: float
+        self,
+        sensor: float,
+        estimate: float,
+        tau_m: float,
+        q_m: float,
+        q_j: float,
+        confirmed: bool,
+        omega_j: float,
+        sliding: int = 0,
     ) -> None:
         """Process a cycle.
 
@@ -79,6 +107,7 @@ class SensorEvidence:
             q_j, omega_j: angle and velocity of the joint, rad and rad/s.
             confirmed: True unless the elongation contradicts the motor torque, for example by an unknown effect. It is
                 then no evidence against the sensor.
+            sliding: direction in which the tendons slide, 1 or -1; 0 while unknown.
         """
         self._wait -= 1
         if self._wait > 0:
@@ -101,17 +130,31 @@ class SensorEvidence:
         sm += forget * (ds * dm - sm)
         ym += forget * (dy * dm - ym)
         self._products = ss, ee, yy, mm, se, sy, sm, ym
+        if sliding != self._sliding:
+            self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, self._gearing * tau_m, 0.0, 0.0, 0.0)
+        now = sliding != 0 and self._follows_motor(sensor, self._gearing * tau_m)
         self._since += abs(omega_j) * self._period
-        least = self._least
+        least, faint = self._least, self._faint
         if mm > 0.0:  # the parts of sensor and elongation that the motor torque does not explain
             ss -= sm * sm / mm
             yy -= ym * ym / mm
             sy -= sm * ym / mm
-        clear = (yy > least or ss > least) and sy * sy > ALIKE * ALIKE * ss * yy > 0.0
-        if (clear and sy > SHOWN * yy) or (ee > least and se > SHOWN * ee and not (clear and sy < 0.0)):
+        clear = (yy > faint or ss > faint) and sy * sy > ALIKE * ALIKE * ss * yy > 0.0
+        if now or (clear and sy > SHOWN * yy) or (ee > least and se > SHOWN * ee and not (clear and sy < 0.0)):
             self._since = 0.0
         elif (clear and sy < 0.0) or (ee > least and confirmed):
             self._since = math.inf
+
+    def _follows_motor(self, sensor: float, motor: float) -> bool:
+        forget = self._forget_briefly
+        s, m, ss, mm, sm = self._brief
+        ds, dm = sensor - s, motor - m
+        ss += forget * (ds * ds - ss)
+        mm += forget * (dm * dm - mm)
+        sm += forget * (ds * dm - sm)
+        self._brief = s + forget * ds, m + forget * dm, ss, mm, sm
+        self._slid += self._period
+        return self._slid > 0.5 * BRIEFLY and mm > self._faint and sm > SHOWN * mm and sm * sm > ALIKE * ALIKE * ss * mm
 
 
 class FrictionProof:
@@ -147,7 +190,7 @@ class FrictionProof:
     @property
     def confirms_sensor(self) -> bool:
         """Return True unless the sensor contradicts the elongation, or has not been compared with it yet."""
-        return not self._both or (not self.contradicted and self._compared)
+        return not self._both or (not self.contradicted and self._weight == 1.0)
 
     @property
     def confirms_file(self) -> bool:
@@ -155,8 +198,8 @@ class FrictionProof:
         return not self._both or (not self.contradicted and self._is_certain)
 
     @property
-    def _compared(self) -> bool:
-        return self.evidence.follows or self._is_certain
+    def _weight(self) -> float:
+        return 1.0 if self._is_certain else self.evidence.weight
 
     @property
     def _is_certain(self) -> bool:
@@ -229,20 +272,21 @@ class FrictionProof:
     ) -> None:
         """Compare the changes of both measurements, if the axis has both; see `SensorEvidence.update`."""
         if self._both and sensor == sensor and estimate == estimate:
-            self.evidence.update(sensor, estimate, tau_m, q_m, q_j, confirmed, omega_j)
+            sliding = self._first.sliding if self._first is not None else 0
+            self.evidence.update(sensor, estimate, tau_m, q_m, q_j, confirmed, omega_j, sliding)
 
     def _combine(self) -> None:
         used = self._first
         if used is None:
             self.low, self.middle, self.high, self.reads = 0.0, math.inf, math.inf, False
             return
-        elongation, proven = self._elongation, True
+        elongation, weight = self._elongation, 1.0
         if self._both and elongation is not None:
-            proven = self._compared
+            weight = self._weight
             if used.reads:
                 shown = 0.5 * (used.low + used.high)
                 self.contradicted = shown > elongation.high and not self.evidence.follows
             if self.contradicted:
                 used = elongation
-        self.low, self.middle, self.high = used.low if proven else 0.0, 0.5 * (used.low + used.high), used.high
+        self.low, self.middle, self.high = weight * used.low, 0.5 * (used.low + used.high), used.high
         self.reads = used.reads

@@ -161,6 +161,11 @@ class ProvenFriction:
         """
         return self._settled and self._spread[1 if self._forward else 0] < CERTAIN
 
+    @property
+    def sliding(self) -> int:
+        """Return the direction in which the tendons slide, 1 or -1; 0 without a reading in this cycle."""
+        return self._direction if self.reads else 0
+
     def pause(self) -> None:
         """Skip a cycle without torque; the gate after a reversal starts again."""
         self.reads = False
