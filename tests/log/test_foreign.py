@@ -278,6 +278,11 @@ HEADS = {
     "numbers of the columns": "1;2;3\nt;motor torque [mNm];x\n",
     "names with commas": '"t, s";"Motor torque, mN.m";x\n',
     "unnamed index": "t;motor torque [mNm];\n",
+    "units above the names": "s;mNm;°C\ntime;motor torque;temperature\n",
+    "French": "Temps [s];Couple moteur [mNm];Température [°C]\n",
+    "Italian": "Tempo [s];Coppia motore [mNm];x\n",
+    "Spanish": "Tiempo (s);Par del motor (mNm);x\n",
+    "a slash after a space": "time/s;Motor torque/mNm;x\n",
 }
 
 
@@ -305,6 +310,13 @@ def test_a_title_does_not_change_a_name_that_identifies_a_column(tmp_path: Path)
         (" Time [s]   Motor Torque [Nm]\n" + "".join(f"{t:9.4f} {x:16.9f}\n" for t, x in PAIRS), "utf-8"),
         ("t tau_m\n" + "".join(f"{t:.9E} {x:.9E}\n".replace("E", "D") for t, x in PAIRS), "utf-8"),
         ("t;tau_m\r" + "".join(f"{t:.9f};{x:.9f}\r" for t, x in PAIRS), "utf-16-le"),
+        ("t;tau_m\r\n" + "".join(f"{comma(t)};{comma(x, 9)}\r\n" for t, x in PAIRS), "utf-16-be"),
+        ("t,tau_m\n" + "".join(f'="{t:.9f}",="{x:.9f}"\n' for t, x in PAIRS), "utf-8"),
+        ("| t | tau_m |\n|---|--:|\n" + "".join(f"| {t:.9f} | {x:.9f} |\n" for t, x in PAIRS), "utf-8"),
+        (
+            "\n".join(",".join([name, *(f"{v:.9f}" for v in s)]) for name, s in (("t", TIME), ("tau_m", TORQUE))),
+            "utf-8",
+        ),
         ("Zeit [µs];Moment Antrieb [N·m]\n" + "".join(f"{1e6 * t};{x}\n" for t, x in PAIRS), "cp1252"),
     ],
 )

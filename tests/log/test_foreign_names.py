@@ -118,7 +118,7 @@ def test_a_name_is_split_into_words(bare: str, words: list[str]) -> None:
 
 def table(names: Sequence[str], **cells: list[str]) -> ForeignTable:
     return ForeignTable(
-        Path("x.csv"), NO_TEXT, tuple(names), {name: cells.get(name, ["0.5", "1.0", "1.7"]) for name in names}, 1, 0
+        Path("x.csv"), NO_TEXT, tuple(names), {name: cells.get(name, ["0.5", "0.9", "1.4"]) for name in names}, 1, 0
     )
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.foreign.text import in_child
+from tsa_ctrl.log.foreign.binary import in_child
 from tsa_ctrl.log.table import read_table
 
 N = 50
@@ -76,6 +76,67 @@ def h5(folder: Path) -> Path:
         for name, values in NAMED.items():
             file[f"rig/{name}"] = values
     return folder / "run.h5"
+
+
+def h5_matrix(folder: Path) -> Path:
+    """Write a matrix whose attributes have the names and units of its columns."""
+    with importlib.import_module("h5py").File(folder / "run.nc", "w") as file:
+        file["rig/data"] = np.column_stack([1e3 * T, 1e3 * TORQUE])
+        file["rig/data"].attrs["columns"] = ["time", "motor_torque"]
+        file["rig/data"].attrs["units"] = ["ms", "mNm"]
+    return folder / "run.nc"
+
+
+def h5_groups(folder: Path) -> Path:
+    """Write a group for each signal, with its unit as an attribute."""
+    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
+        for name, values, unit in (("time", T, "s"), ("motor_torque", 1e3 * TORQUE, "mNm")):
+            file[f"{name}/data"] = values
+            file[name].attrs["unit"] = unit
+    return folder / "run.h5"
+
+
+def h5_pandas(folder: Path) -> Path:
+    """Write the layout of pandas' fixed format: blocks of one type, with the names of their columns."""
+    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
+        for i, names in enumerate((["a", "b"], ["time", "motor_torque"])):
+            file[f"df/block{i}_items"] = np.array(names, dtype="S")
+            file[f"df/block{i}_values"] = np.column_stack([T, TORQUE]) * (1 if i else 7)
+    return folder / "run.h5"
+
+
+def h5_rows(folder: Path) -> Path:
+    rows = np.empty(N, dtype=[("time", "f8"), ("pair", "f8", 2), ("motor_torque", "f8")])
+    rows["time"], rows["pair"], rows["motor_torque"] = T, 0.0, TORQUE
+    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
+        file["log"] = rows
+    return folder / "run.h5"
+
+
+def mat_names(folder: Path) -> Path:
+    """Write a matrix next to the names of its columns, as MATLAB's importdata returns them."""
+    names = np.array(["time", "motor_torque"], dtype=object)
+    importlib.import_module("scipy.io").savemat(
+        folder / "run.mat", {"data": np.column_stack([T, TORQUE]), "colheaders": names}
+    )
+    return folder / "run.mat"
+
+
+def json_rows(folder: Path) -> Path:
+    rows = [{"time": t, "motor_torque": x, "note": "a"} for t, x in zip(T.tolist(), TORQUE.tolist(), strict=True)]
+    (folder / "run.json").write_text(json.dumps(rows))
+    return folder / "run.json"
+
+
+def json_lines(folder: Path) -> Path:
+    rows = json.loads(json_rows(folder).read_text())
+    (folder / "run.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    return folder / "run.jsonl"
+
+
+def text_as_workbook(folder: Path) -> Path:
+    np.savetxt(folder / "run.xls", np.column_stack([T, TORQUE]), delimiter="\t", header="\t".join(NAMED), comments="")
+    return folder / "run.xls"
 
 
 def npz(folder: Path) -> Path:
@@ -167,6 +228,11 @@ CASES: list[tuple[str, Callable[[Path], Path], tuple[str, str]]] = [
     ("simulink", simulink, ("t=out.time|s", "tau_m=motor_torque|N*m")),
     ("dspace", dspace, GIVEN), ("controldesk", controldesk, ("t=time [s]|s", "tau_m=motor_torque [N*m]|N*m")),
     ("h5", h5, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")), ("npz", npz, GIVEN),
+    ("h5 matrix", h5_matrix, ("t=time [ms]|ms", "tau_m=motor_torque [mNm]|mN*m")),
+    ("h5 groups", h5_groups, ("t=time/data [s]|s", "tau_m=motor_torque/data [mNm]|mNm")),
+    ("h5 pandas", h5_pandas, GIVEN),
+    ("h5 rows", h5_rows, GIVEN), ("mat names", mat_names, GIVEN), ("json", json_rows, GIVEN),
+    ("json lines", json_lines, GIVEN), ("text as workbook", text_as_workbook, GIVEN),
     ("npy", npy, ("t=column 1|s", "tau_m=column 2|N*m")), ("xlsx", xlsx, GIVEN),
     ("tdms", tdms, (RECORDED, GIVEN[1])), ("lvm", lvm, (RECORDED, GIVEN[1])), ("parquet", parquet, GIVEN),
     ("mcap", mcap, (RECORDED, "tau_m=motor_torque.data|N*m")),
@@ -235,6 +301,16 @@ def test_a_missing_package_and_a_damaged_file_are_one_line_each(
     assert run(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
     said = capsys.readouterr().err
     assert "needs the package h5py; pip install '.[formats]'" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("suffix", ["", ".csv"])
+def test_a_folder_that_is_no_bag_is_one_line(suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / f"runs{suffix}"
+    folder.mkdir()
+    assert run(str(folder), "--out", str(tmp_path / "out")) == 2
+    said = capsys.readouterr().err
+    assert f"is a folder, and not a ROS 2 bag; give the files in it, such as {folder}/*.csv" in said
     assert said.count("\n") == 1
 
 

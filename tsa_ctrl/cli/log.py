@@ -165,7 +165,7 @@ def import_(
 ) -> None:
     """Turn tables of other programs into logs that every command reads.
 
-    FILE is text, .mat, .xlsx, .h5, .npy, .npz, .tdms, .lvm, .parquet, .mcap, a ROS 1 bag or the folder of a ROS 2 bag.
+    FILE is text, .mat, .xlsx, .h5, .npy, .npz, .tdms, .lvm, .parquet, .json, .mcap, a ROS 1 bag or a ROS 2 folder.
     Separator, decimal sign, encoding, names and units are determined from the file. All open questions come in one
     message, each with a proposal. --column, --map and --yes answer them. Writes the log in SI, the mapping, a model
     file to fill in, and a picture.

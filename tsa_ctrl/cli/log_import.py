@@ -33,6 +33,7 @@ class Understood:
     columns: dict[str, NDArray[np.float64]]
     dropped: int  # omitted rows with a NaN, which leave gaps in the log
     sparse: Mapping[str, float]  # omitted foreign columns and the fraction of their rows with a number
+    notes: tuple[str, ...] = ()  # on the place of the table and on the repair of its time
 
     @property
     def markers(self) -> dict[str, dict[str, int]]:
@@ -110,7 +111,7 @@ def understand(
         for name, settings in identified.columns.items():
             unit = settings.unit
             if not unit:
-                unit = COLUMNS[name].unit
+                unit = mapping.proposed_unit(table, settings.source, name)
                 asked.append(
                     (f"the unit of {name} from '{settings.source}' is not stated", f"{name}={settings.source}|{unit}")
                 )
@@ -134,7 +135,8 @@ def understand(
     _reject_long_format(table, mapped)
     if any(not proposal for _, proposal in asked):
         return None, asked
-    columns = mapping.take(table, mapped)
+    columns, note = mapping.take(table, mapped)
+    notes = tuple(filter(None, (table.note, note)))
     shares = {name: float(np.isfinite(values).mean()) for name, values in columns.items() if name != "t"}
     empty = {name for name, share in shares.items() if share == 0.0 or (share < LEAST_PRESENT and name not in NEEDED)}
     sparse = {column.source: shares[column.name] for column in mapped if column.name in empty}
@@ -143,7 +145,7 @@ def understand(
     kept = {name: values[good] for name, values in columns.items() if name not in empty}
     if not good.any():
         raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; map fewer columns with --map")
-    return Understood(table, mapped, kept, int((~good).sum()), sparse), asked
+    return Understood(table, mapped, kept, int((~good).sum()), sparse, notes), asked
 
 
 def _with_rate(table: ForeignTable, said: Mapping[str, mapping.ColumnSettings], rate: float) -> ForeignTable:
@@ -204,8 +206,8 @@ def show(done: Understood) -> None:
     if shape == NO_TEXT:
         text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
     console.print(text)
-    if done.table.note:
-        console.print(f"note: {done.table.note}")
+    for note in done.notes:
+        console.print(f"note: {note}")
     for name, markers in done.markers.items():
         count, texts = sum(markers.values()), ", ".join(f"'{text}'" for text in list(markers)[:4])
         console.print(f"note: column '{name}' has {count} cells without a number ({texts})")
@@ -241,6 +243,7 @@ def as_dict(done: Understood, written: Imported) -> dict[str, Any]:
         "columns": columns,
         "not_taken": done.left,
         "markers": done.markers,
+        "notes": list(done.notes),
         **files,
     }
 

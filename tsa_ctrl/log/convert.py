@@ -22,7 +22,7 @@ from tsa_ctrl.log.csv_table import connected, quoted, said
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
+from tsa_ctrl.log.table import Table, check_readable, kind_of, read_table, split_axis
 from tsa_ctrl.signals import COLUMNS, FIELD_NAMES
 
 ROWS = 16384  # rows of a block that is written at once
@@ -134,8 +134,9 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
     Raises:
         UsageError: The log cannot be read, or `out` cannot be written.
     """
-    sources = _sources(log)
     file, _ = split_axis(log)
+    check_readable(file)
+    sources = _sources(log)
     written: list[Written] = []
     total = sum(source.rows for source in sources)
     done = 0

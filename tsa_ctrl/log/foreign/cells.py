@@ -30,6 +30,7 @@ _GROUPED = {
 _UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}([.,])\d{3}$")
 _MARKER = re.compile(r"\D*$|#.*|[+-]?1[.,]#\w*$|[<>].*")  # also "1.#INF" of C programs, and "> 10.5"
 _CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d\d(?:[.,:]\d+)?)(?: ?([AP])M)?$", re.I)  # or minutes and seconds
+_DAYS = re.compile(r"(\d+) days?,? (\d+:.*)$")  # a duration, as pandas and Python write it
 _SLASHES = re.compile(r"(\d{1,2})/(\d{1,2})/(\d{4}),? +(\d.*)$")
 _GERMAN = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4}),? +(\d{1,2}:\d\d(?::\d.*)?)$")
 _ISO = re.compile(r"\d{4}([-/])\d\d\1\d\d[T ]\d\d:\d\d")
@@ -53,13 +54,16 @@ class Values:
 
 
 def bare(cell: str) -> str:
-    """Return a cell without white space and quotes around its content."""
-    return cell.strip().strip('"').strip()
+    """Return a cell without white space and quotes around its content, and without the sign of a formula ="0.5"."""
+    text = cell.strip()
+    return (text[1:] if text.startswith('="') else text).strip('"').strip()
 
 
 def is_date(cell: str) -> bool:
     """Return True if a cell is a date with a time, or a time of day."""
     text = bare(cell)
+    if found := _DAYS.match(text):
+        text = found[2]
     clock = _CLOCK.match(text)
     slashes = _SLASHES.match(text)
     known = _ISO.match(text) or _GERMAN.match(text) or (slashes and _CLOCK.match(slashes[4]))
@@ -189,6 +193,8 @@ def _read(texts: Sequence[str], convert: Callable[[str], float], fault: str) -> 
 
 def _stamp(text: str) -> float:
     """Return a date and time as seconds since 1970, or a time of day in seconds; raises ValueError."""
+    if found := _DAYS.match(text):
+        return int(found[1]) * _DAY + _stamp(found[2])
     if found := _CLOCK.match(text):
         hour, minute, second = int(found[1] or 0), int(found[2]), float(re.sub("[,:]", ".", found[3]))
         hour = hour % 12 + 12 * (found[4] in "pP") if found[4] else hour

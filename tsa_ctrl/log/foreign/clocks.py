@@ -46,11 +46,11 @@ def columns(found: Iterator[tuple[str, Any, str]], path: Path) -> Arrays:
     def add(name: str, values: NDArray[Any], group: str) -> None:
         every[f"{group}/{name}" if name in every else name] = (values, group)
 
-    for name, values, group in found:
+    def split(name: str, values: Any, group: str) -> None:
         array = np.squeeze(np.asarray(values))
         if array.dtype.names:
             for part in array.dtype.names:
-                add(part, array[part], name)
+                split(part, array[part], name)
         elif array.ndim == 1 and array.size > 1:
             add(name or "column 1", array, group)
         elif array.ndim == 2:
@@ -58,6 +58,9 @@ def columns(found: Iterator[tuple[str, Any, str]], path: Path) -> Arrays:
             by_column = array if array.shape[0] >= array.shape[1] else array.T
             for i, column in enumerate(by_column.T, start=1):
                 add(f"{name}.{i}" if name else f"column {i}", column, group)
+
+    for name, values, group in found:
+        split(name, values, group)
     if not every:
         raise UsageError(f"{path}: contains no column of numbers; give a file with at least a time and a torque")
     return _placed(every)

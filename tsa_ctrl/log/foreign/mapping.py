@@ -249,7 +249,7 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
     si = COLUMNS[missing].unit
     for source in table.names:
         name = Name(source)
-        unit = name.unit or si
+        unit = name.unit or proposed_unit(table, source, missing)
         if source in used or not name.may_be(missing) or needs_scale(unit, si):
             continue
         if missing == "t" and table.is_date(source):
@@ -259,15 +259,44 @@ def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
         except UsageError:
             continue
         finite = values[np.isfinite(values)]
-        if finite.size and (missing != "t" or _is_clock(finite, stated=name.unit is not None)):
+        possible = _is_clock(finite, stated=name.unit is not None) if missing == "t" else not _counts_rows(finite)
+        if finite.size and possible:
             return f"{missing}={source}|{unit}"
     return ""
 
 
+def proposed_unit(table: ForeignTable, source: str, column: str) -> str:
+    """Return the unit to propose for a column without one: the SI unit, or for time the unit of a possible rate.
+
+    Times since 1970 state their unit by their size. Other times are in s if the rate of the rows is then possible.
+    """
+    si = COLUMNS[column].unit
+    if column != "t":
+        return si
+    try:
+        values = table.numbers(source)
+    except UsageError:
+        return si
+    steps = np.diff(values[np.isfinite(values)])
+    steps = steps[steps > 0.0]
+    if not steps.size:
+        return si
+    step, largest = float(np.median(steps)), float(np.nanmax(np.abs(values)))
+    scales = {unit: scale_of(unit, "s") or 1.0 for unit in ("s", "ms", "us", "ns")}
+    possible = [unit for unit, scale in scales.items() if SLOWEST <= 1.0 / (step * scale) <= FASTEST]
+    since_1970 = [unit for unit in possible if EPOCH[0] < largest * scales[unit] < EPOCH[1]]
+    if since_1970 or si in possible:
+        return since_1970[0] if since_1970 else si
+    return min(scales, key=lambda unit: abs(math.log(step * scales[unit] * USUAL_RATE)))
+
+
 def _is_clock(values: NDArray[np.float64], stated: bool) -> bool:
     """Return True if values increase in every row and, without a stated unit, do not count the rows."""
-    steps = np.diff(values)
-    return bool(np.all(steps > 0)) and (stated or not steps.size or bool(np.any(steps != 1.0)))
+    return bool(np.all(np.diff(values) > 0)) and (stated or not _counts_rows(values))
+
+
+def _counts_rows(values: NDArray[np.float64]) -> bool:
+    return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
@@ -340,6 +369,10 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
     return Mapped(name, source, unit, value, offset + SHIFT.get(unit, 0.0))
 
 
+SLOWEST, FASTEST, USUAL_RATE = 2.0, 50e3, 500.0  # Hz, sampling rates of a drive's log
+EPOCH = (1e9, 4e9)  # s since 1970: the years 2001 to 2096
+COUNTERS = (16, 24, 32)  # bits of a counter of time
+MOST_LOST = 5.0  # median steps, longest step over the end of a counter
 MOST_EQUAL = 0.5  # largest fraction of rows with the time of the row above
 POINTS = 4000  # least number of drawn points of a longer curve
 Columns = Mapping[str, NDArray[np.float64]]
@@ -373,8 +406,8 @@ class Imported:
     picture: Path
 
 
-def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.float64]]:
-    """Return the columns in SI units, with time 0 at the first row.
+def take(table: ForeignTable, mapped: list[Mapped]) -> tuple[dict[str, NDArray[np.float64]], str]:
+    """Return the columns in SI units, with time 0 at the first row, and a note on a counter that wraps, or "".
 
     Raises:
         UsageError: A value is not a number, or the time decreases. The message has the line.
@@ -382,7 +415,10 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
     columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
     t = columns["t"]
     good = np.isfinite(t)
+    note = ""
     if good.any():
+        scale = next(column.scale for column in mapped if column.name == "t")
+        t[good], note = _continued(t[good], scale)
         columns["t"] = t - t[good][0]
     equal = int(np.count_nonzero(np.diff(t[good]) == 0.0))
     if equal > MOST_EQUAL * len(t):
@@ -398,7 +434,30 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
             f"{columns['t'][before]:.9g} s to {columns['t'][row]:.9g} s after the first row; split the file there, or "
             "sort its rows by time"
         )
-    return columns
+    return columns, note
+
+
+def _continued(t: NDArray[np.float64], scale: float) -> tuple[NDArray[np.float64], str]:
+    """Return times in s without the jumps of a counter that wraps, and a note, or the times unchanged and "".
+
+    A counter wraps at a power of 2 of its unit or of a decimal fraction of it, and continues with a usual step.
+    """
+    steps = np.diff(t)
+    back = steps < 0.0
+    if not back.any() or not (steps > 0.0).any():
+        return t, ""
+    longest = MOST_LOST * float(np.median(steps[steps > 0.0]))
+    for bits in COUNTERS:
+        for digits in (0, 3, 6, 9):
+            period = 2.0**bits * scale / 10.0**digits
+            over = steps[back] + period
+            if longest < period and np.ptp(t) < period and np.all((over > 0.0) & (over <= longest)):
+                count = np.concatenate([[0], np.cumsum(back)])
+                note = (
+                    f"the counter of the time wraps {count[-1]} times at {bits} bits ({period:.6g} s) and is continued"
+                )
+                return t + period * count, note
+    return t, ""
 
 
 def write(

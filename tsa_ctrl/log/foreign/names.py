@@ -1,7 +1,7 @@
 """Determine from a foreign name which canonical column it is, by the words of the name.
 
-A name is split into its unit and its words. Each word belongs to at most one class of the vocabulary, German or
-English, as written by drives, bridges and lab tools. A column requires a word of its quantity and a word of its place.
+A name is split into its unit and its words. Each word belongs to at most one class of the vocabulary, in English,
+German, French, Italian, Spanish or Portuguese. A column requires a word of its quantity and a word of its place.
 Words of errors, limits, commands and desired values exclude a measured column.
 """
 
@@ -27,22 +27,28 @@ _PLACES = frozenset({MOTOR, JOINT, BODY})
 NO_CLOCK = "no clock"  # a duration instead of the time of a row
 
 _CLASSES: dict[str, str] = {
-    TORQUE: "torque drehmoment moment tau trq mom torq",
-    CURRENT: "current strom iq isq amps ampere",
-    ANGLE: "angle winkel position pos theta phi lage",
-    SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq",
-    TEMPERATURE: "temperature temperatur temp",
+    TORQUE: "torque drehmoment moment tau trq mom torq couple coppia par torsor binario",
+    CURRENT: "current strom iq isq amps ampere courant corrente corriente",
+    ANGLE: "angle winkel position pos theta phi lage angolo angulo ángulo ângulo posizione posicion posición posição",
+    SPEED: "velocity speed geschwindigkeit winkelgeschwindigkeit drehzahl omega vel rpm qd dq vitesse "
+    "velocita velocità velocidad velocidade",
+    TEMPERATURE: "temperature temperatur temp température temperatura",
     BENDING: "bending biegung biegewinkel sheath",
-    TIME: "time zeit timestamp zeitstempel clock uhrzeit",
+    TIME: "time zeit timestamp zeitstempel clock uhrzeit temps tempo tiempo",
     OTHER: "voltage spannung power leistung force kraft pressure druck energy energie frequency frequenz fieldcurrent",
-    MOTOR: "motor drive antrieb driver mot input actuator aktor aktuator eingang",
-    JOINT: "joint gelenk load output abtrieb jaw last",
+    MOTOR: "motor drive antrieb driver mot input actuator aktor aktuator eingang moteur motore actionneur attuatore "
+    "actuador atuador entrée entrada ingresso",
+    JOINT: "joint gelenk load output abtrieb jaw last articulation articolazione giunto articulacion articulación "
+    "articulação junta carico carga sortie uscita salida saída",
     BODY: "hip knee ankle elbow shoulder wrist finger thumb huefte hüfte knie knöchel knoechel sprunggelenk kniegelenk "
-    "hüftgelenk hueftgelenk ellenbogen ellbogen schulter handgelenk daumen",
-    DESIRED: "desired des setpoint soll reference ref target wanted demand",
-    COMMANDED: "command commanded cmd",
+    "hüftgelenk hueftgelenk ellenbogen ellbogen schulter handgelenk daumen "
+    "genou ginocchio rodilla joelho hanche anca cadera quadril cheville caviglia tobillo tornozelo coude gomito codo",
+    DESIRED: "desired des setpoint soll reference ref target wanted demand consigne consigna riferimento référence "
+    "referencia referência",
+    COMMANDED: "command commanded cmd commande comando mando",
     EXCLUDED: "error err fehler deviation abweichung limit grenze grenzwert max min maximum minimum maximal minimal "
-    "constant konstante gain ripple derivative ableitung threshold schwelle tolerance residual",
+    "constant konstante gain ripple derivative ableitung threshold schwelle tolerance residual "
+    "erreur errore erro limite écart seuil",
     NEUTRAL: "ist mess actual act measured meas messung filtered gefiltert filt sensor signal signals value values "
     "wert werte data shaft angular encoder feedback fb",
     NO_CLOCK: "cycle sample sampling step delay dead rise settling execution zyklus abtast tot",

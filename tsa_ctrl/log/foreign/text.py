@@ -1,22 +1,18 @@
-"""Read foreign tables: text files, and the binary files of other programs.
+"""Read foreign tables: text files and workbooks, and by `binary` the binary files of other programs.
 
 A text table is read as columns of text. Encoding, separator, header line and decimal sign are determined from the file.
-Each binary format has one function, which returns named columns. It uses the common library of the format. The extra
-`formats` of pyproject.toml installs these libraries.
 """
 
 from __future__ import annotations
 
 import csv
 import gzip
-import importlib
 import io
 import itertools
-import json
 import re
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,201 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign.binary import ARRAYS, format_of, library, read_with
 from tsa_ctrl.log.foreign.cells import Values, bare, decimal_of, is_date, is_number, is_text, numbers, overrange, times
-from tsa_ctrl.log.foreign.clocks import TIME, Arrays, Columns, columns, on_one_clock, outside
-from tsa_ctrl.log.foreign.names import Name, is_time, listed
-from tsa_ctrl.log.foreign.units import DATE, is_known
-from tsa_ctrl.system.process_supervisor import begin_worker, worker_context
-
-# Keys of a list of names next to lists of values: dSPACE (Name, Data), Simulink (label, values), JointState of ROS
-# (name, ...).
-LABELS = ("Name", "label", "name")
-
-
-def library(name: str, path: Path) -> Any:
-    """Import the library of a format. Raise UsageError with the remedy if it is not installed."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.split(".")[0]
-        raise UsageError(f"{path}: reading this format needs the package {package}; pip install '.[formats]'") from None
-
-
-def flat(value: Any, name: str = "", group: str = "") -> Iterator[tuple[str, Any, str]]:
-    """Yield the numbers and arrays inside nested mappings, lists and messages.
-
-    Args:
-        value: mapping, list, message or number.
-        name: name of `value`, whose parts are joined by dots.
-        group: name of the mapping that contains `value`.
-
-    Yields:
-        Name, value and group of each number or array.
-    """
-    if not isinstance(value, Mapping) and (fields := getattr(value, "__dict__", None) or _slots(value)):
-        value = fields
-    if isinstance(value, Mapping):
-        keys = (*LABELS, *value)
-        texts = next(([str(label) for label in value[key]] for key in keys if _is_texts(value.get(key))), [])
-        records = _records(value)
-        unit = f" [{_unit_in(value)}]" if _unit_in(value) else ""
-        for i, record in enumerate(records):
-            yield from flat(record, f"{name}.{texts[i] if len(texts) == len(records) else i + 1}".lstrip("."))
-        for key, inner in [] if records else value.items():
-            whole = f"{name}.{key}" if name else str(key)
-            if texts and not isinstance(inner, str) and np.ndim(inner) <= 2 and _length(inner) == len(texts):
-                for label, element in zip(texts, inner, strict=True):
-                    yield from flat(element, label if key in ("Data", "values") else f"{whole}.{label}", name)
-            elif not str(key).startswith("__"):
-                yield from flat(inner, whole if is_time(str(key)) or np.ndim(inner) != 1 else whole + unit, name)
-    elif isinstance(value, list) and any(isinstance(element, (dict, list, np.ndarray)) for element in value):
-        for i, element in enumerate(value, start=1):
-            yield from flat(element, f"{name}.{i}", group)
-    elif np.asarray(value).dtype.kind in "fiubMm":
-        yield name, np.asarray(value), group
-
-
-def _slots(value: Any) -> dict[str, Any]:
-    return {key: getattr(value, key) for key in getattr(value, "__slots__", ()) if not key.startswith("_")}
-
-
-def _unit_in(value: Mapping[Any, Any]) -> str:
-    """Return the text of the entry `unit` or `units` of a mapping, or ""."""
-    found = next((inner for key, inner in value.items() if str(key).lower() in ("unit", "units")), "")
-    text = np.ravel(found)[0] if np.size(found) == 1 else ""
-    return text.decode(errors="replace") if isinstance(text, bytes) else text if isinstance(text, str) else ""
-
-
-def _records(value: Mapping[Any, Any]) -> list[dict[Any, Any]]:
-    """Return the elements of a structure array whose elements have their own time, or an empty list."""
-    clocks = [inner for key, inner in value.items() if isinstance(inner, list) and is_time(str(key))]
-    if not clocks or not any(np.size(clock) > 1 for clock in clocks[0]):
-        return []
-    fields = {key: inner for key, inner in value.items() if _length(inner) == len(clocks[0])}
-    return [{key: inner[i] for key, inner in fields.items()} for i in range(len(clocks[0]))]
-
-
-def _is_texts(value: Any) -> bool:
-    if not isinstance(value, (list, np.ndarray)) or not all(isinstance(text, str) and text.strip() for text in value):
-        return False
-    return 0 < len(value) == len(set(value))
-
-
-def _length(value: Any) -> int:
-    return len(value) if isinstance(value, (list, np.ndarray)) else -1
-
-
-def mat(path: Path) -> Arrays:
-    """Read MATLAB v5 and v7.3, including the structures that Simulink and dSPACE write."""
-    return columns(flat(library("pymatreader", path).read_mat(path)), path)
-
-
-def numpy_file(path: Path) -> Arrays:
-    """Read NumPy's .npy and .npz. Reject pickled objects, which could run code."""
-    found = np.load(path, allow_pickle=False)
-    if isinstance(found, np.ndarray):
-        return columns(iter([("", found, "")]), path)
-    return columns(((name, values, name.rpartition("/")[0]) for name, values in found.items()), path)
-
-
-def hdf5(path: Path) -> Arrays:
-    """Read HDF5: each data set by its path. An attribute `unit` or `units` becomes part of the name."""
-    h5py, found = library("h5py", path), []
-    with h5py.File(path) as file:
-
-        def visit(name: str, node: Any) -> None:
-            if isinstance(node, h5py.Dataset) and (node.dtype.kind in "fiub" or node.dtype.names):
-                unit = _unit_in(node.attrs)
-                named = f"{name} [{unit}]" if unit else name
-                found.append((named, node[()], name.rpartition("/")[0]))
-
-        file.visititems(visit)
-    return columns(iter(found), path)
-
-
-def tdms(path: Path) -> Arrays:
-    """Read LabVIEW TDMS: each channel, with the time of its waveform if it has one."""
-    tables: dict[str, tuple[NDArray[np.float64], Columns]] = {}
-    plain: list[tuple[str, Any, str]] = []
-    used: set[str] = set()
-    for group in library("nptdms", path).TdmsFile.read(path).groups():
-        for channel in group.channels():
-            if channel.data.dtype.kind not in "fiubM":
-                continue
-            unit = channel.properties.get("unit_string")
-            name = f"{channel.name} [{unit}]" if unit else channel.name
-            name = f"{group.name}/{name}" if name in used else name
-            used.add(name)
-            if "wf_increment" in channel.properties:
-                tables[f"{group.name}/{name}"] = (channel.time_track(), {name: channel.data})
-            else:
-                plain.append((name, channel.data, group.name))
-    if not tables:
-        return columns(iter(plain), path)
-    merged = on_one_clock(tables)
-    dropped = tuple(name for name, _, _ in plain)
-    return Arrays(merged, dropped + outside({key: table for key, (_, table) in tables.items()}, merged))
-
-
-def parquet(path: Path) -> Arrays:
-    """Read Parquet of any program with DuckDB."""
-    import duckdb
-
-    def filled(values: Any) -> Any:
-        return np.ma.filled(
-            *((values, np.datetime64("NaT")) if values.dtype.kind == "M" else (values.astype(float), np.nan))
-        )
-
-    found = duckdb.execute("SELECT * FROM read_parquet(?)", [str(path)]).fetchnumpy()
-    return columns(((name, filled(c), "") for name, c in found.items() if c.dtype.kind in "fiubM"), path)
-
-
-def ros(path: Path) -> Arrays:
-    """Read a bag of ROS 1 (.bag) or ROS 2 (a folder, or its .db3): the numbers of each topic by their record time."""
-    rosbags, stores = library("rosbags.highlevel", path), library("rosbags.typesys", path)
-    bag = path if path.is_dir() or path.suffix == ".bag" else path.parent
-    with rosbags.AnyReader([bag], default_typestore=stores.get_typestore(stores.Stores.ROS2_HUMBLE)) as reader:
-        found = ((c.topic, stamp, reader.deserialize(raw, c.msgtype)) for c, stamp, raw in reader.messages())
-        return _messages(found, path)
-
-
-def mcap(path: Path) -> Arrays:
-    """Read MCAP of other programs with messages in JSON or of ROS 2."""
-    reading, decoding = library("mcap.reader", path), library("mcap_ros2.decoder", path)
-
-    def messages() -> Iterator[tuple[str, int, Any]]:
-        with path.open("rb") as stream:
-            factory = decoding.DecoderFactory()
-            for schema, channel, message in reading.make_reader(stream).iter_messages():
-                if channel.message_encoding == "json":
-                    yield channel.topic, message.log_time, json.loads(message.data)
-                elif (decoder := factory.decoder_for(channel.message_encoding, schema)) is not None:
-                    yield channel.topic, message.log_time, decoder(message.data)
-
-    return _messages(messages(), path)
-
-
-def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Arrays:
-    """Collect the scalars of messages (topic, ns, message), with a separate clock for each topic."""
-    rows: dict[str, tuple[list[int], dict[str, list[Any]]]] = {}
-    for topic, stamp, message in found:
-        stamps, numbers = rows.setdefault(topic, ([], {}))
-        stamps.append(stamp)
-        for name, value, _ in flat(message, topic.strip("/")):
-            flat_value = np.ravel(value)
-            if flat_value.size == 1 and ".header." not in name:
-                numbers.setdefault(name, [np.nan] * (len(stamps) - 1)).append(float(flat_value[0]))
-        for values in numbers.values():
-            values += [np.nan] * (len(stamps) - len(values))
-    if not any(numbers for _, numbers in rows.values()):
-        raise UsageError(f"{path}: no topic contains numbers; give a recording with at least a torque")
-    first = min(stamps[0] for stamps, _ in rows.values())
-    tables = {
-        topic: ((np.array(stamps) - first) * 1e-9, {name: np.array(values) for name, values in numbers.items()})
-        for topic, (stamps, numbers) in rows.items()
-    }
-    merged = on_one_clock(tables)
-    return Arrays(merged, outside({topic: table for topic, (_, table) in tables.items()}, merged))
+from tsa_ctrl.log.foreign.clocks import TIME
+from tsa_ctrl.log.foreign.names import Name, listed
+from tsa_ctrl.log.foreign.units import DATE, are_units
 
 
 def sheet(path: Path) -> tuple[str, str]:
@@ -251,44 +57,10 @@ def lvm(path: Path) -> tuple[str, str]:
     return "\n".join("\t".join(row[:width]) for row in table).replace("X_Value", TIME, 1), ""
 
 
-ARRAYS: dict[str, Callable[[Path], Arrays]] = {
-    ".mat": mat, ".npy": numpy_file, ".npz": numpy_file, ".h5": hdf5, ".hdf5": hdf5, ".tdms": tdms,
-    ".parquet": parquet, ".bag": ros, ".db3": ros, "": ros, ".mcap": mcap,
-}  # fmt: skip
 TEXTS: dict[str, Callable[[Path], tuple[str, str]]] = {".xlsx": sheet, ".xls": sheet, ".ods": sheet, ".lvm": lvm}
 
 
-def in_child(reader: Callable[[Path], Any], path: Path) -> Any:
-    """Call a reader in a child process, because the C code of its library may crash on a damaged file.
-
-    Raises:
-        UsageError: The reader crashed.
-    """
-    from concurrent.futures import ProcessPoolExecutor  # imported here, because most tables are text
-    from concurrent.futures.process import BrokenProcessPool
-
-    with ProcessPoolExecutor(1, mp_context=worker_context(__name__), initializer=begin_worker) as pool:
-        try:
-            return pool.submit(reader, path).result()
-        except BrokenProcessPool:
-            raise UsageError(f"{path}: is damaged: its reader crashed; export it again") from None
-
-
-def read_with(reader: Callable[[Path], Any], path: Path) -> Any:
-    """Call a reader. Raise UsageError with a message of one line if its library cannot read the file."""
-    if not path.exists():
-        raise UsageError(f"{path}: no such file; give the path of a table")
-    try:
-        return in_child(reader, path) if reader is mat else reader(path)
-    except UsageError:
-        raise
-    except Exception as error:  # each library raises its own errors, but a damaged file must not cause a traceback
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise UsageError(
-            f"{path}: is damaged or not a {path.suffix or 'ROS 2'} file ({reason}); export it again"
-        ) from None
-
-
+PACKED = (b"PK\x03\x04", b"\xfd7zXZ", b"BZh", b"7z\xbc\xaf", b"\x28\xb5\x2f\xfd")  # first bytes of an archive
 LARGEST = 1 << 30  # bytes of text, because a foreign table is read into memory
 SEPARATORS = ";\t,|"  # in order of preference: a comma may be a decimal sign
 LONGEST_FOOTER = 10  # lines
@@ -408,8 +180,8 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     Raises:
         UsageError: The file cannot be read. The message is one line.
     """
-    suffix = path.suffix.lower()
-    if suffix in ARRAYS and (suffix or path.is_dir()):
+    suffix = format_of(path)
+    if suffix in ARRAYS:
         arrays = read_with(ARRAYS[suffix], path)
         return ForeignTable(path, NO_TEXT, tuple(arrays.columns), {}, 1, 0, arrays.columns, arrays.dropped)
     note = ""
@@ -423,10 +195,13 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     told = _told(path, lines, encoding) if shape is None else shape
     above = max(0, told.header - 1)
     rows = _rows(lines[above:], told.separator, path, above)
-    data = [row for row in rows[min(told.header, 1) :] if any(is_number(cell) for cell in row)]
+    if told.header == 0 and _has_row_per_signal(rows):
+        rows, note = [list(column) for column in zip(*rows, strict=True)], "the table has a row for each signal"
+    named = told.header > 0 or bool(note)
+    data = [row for row in rows[named:] if any(is_number(cell) for cell in row)]
     width = Counter(len(row) for row in data).most_common(1)[0][0] if data else len(rows[0])
     open_end = all(not row[-1].strip() for row in data if len(row) == width)
-    if told.header == 0:
+    if not named:
         rows.insert(0, [f"column {i}" for i in range(1, width + 1)])
     elif told.separator == " ":
         rows[0] = _words(lines[above], width)
@@ -438,9 +213,12 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
         rows[1] = _fitted(rows[1], width, open_end) or rows[1]
     body: list[list[str]] = []
     ignored, first = 0, told.header + 1
-    if len(rows) > 1 and _is_units(rows[1], names):
-        units = [bare(cell).strip("[]()") for cell in rows[1]]
-        names = tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True))
+    below, over = (rows[1] if len(rows) > 1 else []), (_fitted(titles[0], width, open_end) if titles else [])
+    units = below if _is_units(below, names) else over if _is_units(over, names) and are_units(_units_in(over)) else []
+    if units:
+        pairs = zip(names, _units_in(units, empty=True), strict=True)
+        names = tuple(f"{name} [{unit}]" if unit else name for name, unit in pairs)
+    if units and units is below:
         rows[1], ignored = [], 1
     for number, row in enumerate(rows[1:], start=told.header + 1):
         if not any(cell.strip() for cell in row):
@@ -457,6 +235,14 @@ def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     del body[len(body) - footer :]
     cells = {name: [row[i] for row in body] for i, name in enumerate(names)}
     return ForeignTable(path, told, names, cells, first, ignored + footer, note=note)
+
+
+def _has_row_per_signal(rows: Sequence[Sequence[str]]) -> bool:
+    """Return True if each of a few long rows of equal length has a name and numbers."""
+    length = len(rows[0])
+    return 2 <= len(rows) < length and all(
+        len(row) == length and is_text(row[0]) and all(is_number(cell) for cell in row[1:]) for row in rows
+    )
 
 
 def _footer(body: Sequence[Sequence[str]]) -> int:
@@ -495,7 +281,7 @@ def _recorded(lines: list[str]) -> list[str]:
 def _text(path: Path, encoding: str | None) -> tuple[str, str]:
     try:
         data = path.read_bytes()
-        if path.suffix.lower() == ".gz":
+        if data.startswith(b"\x1f\x8b"):
             with gzip.open(io.BytesIO(data)) as stream:
                 data = stream.read(LARGEST + 1)
     except FileNotFoundError:
@@ -506,6 +292,8 @@ def _text(path: Path, encoding: str | None) -> tuple[str, str]:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); give the path of a text table") from None
     if len(data) > LARGEST:
         raise UsageError(f"{path}: has more than {LARGEST >> 30} GiB of text; split it")
+    if data.startswith(PACKED):
+        raise UsageError(f"{path}: is an archive; unpack it and give the table in it")
     if encoding is None:
         encoding = _encoding(data)
     if b"\0" in data[:4096] and not encoding.startswith("utf-16"):
@@ -521,6 +309,8 @@ def _encoding(data: bytes) -> str:
         return "utf-16"
     if data[1:2000:2].count(0) > 0.9 * len(data[1:2000:2]) > 0:
         return "utf-16-le"  # without the mark at its start
+    if data[0:2000:2].count(0) > 0.9 * len(data[0:2000:2]) > 0:
+        return "utf-16-be"
     try:
         data.decode("utf-8-sig")
         return "utf-8-sig"
@@ -590,14 +380,14 @@ def _fitted(row: list[str], width: int, open_end: bool) -> list[str]:
 
 def _is_names(row: Sequence[str]) -> bool:
     """Return True if a row has texts without numbers and without units only."""
-    cells = [bare(cell).strip("[]()") for cell in row if cell.strip()]
+    cells = _units_in(row)
     letters = any(re.search("[^\\W\\d_]", cell) for cell in cells)
-    return letters and not any(is_number(cell) for cell in cells) and not _are_units(cells)
+    return letters and not any(is_number(cell) for cell in cells) and not are_units(cells)
 
 
-def _are_units(cells: Sequence[str]) -> bool:
-    known = [is_known(cell) for cell in cells if cell not in ("-", "1")]
-    return any(known) and all(known)
+def _units_in(row: Sequence[str], empty: bool = False) -> list[str]:
+    """Return the units in a row without their brackets, with the empty cells if `empty` is True."""
+    return [bare(cell).strip("[]()") for cell in row if empty or cell.strip()]
 
 
 def _identified(names: Sequence[str]) -> int:
@@ -655,17 +445,18 @@ def _rows(
 
 
 def _mostly_numbers(row: Sequence[str]) -> bool:
-    return sum(is_number(cell) for cell in row) > len(row) / 2
+    filled = [cell for cell in row if cell.strip()]  # a row of a Markdown table starts and ends with an empty field
+    return len(filled) > 1 and sum(is_number(cell) for cell in filled) > len(filled) / 2
 
 
 def _is_units(row: Sequence[str], names: Sequence[str]) -> bool:
     """Return True if the line below the names has units: the same number of short cells without a number."""
-    cells = [cell.strip() for cell in row]
-    if len(cells) != len(names) or any("[" in name for name in names):
+    if len(row) != len(names) or any("[" in name for name in names):
         return False
-    filled = [bare(cell).strip("[]()") for cell in cells if cell]
-    short = bool(filled) and all(len(cell) <= 10 and not is_number(cell) for cell in filled)
-    return short or _are_units(filled)
+    filled = _units_in(row)
+    short = all(len(cell) <= 10 and not is_number(cell) for cell in filled)
+    letters = any(re.search("[^\\W\\d_]|[°%‰]", cell) for cell in filled)  # none in a ruled line, |---|---|
+    return (short and letters) or are_units(filled)
 
 
 def _unique(names: Sequence[str]) -> tuple[str, ...]:

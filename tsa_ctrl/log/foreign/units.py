@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 DATE = "date"  # the unit of a column of dates and times
@@ -35,8 +35,8 @@ _BASES: tuple[tuple[str, str, float, str], ...] = (
     (_TIME, "min minutes", 60.0, ""),
     (_TIME, "h hr hours", 3600.0, ""),
     (_ANGLE, "rad radian radians", 1.0, "m u µ μ"),
-    (_ANGLE, "deg degs degree degrees ° º grad", _DEGREE, "m"),  # "Grad" is the German word for degree
-    (_ANGLE, "rev revs revolution revolutions turn turns U", _TURN, "m"),
+    (_ANGLE, "deg degs degree degrees ° º grad gradi grados graus degré degrés", _DEGREE, "m"),  # "Grad" is German
+    (_ANGLE, "rev revs revolution revolutions turn turns U tr giri", _TURN, "m"),
 )
 _FACTORS: dict[str, tuple[float, Counter[str]]] = {
     prefix + word: (_PREFIXES.get(prefix, 1.0) * scale, Counter({dimension: 1}))
@@ -149,6 +149,12 @@ def is_known(unit: str) -> bool:
     return bool(quantities_of(unit)) or unit.lower() in DEVICE_UNITS
 
 
+def are_units(cells: Sequence[str]) -> bool:
+    """Return True if all cells are units; "-" and "1" count as units next to others."""
+    known = [is_known(cell) for cell in cells if cell not in ("-", "1")]
+    return any(known) and all(known)
+
+
 def needs_scale(unit: str, si: str) -> bool:
     """Return True if a scale of the device is required to convert `unit` to the SI unit `si`."""
     return scale_of(unit, si) is None
@@ -167,8 +173,8 @@ def tails_of(source: str) -> Iterator[tuple[str, str]]:
 
     The unit follows a space, a slash or an underscore, and has up to three words: torque_lbf_in, speed_rev_per_min.
     """
-    for words in (3, 2, 1):
-        found = re.search(rf"[ _/]([^ _]+(?:[ _][^ _]+){{{words - 1}}})$", source.strip())
+    for words, word in ((3, "[^ _]+"), (2, "[^ _]+"), (1, "[^ _]+"), (1, "[^ _/]+")):  # the last: "Motor torque/mNm"
+        found = re.search(rf"[ _/]({word}(?:[ _]{word}){{{words - 1}}})$", source.strip())
         if found is not None and (quantities_of(found[1]) if words > 1 else is_known(found[1])):
             bare = source.strip()[: found.start()]
             yield re.sub(r"[ _]in$|[,;:]$", "", bare), found[1]  # "Moment in mNm", "Moment, mNm"
