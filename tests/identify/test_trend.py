@@ -123,6 +123,17 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     write_csv(logs / "run.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
     with pytest.raises(UsageError, match=r"run.csv: has neither column tau_j nor both q_m and q_j; log the joint"):
         trend(logs, model)
+    write_csv(logs / "run.csv", record(rig, rng, seconds=SECONDS, rate=250.0))
+    for name, target in (("copy.csv", logs / "run.csv"), ("gone.csv", logs / "nowhere.csv")):
+        (logs / name).symlink_to(target)
+    (logs / "folder.csv").mkdir()
+    notes = {run.log: " ".join(run.notes) for run in trend(logs, model).runs if not run.quantities}
+    assert notes["run.csv"].endswith("run.csv: has the same data as copy.csv")
+    assert "no such file" in notes["gone.csv"]
+    assert "is a folder" in notes["folder.csv"]
+    (logs / "copy.csv").unlink()
+    (logs / "gone.csv").unlink()
+    (logs / "folder.csv").rmdir()
     (logs / "run.csv").write_text("t,tau_m\n0,nonsense\n", encoding="utf-8")
     with pytest.raises(UsageError, match=r"none of 1 logs shows friction torque or stiffness; .*run.csv") as caught:
         trend(logs, model)

@@ -280,7 +280,11 @@ def test_a_log_goes_on_in_the_next_file_once_it_is_large_or_old(ring: RingWriter
 
 
 def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWriter, tmp_path: Path) -> None:
-    """Other files and a recently changed log are kept. The new log lists the deleted ones."""
+    """Other files, a link and a recently changed log are kept. The new log lists the deleted ones."""
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far/tsa-0.mcap").write_bytes(b"x" * 100_000)
+    os.utime(tmp_path / "far/tsa-0.mcap", (time.time() - 70,) * 2)
+    (tmp_path / "tsa-0.mcap").symlink_to(tmp_path / "far/tsa-0.mcap")
     for age, name in ((50, "tsa-1.mcap"), (40, "tsa-2.mcap"), (30, "tsa-3.mcap"), (0, "tsa-4.mcap"), (60, "my.mcap")):
         (tmp_path / name).write_bytes(b"x" * 1000)
         os.utime(tmp_path / name, (time.time() - age,) * 2)
@@ -288,7 +292,8 @@ def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWri
     log.step(0.0)
     assert 3500 < (tmp_path / "tsa-5.mcap").stat().st_size < 4500  # its header, which leaves room for two logs
     log.end()
-    assert {path.name for path in tmp_path.iterdir()} == {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap"}
+    kept = {"tsa-3.mcap", "tsa-4.mcap", "tsa-5.mcap", "my.mcap", "tsa-0.mcap", "far"}
+    assert {path.name for path in tmp_path.iterdir()} == kept
     notes = [note.text for note in notes_of(LogFile(tmp_path / "tsa-5.mcap"))]
     assert [text.split(":")[0] for text in notes] == [f"deleted the oldest log tsa-{i}.mcap" for i in (1, 2)]
 
@@ -296,8 +301,8 @@ def test_the_oldest_logs_are_deleted_beyond_the_size_of_the_folder(ring: RingWri
 def test_an_old_log_that_vanishes_or_cannot_be_deleted_does_not_stop_the_writer(
     ring: RingWriter, tmp_path: Path
 ) -> None:
-    """A dangling link is listed but has no status, as a log that another daemon deletes at that moment."""
-    (tmp_path / "tsa-1.mcap").symlink_to(tmp_path / "gone")
+    """A link that leads to itself is listed but has no status, as a log that another daemon deletes at that moment."""
+    (tmp_path / "tsa-1.mcap").symlink_to(tmp_path / "tsa-1.mcap")
     (tmp_path / "tsa-2.mcap").mkdir()
     os.utime(tmp_path / "tsa-2.mcap", (time.time() - 50,) * 2)
     log = LogWriter(RingReader(ring.fd), tmp_path / "tsa-3.mcap", HEADER, LogLimits(folder_size=1.0))

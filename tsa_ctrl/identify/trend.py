@@ -27,7 +27,7 @@ from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.identify.quantity import BLOCKS, Quantity, jackknife_half_width, spelled
 from tsa_ctrl.identify.simulation_picture import COLOURS, MEASURED
 from tsa_ctrl.log.info import inspect
-from tsa_ctrl.log.table import ENDINGS
+from tsa_ctrl.log.table import ENDINGS, sha256_of
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.outputs import json_types
 
@@ -108,7 +108,8 @@ class Trend:
 def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
     """Return the results of all logs of a folder, and the detected changes.
 
-    A log that cannot be read, or that does not determine a quantity, stays in the list with the reason.
+    A log that cannot be read, or that does not determine a quantity, stays in the list with the reason. A second file
+    with the same content, such as a link, is not another run.
 
     Raises:
         UsageError: the folder has no logs, or no log has a result.
@@ -118,10 +119,19 @@ def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lam
     paths = sorted(path for path in folder.iterdir() if path.name.lower().endswith(ENDINGS))
     if not paths:
         raise UsageError(f"{folder}: holds no log; expected are files that end with {', '.join(ENDINGS)}")
-    runs = []
+    runs: list[Run] = []
+    same: dict[str, str] = {}
     for number, path in enumerate(paths):
         tick(number / len(paths))
-        runs.append(measured(path, model))
+        try:
+            first = same.setdefault(sha256_of(path), path.name)
+        except UsageError as error:
+            runs.append(Run(path.name, "-", math.nan, {}, (str(error),)))
+            continue
+        if first == path.name:
+            runs.append(measured(path, model))
+        else:
+            runs.append(Run(path.name, "-", math.nan, {}, (f"{path}: has the same data as {first}",)))
     if not any(run.quantities for run in runs):
         raise UsageError(f"{folder}: none of {len(runs)} logs shows friction torque or stiffness; {runs[0].notes[0]}")
     return judged(sorted(runs, key=lambda run: (run.started, run.log)))

@@ -5,6 +5,7 @@ Waypoints are a table over increasing time, for example of a set-point or a moti
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import re
 from collections.abc import Collection, Sequence
@@ -79,15 +80,19 @@ def split_axis(path: str | Path) -> tuple[Path, str | None]:
 
 def check_readable(path: Path) -> None:
     """Raise UsageError if `path` is not a readable file."""
+    file = path_of(path, "log", f"the path of a log ({', '.join(ENDINGS)})")
+    if file.is_fifo():  # to open it could wait forever
+        raise UsageError(f"{path}: is a pipe; write it to a file and give its path")
     try:
-        with path_of(path, "log", f"the path of a log ({', '.join(ENDINGS)})").open("rb"):
+        with file.open("rb"):
             return
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; give the path of a log ({', '.join(ENDINGS)})") from None
     except IsADirectoryError:
         raise UsageError(f"{path}: is a folder; give the path of a log in it") from None
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); grant read permission") from None
+        remedy = "grant read permission" if error.errno in (errno.EACCES, errno.EPERM) else "give the path of a log"
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); {remedy}") from None
 
 
 def sha256_of(path: str | Path) -> str:

@@ -145,9 +145,10 @@ class LogWriter:
             return
         logs = []
         for path in self._path.parent.glob(f"{LOG_KIND}-*{LOG_SUFFIX}"):
-            with contextlib.suppress(FileNotFoundError):  # another daemon has just deleted it
-                status = path.stat()
-                logs.append((status.st_mtime, status.st_size, path))
+            with contextlib.suppress(OSError):  # another daemon has just deleted it, for example
+                status = path.lstat()
+                if not path.is_symlink():  # to delete a link frees nothing
+                    logs.append((status.st_mtime, status.st_size, path))
         excess = sum(size for _, size, _ in logs) - self._limits.folder_size
         newest = time.time() - IN_USE
         for changed, size, path in sorted(logs):
