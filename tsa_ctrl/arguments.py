@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 import operator
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import ArgumentsError, UsageError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def listing_arguments(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the function with an error that lists its arguments if a call does not fit them."""
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def called(*args: P.args, **named: P.kwargs) -> R:
+        try:
+            return function(*args, **named)
+        except TypeError:
+            try:
+                signature.bind(*args, **named)
+            except TypeError as wrong:
+                kinds = signature.parameters.values()
+                names = (f"{p.name}=" if p.kind is p.KEYWORD_ONLY else p.name for p in kinds if p.name != "self")
+                permitted = ", ".join(names)
+                unknown = [name for name in named if name not in signature.parameters]
+                fault = f"no argument '{unknown[0]}'" if unknown else str(wrong)
+                raise ArgumentsError(f"{function.__qualname__}: {fault}; the arguments are {permitted}") from None
+            raise
+
+    return called
 
 
 def kind_of(value: Any) -> str:
@@ -48,7 +77,7 @@ def number_of(value: Any, place: str, low: float = -math.inf, high: float = math
             raise TypeError
         number = float(value)
     except (TypeError, ValueError, OverflowError):
-        raise UsageError(f"{place}: found {value!r:.60}; give {permitted}") from None
+        raise UsageError(f"{place}: found {_shown(value)}; give {permitted}") from None
     if bounded and not low <= number <= high:
         raise UsageError(f"{place}: found {number:g}; give {permitted}")
     return number
@@ -61,5 +90,16 @@ def whole_of(value: Any, place: str) -> int:
     except TypeError:
         number = -1
     if number < 0:
-        raise UsageError(f"{place}: found {value!r:.60}; give a whole number of at least 0")
+        raise UsageError(f"{place}: found {_shown(value)}; give a whole number of at least 0")
     return number
+
+
+def flag_of(value: Any, place: str) -> bool:
+    """Return a truth value, of Python or NumPy, as a bool; raise UsageError for another value."""
+    if isinstance(value, bool) or type(value).__name__ in ("bool", "bool_"):
+        return bool(value)
+    raise UsageError(f"{place}: found {_shown(value)}; give True or False")
+
+
+def _shown(value: Any) -> str:
+    return " ".join(repr(value).split())[:60]

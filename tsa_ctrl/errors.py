@@ -17,6 +17,10 @@ class UsageError(TsaError):
     exit_code = 2
 
 
+class ArgumentsError(UsageError, TypeError):
+    """A function of the Python interface has no such argument, or lacks one."""
+
+
 class TooStillError(UsageError):
     """The joint moves too little in the logs for the requested result, which another motion would permit."""
 

@@ -25,6 +25,7 @@ from tsa_ctrl.identify.calibrate import Calibration
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.signals import COLUMNS as UNITS
 
 SIGNATURES = Path(__file__).with_name("signatures.txt")
 T = np.arange(400) * 0.005
@@ -103,6 +104,29 @@ def test_each_meaningful_form_of_a_log_gives_the_same_prediction(columns: Any) -
     np.testing.assert_allclose(tsa_ctrl.predict(model, columns), expected, atol=1e-6)
     made: Any = tsa_ctrl.Dataset
     np.testing.assert_allclose(tsa_ctrl.predict(model, made(columns)), expected, atol=1e-6)
+
+
+class Levels(Frame):
+    """A frame whose columns have names of several levels, and whose index is the time."""
+
+    def __init__(self, columns: list[tuple[str, ...]]) -> None:
+        self.columns: Any = columns
+        self.index = (COLUMNS["t"] * 1e9).round().astype("m8[ns]")
+
+    def __getitem__(self, name: Any) -> Any:
+        return COLUMNS[next(part for part in name if part in COLUMNS)]
+
+
+@pytest.mark.parametrize("levels", [("rig", "{}"), ("{}", ""), ("{}", "{unit}")])
+def test_a_name_of_several_levels_and_an_index_of_time_are_columns(levels: tuple[str, ...]) -> None:
+    """A level that is equal for all columns, empty, or the SI unit is not a part of the name."""
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    names = [tuple(level.format(name, unit=UNITS[name].unit) for level in levels) for name in COLUMNS if name != "t"]
+    np.testing.assert_allclose(tsa_ctrl.predict(model, Levels(names)), tsa_ctrl.predict(model, COLUMNS), atol=1e-6)
+    wrong = [(*name[:1], "mN*m") if "tau_m" in name else name for name in names]
+    if "{unit}" in levels:
+        with pytest.raises(UsageError, match=r"column tau_m is missing \(found: t, tau_m.mN\*m"):
+            tsa_ctrl.predict(model, Levels(wrong))
 
 
 def test_a_masked_value_is_a_missing_value() -> None:
@@ -204,6 +228,9 @@ def test_pandas_and_polars_give_the_same_prediction() -> None:
     for frame in (pandas.DataFrame, polars.DataFrame):
         dated = frame({**COLUMNS, "t": stamps, "note": ["x"] * 400})
         np.testing.assert_allclose(tsa_ctrl.predict(model, dated), expected, atol=1e-6)
+    values = pandas.DataFrame({name: column for name, column in COLUMNS.items() if name != "t"})
+    for index in (pandas.DatetimeIndex(stamps, tz="UTC"), pandas.Index(COLUMNS["t"], name="t")):
+        np.testing.assert_allclose(tsa_ctrl.predict(model, values.set_index(index)), expected, atol=1e-6)
     lazy = polars.LazyFrame(COLUMNS)
     np.testing.assert_allclose(tsa_ctrl.predict(model, lazy), expected)
     missing = polars.DataFrame({**COLUMNS, "tau_m": [None, *COLUMNS["tau_m"][1:].tolist()]})

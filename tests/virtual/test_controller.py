@@ -103,6 +103,40 @@ def test_no_set_point_drives_the_motor_beyond_its_limit(desk: Path, value: float
     assert (set(torques) == {0.0}) is not math.isfinite(value)
 
 
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (
+            {"temperature": 20.0},
+            "no argument 'temperature'; the arguments are tau_j_des, tau_m=, q_m=, omega_m=, q_j=, tau_j=, oper",
+        ),
+        ({"q_j": None}, "step: q_j: found None; give a number"),
+        ({"tau_m": np.array([[1.0], [2.0]])}, "step: tau_m: found array([[1.], [2.]]); give a number"),
+        ({"operational": "no"}, "step: operational: found 'no'; give True or False"),
+        (
+            {"operational": np.array([True, False])},
+            "step: operational: found array([ True, False]); give True or False",
+        ),
+    ],
+)
+def test_a_wrong_argument_is_one_line(desk: Path, changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError) as error:
+        Controller(desk / "controller.toml").step(0.1, **{**STILL, **changed})
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_missing_argument_lists_all_and_an_omitted_joint_angle_is_not_a_missing_answer(desk: Path) -> None:
+    controller: Any = Controller(desk / "controller.toml")
+    with pytest.raises(UsageError, match=r"Controller.step: missing a required argument: 'tau_m'; the arguments are"):
+        controller.step(0.1)
+    with pytest.raises(TypeError, match="too many positional arguments"):
+        controller.step(0.1, 0.0, 0.0, 0.0)
+    with pytest.raises(UsageError, match=r"step: q_j is missing, and the file has \[axis.encoder\]"):
+        controller.step(0.1, tau_m=0.0, q_m=0.25, omega_m=0.0)
+    assert controller.step(0.1, **{**STILL, "q_j": math.nan}).torque == 0.0
+
+
 def test_a_disable_and_a_drive_that_lost_its_power_end_at_zero(desk: Path) -> None:
     held = Held(desk)
     held.enable()

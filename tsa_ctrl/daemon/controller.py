@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from tsa_ctrl.arguments import number_of, whole_of
+from tsa_ctrl.arguments import flag_of, listing_arguments, number_of, whole_of
 from tsa_ctrl.bus.canopen.cia402 import (
     FOLLOWS_COMMAND_BIT,
     REMOTE,
@@ -40,6 +40,10 @@ _ANSWERS = {  # CiA 402: the state that a drive takes after a controlword
     Controlword.SWITCH_ON: PowerState.SWITCHED_ON,
     Controlword.ENABLE_OPERATION: PowerState.OPERATION_ENABLED,
 }
+
+
+_LARGEST = 1e9  # rad, rad/s, N*m: a larger measurement is an error of a driver
+_OMITTED = float("nan")  # another object than the nan of a caller whose encoder did not answer
 
 
 class Command(NamedTuple):
@@ -72,11 +76,12 @@ class Controller:
             command = controller.step(0.3, tau_m=tau_m, q_m=q_m, omega_m=omega_m, q_j=q_j)
             drive.send(command.torque)
 
-    A measurement that is not finite counts as a missing answer of the drive. The torque is then held for as many
-    periods as [bus.supervision] tolerates, and afterwards a fault latches. The caller's watchdogs must act if `step` is
-    not called.
+    A measurement that is not finite, or beyond 1e9, counts as a missing answer of the drive. The torque is then held
+    for as many periods as [bus.supervision] tolerates, and afterwards a fault latches. The caller's watchdogs must act
+    if `step` is not called.
     """
 
+    @listing_arguments
     def __init__(self, configuration: str | Path | Configuration, *, play: bool = False) -> None:
         """Prepare the axis of a controller file.
 
@@ -88,6 +93,7 @@ class Controller:
         Raises:
             UsageError: the file is wrong, has several axes, or is of class "worn", whose checks need the daemon.
         """
+        play = flag_of(play, "Controller: play")
         found = configuration if isinstance(configuration, Configuration) else load_configuration(configuration)
         file = found.file
         if len(file.axes) != 1:
@@ -141,6 +147,7 @@ class Controller:
             axis.request = Request.RESET
             self._asked = False
 
+    @listing_arguments
     def set(self, name: str, value: float) -> None:
         """Change a live parameter, as `tsa set` does.
 
@@ -161,6 +168,7 @@ class Controller:
             )
         self._tuner.set(names.index(name), value)
 
+    @listing_arguments
     def step(
         self,
         tau_j_des: float | None = None,
@@ -168,7 +176,7 @@ class Controller:
         tau_m: float,
         q_m: float,
         omega_m: float,
-        q_j: float = math.nan,
+        q_j: float = _OMITTED,
         tau_j: float = math.nan,
         operational: bool = True,
         skipped: int = 0,
@@ -187,11 +195,14 @@ class Controller:
 
         Raises:
             UsageError: `tau_j_des` is given to a Controller that plays the file's set-point, or missing in another. An
-                argument is not a number.
+                argument is not a number. `q_j` is omitted, and the file has [axis.encoder].
         """
         axis, image = self._axis, self._axis.image
         if (tau_j_des is None) is not self._play:
             raise UsageError("step: give tau_j_des in every step, or none of them with Controller(..., play=True)")
+        if q_j is _OMITTED and self._encoder is not None:
+            raise UsageError("step: q_j is missing, and the file has [axis.encoder]; give nan if it did not answer")
+        operational = flag_of(operational, "step: operational")
         given = {"tau_m": tau_m, "q_m": q_m, "omega_m": omega_m, "q_j": q_j, "tau_j": tau_j}
         tau_m, q_m, omega_m, q_j, tau_j = (number_of(value, f"step: {name}") for name, value in given.items())
         tau_j_des = None if tau_j_des is None else number_of(tau_j_des, "step: tau_j_des")
@@ -222,7 +233,7 @@ class Controller:
         """Store the measurements of this period, or count a missing answer."""
         image, gap = self._axis.image, self._gap
         image.now = now
-        image.fresh = image.joint_fresh = all(map(math.isfinite, required))
+        image.fresh = image.joint_fresh = all(abs(value) <= _LARGEST for value in required)
         if not image.fresh:
             image.misses += 1
             image.missed += 1
@@ -230,7 +241,7 @@ class Controller:
             self._gap += self.period
             return
         image.tau_m, image.q_m, image.omega_m = required[:3]
-        image.tau_j = tau_j
+        image.tau_j = tau_j if abs(tau_j) <= _LARGEST else math.nan
         if self._encoder is not None:
             before, image.q_j = image.q_j, required[3]
             rate = (image.q_j - before) / gap if math.isfinite(before) else 0.0

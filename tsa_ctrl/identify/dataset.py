@@ -295,23 +295,45 @@ def dataset_of(log: Any, name: str = "log") -> Dataset:
 def _columns_of(log: Any, name: str) -> dict[str, Any] | None:
     """Return the columns of a mapping, a data frame or a structured array by name; None for another type.
 
+    An index of dates or durations, or with the name t, is the column t if there is no such column.
+
     Raises:
         UsageError: a data frame has a column of a log twice.
     """
     if hasattr(log, "collect_schema") and hasattr(log, "collect"):  # a lazy frame of polars
         log = log.collect()
     if isinstance(log, Mapping):
-        return {str(key): value for key, value in log.items()}
+        coordinates = getattr(log, "coords", {})  # of xarray
+        time = {"t": coordinates["t"]} if "t" in coordinates else {}
+        return {**time, **{str(key): value for key, value in log.items()}}
     names = getattr(getattr(log, "dtype", None), "names", None)
     if names is None and not isinstance(log, type):
-        names = getattr(log, "columns", None)
+        names = getattr(log, "column_names", getattr(log, "columns", None))
     if names is None:
         return None
-    counts = Counter(str(each) for each in names)
+    names = list(names)
+    plain = _plain_names(names)
+    counts = Counter(plain)
     twice = next((each for each, count in counts.items() if count > 1 and is_input(each)), None)
     if twice is not None:
         raise UsageError(f"{name}: column {twice} appears {counts[twice]} times; rename or remove the others")
-    return {str(each): log[each] for each in names if counts[str(each)] == 1}
+    index = getattr(log, "index", None)
+    is_time = getattr(getattr(index, "dtype", None), "kind", "") in ("M", "m") or getattr(index, "name", None) == "t"
+    found = {key: log[each] for key, each in zip(plain, names, strict=True) if counts[key] == 1}
+    return {**({"t": index} if is_time else {}), **found}
+
+
+def _plain_names(names: Sequence[Any]) -> list[str]:
+    """Return the names as texts, and those of several levels without equal levels and without their SI unit."""
+    if not names or not all(isinstance(name, tuple) for name in names):
+        return [str(name) for name in names]
+    levels = [level for level in zip(*names, strict=True) if len(set(level)) > 1] or list(zip(*names, strict=True))
+    plain = []
+    for parts in zip(*levels, strict=True):
+        first, *others = [str(part) for part in parts if str(part)] or [""]
+        is_unit = first in COLUMNS and others == [COLUMNS[first].unit]
+        plain.append(first if is_unit else ".".join([first, *others]))
+    return plain
 
 
 def _numbers(name: str, key: str, value: Any) -> Array | None:

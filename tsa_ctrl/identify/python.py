@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.arguments import kind_of, whole_of
+from tsa_ctrl.arguments import kind_of, listing_arguments, whole_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration
 from tsa_ctrl.identify.calibrate import calibrate as estimate
@@ -24,11 +24,13 @@ from tsa_ctrl.identify.simulate import simulate
 from tsa_ctrl.model.parameters import Model, TendonSheath, load_model
 
 
+@listing_arguments
 def predict(model: Model | str | Path | Mapping[str, Any], log: Any) -> NDArray[np.float64]:
     """Return the joint torque that the model predicts, N*m, shape (n,); for a rigid drive, the motor torque."""
     return simulate(dataset_of(log), load_model(model)).predicted
 
 
+@listing_arguments
 def calibrate(logs: Any, model: TendonSheath | str | Path | Mapping[str, Any]) -> Calibration:
     """Estimate friction angle and pretension from one log or several."""
     found = load_model(model)
@@ -37,6 +39,7 @@ def calibrate(logs: Any, model: TendonSheath | str | Path | Mapping[str, Any]) -
     return estimate(_all(logs), found)
 
 
+@listing_arguments
 def diagnose(
     logs: Any, model: Model | str | Path | Mapping[str, Any], *, hold_out: str | None = None, seed: int = 0
 ) -> Diagnosis:

@@ -16,7 +16,7 @@ import numpy as np
 import tomlkit
 
 from tsa_ctrl import settings
-from tsa_ctrl.arguments import path_of
+from tsa_ctrl.arguments import listing_arguments, path_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import (
     MOST_FRICTION,
@@ -181,6 +181,7 @@ class GearedDrive:
 Model = TendonSheath | RigidDrive | GearedDrive
 
 
+@listing_arguments
 def load_model(path: str | Path | Mapping[str, Any] | Model) -> Model:
     """Read an actuator model file.
 

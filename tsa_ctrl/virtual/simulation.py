@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.arguments import number_of, path_of, whole_of
+from tsa_ctrl.arguments import listing_arguments, number_of, path_of, whole_of
 from tsa_ctrl.bus.drive.network import joined
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, ControllerFile, load_configuration
@@ -228,6 +228,7 @@ LONGEST = 86_400.0  # s
 Progress = Callable[[float], None]
 
 
+@listing_arguments
 def simulate_loop(
     controller: str | Path | Configuration,
     plant: str | Path | PlantSettings,
