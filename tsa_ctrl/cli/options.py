@@ -12,6 +12,10 @@ class Finite(click.FloatRange):
     """A click.FloatRange that rejects nan and inf."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            float(value)
+        except ValueError:
+            self.fail(f"'{value}' is not a number; write it as 0.5 or 1e-3", param, ctx)
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)

@@ -122,6 +122,14 @@ def test_adapter_that_fails_is_latched(pair: list[PythonCan]) -> None:
     assert first.fault is BusFault.ADAPTER
 
 
+def test_an_unplugged_adapter_closes_without_an_error() -> None:
+    """The serial device of slcan accepts no more bytes, not even those that close the channel."""
+    bus = PythonCan("slcan", "loop://", 1_000_000)
+    while bus.send(0x201, bytes(8)):
+        pass
+    bus.close()
+
+
 def test_frame_that_cannot_be_sent_is_dropped_and_counted() -> None:
     bus = PythonCan("virtual", "test-full", 1_000_000)
     other = can.Bus(interface="virtual", channel="test-full", rx_queue_size=1)
@@ -132,7 +140,8 @@ def test_frame_that_cannot_be_sent_is_dropped_and_counted() -> None:
 
 
 @pytest.mark.parametrize(
-    ("interface", "channel"), [("no_such_interface", "x"), ("slcan", "/dev/no_such_tty"), ("udp_multicast", "10.0.0.1")]
+    ("interface", "channel"),
+    [("no_such_interface", "x"), ("slcan", "/dev/no_such_tty"), ("udp_multicast", "10.0.0.1"), ("kvaser", "0")],
 )
 def test_bus_that_cannot_be_opened_is_one_line(interface: str, channel: str) -> None:
     with pytest.raises(BusError, match=f"interface '{interface}' channel '{channel}': cannot be opened") as error:
