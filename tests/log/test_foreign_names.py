@@ -46,6 +46,14 @@ CASES = [
     ("i_q_m [A]", "tau_m", "A"), ("iq_m", "tau_m", None), ("dq_j", "omega_j", None), ("w_m", "omega_m", None),
     ("phi_j [deg]", "q_j", "deg"), ("tau_motor (Nm)", "tau_m", "Nm"), ("theta_joint (rad)", "q_j", "rad"),
     ("q_knee", "q_j", None), ("trq_j", "tau_j", None),
+    # a factor in the name is not known to be in the values
+    ("Motor torque*1000 [Nm]", "", "Nm"), ("motor torque x10 [Nm]", "", "Nm"), ("1000*motor torque [Nm]", "", "Nm"),
+    ("timestamp [nanoseconds]", "t", "nanoseconds"), ("Joint angle [gon]", "q_j", "gon"),
+    # French, Italian, Spanish, Portuguese
+    ("Couple articulation [Nm]", "tau_j", "Nm"), ("Vitesse moteur [tr/min]", "omega_m", "tr/min"),
+    ("Angolo giunto [gradi]", "q_j", "gradi"), ("Coppia motore [Nm]", "tau_m", "Nm"),
+    ("Par motor (Nm)", "tau_m", "Nm"), ("Ángulo articulación (°)", "q_j", "°"), ("Erreur couple moteur", "", None),
+    ("Posição da junta [rad]", "q_j", "rad"), ("Consigne couple articulation [Nm]", "tau_j_des", "Nm"),
     ("M_Motor [Nm]", "tau_m", "Nm"), ("M_Gelenk", "tau_j", None), ("M_J", "tau_j", None), ("F_N_motor", "", None),
     ("T_mot [Nm]", "tau_m", "Nm"), ("T_mot [°C]", "temperature", "°C"), ("T_Motor_degC", "temperature", "degC"),
     ("n_Motor [1/min]", "omega_m", "1/min"), ("I_mot [A]", "tau_m", "A"), ("qd_joint", "omega_j", None),

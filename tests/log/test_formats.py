@@ -134,6 +134,28 @@ def json_lines(folder: Path) -> Path:
     return folder / "run.jsonl"
 
 
+def json_nested(folder: Path) -> Path:
+    rows = json.loads(json_rows(folder).read_text())
+    (folder / "run.json").write_text(json.dumps({"about": {"rig": 3}, "samples": rows}))
+    return folder / "run.json"
+
+
+def json_indexed(folder: Path) -> Path:
+    columns = {name: {str(i): value for i, value in enumerate(values.tolist())} for name, values in NAMED.items()}
+    (folder / "run.json").write_text(json.dumps(columns))
+    return folder / "run.json"
+
+
+def h5_as_mat(folder: Path) -> Path:
+    """Write HDF5 without the header of MATLAB, with a link to its own group."""
+    h5py = importlib.import_module("h5py")
+    with h5py.File(folder / "run.mat", "w") as file:
+        for name, values in NAMED.items():
+            file[f"rig/{name}"] = values
+        file["rig/self"] = h5py.SoftLink("/rig")
+    return folder / "run.mat"
+
+
 def text_as_workbook(folder: Path) -> Path:
     np.savetxt(folder / "run.xls", np.column_stack([T, TORQUE]), delimiter="\t", header="\t".join(NAMED), comments="")
     return folder / "run.xls"
@@ -232,6 +254,8 @@ CASES: list[tuple[str, Callable[[Path], Path], tuple[str, str]]] = [
     ("h5 groups", h5_groups, ("t=time/data [s]|s", "tau_m=motor_torque/data [mNm]|mNm")),
     ("h5 pandas", h5_pandas, GIVEN),
     ("h5 rows", h5_rows, GIVEN), ("mat names", mat_names, GIVEN), ("json", json_rows, GIVEN),
+    ("json nested", json_nested, ("t=samples.time|s", "tau_m=samples.motor_torque|N*m")),
+    ("json indexed", json_indexed, GIVEN), ("h5 as mat", h5_as_mat, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")),
     ("json lines", json_lines, GIVEN), ("text as workbook", text_as_workbook, GIVEN),
     ("npy", npy, ("t=column 1|s", "tau_m=column 2|N*m")), ("xlsx", xlsx, GIVEN),
     ("tdms", tdms, (RECORDED, GIVEN[1])), ("lvm", lvm, (RECORDED, GIVEN[1])), ("parquet", parquet, GIVEN),
@@ -311,6 +335,19 @@ def test_a_folder_that_is_no_bag_is_one_line(suffix: str, tmp_path: Path, capsys
     assert run(str(folder), "--out", str(tmp_path / "out")) == 2
     said = capsys.readouterr().err
     assert f"is a folder, and not a ROS 2 bag; give the files in it, such as {folder}/*.csv" in said
+    assert said.count("\n") == 1
+
+
+def test_a_timetable_of_matlab_is_one_line_with_the_remedy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with importlib.import_module("h5py").File(tmp_path / "run.mat", "w", userblock_size=512) as file:
+        file["tt"] = np.zeros((1, 6), dtype="u4")
+        file["tt"].attrs["MATLAB_object_decode"] = np.int32(3)
+        file["#subsystem#/MCOS"] = np.zeros((1, 3), dtype="u4")
+    with (tmp_path / "run.mat").open("r+b") as stream:
+        stream.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
+    assert run(str(tmp_path / "run.mat"), "--out", str(tmp_path / "out"), "--yes") == 2
+    said = capsys.readouterr().err
+    assert "has only objects that MATLAB alone can read (tt); export a timetable with writetimetable" in said
     assert said.count("\n") == 1
 
 

@@ -132,7 +132,17 @@ def _length(value: Any) -> int:
 
 def mat(path: Path) -> Arrays:
     """Read MATLAB v5 and v7.3, including the structures that Simulink and dSPACE write."""
-    return columns(flat(library("pymatreader", path).read_mat(path)), path)
+    h5py, names = library("h5py", path), None
+    if h5py.is_hdf5(path):
+        with h5py.File(path) as file:
+            variables = {name: node for name, node in file.items() if not name.startswith("#")}
+            names = [name for name, node in variables.items() if "MATLAB_object_decode" not in node.attrs]
+            if not names:
+                raise UsageError(
+                    f"{path}: has only objects that MATLAB alone can read ({', '.join(variables)}); export a timetable "
+                    "with writetimetable, or save table2struct(timetable2table(x), 'ToScalar', true)"
+                )
+    return columns(flat(library("pymatreader", path).read_mat(path, variable_names=names)), path)
 
 
 def numpy_file(path: Path) -> Arrays:
@@ -156,7 +166,10 @@ def hdf5(path: Path) -> Arrays:
         lists = {key: found for key, each in node.attrs.items() if (found := _decoded(each)) is not None}
         if not isinstance(node, h5py.Dataset):
             unit = _unit_in(node.attrs)
-            inner = {named(key, each): content(each) for key, each in node.items() if each is not None}
+            own = [
+                key for key in node if isinstance(node.get(key, getlink=True), h5py.HardLink)
+            ]  # a link may be a loop
+            inner = {named(key, node[key]): content(node[key]) for key in own}
             return {**lists, **({"unit": unit} if unit else {}), **inner}
         found = _decoded(node[()]) if node.ndim == 1 and node.dtype.kind in "SO" else node[()]
         return {"": found, **lists} if node.ndim == 2 and lists else found
@@ -244,10 +257,19 @@ def json_file(path: Path) -> Arrays:
         value = json.loads(text)
     except json.JSONDecodeError:
         value = [json.loads(line) for line in text.splitlines() if line.strip()]
+    return columns(flat(_by_column(value)), path)
+
+
+def _by_column(value: Any) -> Any:
+    """Return JSON with a list of numbers for each list of objects, and for each object with the keys 0, 1, 2, ..."""
     if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
         rows = [{name: number for name, number, _ in flat(row)} for row in value]
-        value = {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in rows[0]}
-    return columns(flat(value), path)
+        names = dict.fromkeys(name for row in rows for name in row)
+        return {name: np.array([row.get(name, np.nan) for row in rows], dtype=float) for name in names}
+    if isinstance(value, dict) and value:
+        counted = list(value) == [str(i) for i in range(len(value))]
+        return list(value.values()) if counted else {key: _by_column(inner) for key, inner in value.items()}
+    return value
 
 
 def _messages(found: Iterator[tuple[str, int, Any]], path: Path) -> Arrays:
@@ -301,7 +323,7 @@ def format_of(path: Path) -> str:
     except OSError:
         return suffix  # the reader reports it
     content = next((ending for start, ending in SIGNATURES.items() if head.startswith(start)), "")
-    if content and suffix != ".mat":
+    if content:
         return content
     plain = suffix in (".xls", ".xlsx", ".ods") and head and not head.startswith(b"PK") and b"\0" not in head
     return "" if plain else suffix

@@ -48,7 +48,7 @@ _CLASSES: dict[str, str] = {
     COMMANDED: "command commanded cmd commande comando mando",
     EXCLUDED: "error err fehler deviation abweichung limit grenze grenzwert max min maximum minimum maximal minimal "
     "constant konstante gain ripple derivative ableitung threshold schwelle tolerance residual "
-    "erreur errore erro limite écart seuil",
+    "erreur errore erro limite écart seuil factor faktor",
     NEUTRAL: "ist mess actual act measured meas messung filtered gefiltert filt sensor signal signals value values "
     "wert werte data shaft angular encoder feedback fb",
     NO_CLOCK: "cycle sample sampling step delay dead rise settling execution zyklus abtast tot",
@@ -90,6 +90,7 @@ def split_words(bare: str) -> list[str]:
     text = re.sub(r"(?i)(?<![a-z0-9])i_?s?_?q(?![a-z])", "iq", bare)
     text = re.sub(r"(?i)(?<![a-z0-9])i_s?_?d(?![a-z])", "fieldcurrent", text)
     text = re.sub(r"(?i)set[-_ ]point", "setpoint", text)
+    text = re.sub(r"(?i)(?:[×*]|(?<![a-z0-9])x) ?10+(?!\d)|(?<!\d)10+ ?[x×*]", " factor ", text)  # torque*1000
     text = re.sub(r"(?i)\bdes (motor|antrieb|gelenk|abtrieb|aktor|knie)e?s\b", r"\1", text)  # German genitive
     text = re.sub(r"(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])", " ", text)
     text = re.sub(r"([a-zäöüß])([A-ZÄÖÜ])", r"\1 \2", text)

@@ -293,7 +293,7 @@ def _text(path: Path, encoding: str | None) -> tuple[str, str]:
     if len(data) > LARGEST:
         raise UsageError(f"{path}: has more than {LARGEST >> 30} GiB of text; split it")
     if data.startswith(PACKED):
-        raise UsageError(f"{path}: is an archive; unpack it and give the table in it")
+        raise UsageError(f"{path}: is an archive or a workbook; unpack it, or give a workbook its own ending")
     if encoding is None:
         encoding = _encoding(data)
     if b"\0" in data[:4096] and not encoding.startswith("utf-16"):

@@ -31,11 +31,17 @@ _BASES: tuple[tuple[str, str, float, str], ...] = (
     (_LENGTH, "m meter meters metre metres", 1.0, "m c d u µ μ"),
     (_LENGTH, "in inch inches", _INCH, ""),
     (_LENGTH, "ft foot feet", 12.0 * _INCH, ""),
-    (_TIME, "s sec secs seconds sek", 1.0, "m u µ μ n"),
+    (_TIME, "s sec secs second seconds sek", 1.0, "m u µ μ n"),
+    (_TIME, "millisecond milliseconds", 1e-3, ""),
+    (_TIME, "microsecond microseconds", 1e-6, ""),
+    (_TIME, "nanosecond nanoseconds", 1e-9, ""),
     (_TIME, "min minutes", 60.0, ""),
     (_TIME, "h hr hours", 3600.0, ""),
     (_ANGLE, "rad radian radians", 1.0, "m u µ μ"),
     (_ANGLE, "deg degs degree degrees ° º grad gradi grados graus degré degrés", _DEGREE, "m"),  # "Grad" is German
+    (_ANGLE, "arcmin", _DEGREE / 60.0, ""),
+    (_ANGLE, "arcsec", _DEGREE / 3600.0, ""),
+    (_ANGLE, "gon", _TURN / 400.0, ""),
     (_ANGLE, "rev revs revolution revolutions turn turns U tr giri", _TURN, "m"),
 )
 _FACTORS: dict[str, tuple[float, Counter[str]]] = {
