@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -170,6 +171,21 @@ def test_what_is_no_number_is_not_sent(serving: Serving) -> None:
                 lease.send({"knee": value})
         client.measure()
         assert serving.mailbox.wanted(0) in (None, (0.0, -float("inf")))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (0.1, "send: found a float; give the torques in N*m by axis"),
+        ({"knee": "a"}, "send: axis 'knee': found 'a'; give a number"),
+        ({"knee": None}, "send: axis 'knee': found None; give a number"),
+    ],
+)
+def test_a_set_point_of_a_wrong_type_is_one_line(serving: Serving, values: Any, words: str) -> None:
+    with Client(serving.path) as client, client.lease(0.5) as lease:
+        with pytest.raises(UsageError) as error:
+            lease.send(values)
+        assert words in str(error.value)
 
 
 def test_a_value_that_is_refused_is_told_at_a_later_one(serving: Serving) -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from tsa_ctrl.arguments import number_of, path_of
+from tsa_ctrl.arguments import kind_of, listing_arguments, number_of, path_of
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import protocol, server_process
 from tsa_ctrl.ipc.connection import user_of
@@ -226,6 +226,7 @@ class Client:
             UsageError: another client holds the lease, or no axis takes its set-point from the socket.
             BusError: the daemon does not answer.
         """
+        seconds = number_of(seconds, "lease: seconds")
         self.ask(protocol.Lease(seconds))
         self._lease = Lease(self, seconds)
         return self._lease
@@ -332,6 +333,7 @@ class Lease:
         """Return True unless this client has received the end of the lease."""
         return not self.why
 
+    @listing_arguments
     def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
         """Send the desired joint torque (N*m) by axis without an answer; a new value replaces the last one of its axis.
 
@@ -347,11 +349,16 @@ class Lease:
         """
         client = self._client
         now = client.clock()
+        if not isinstance(values, Mapping):
+            raise UsageError(
+                f"send: found a {kind_of(values)}; give the torques in N*m by axis, such as {{'knee': 0.3}}"
+            )
+        values = {str(axis): number_of(value, f"send: axis '{axis}'") for axis, value in values.items()}
         for axis, value in values.items():
             if not math.isfinite(value):
                 raise UsageError(f"axis '{axis}': a set-point of {value}; not a finite number")
         if self.held:
-            time = now if wanted is None else wanted
+            time = now if wanted is None else number_of(wanted, "send: wanted")
             requests = (protocol.SetPointValue(axis, value, time, True) for axis, value in values.items())
             client.stream(b"".join(msgspec.json.encode(request) + b"\n" for request in requests), self.seconds)
             if now - self._confirmed > self.seconds and self.held:
