@@ -170,10 +170,11 @@ def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
 
 
 def test_help_of_a_fault_gives_its_remedy() -> None:
-    """The fault is found by its id in the JSON status and by its title, in any letter case."""
+    """The fault is found by its id in the JSON status, by its title in any letter case, and by its event."""
     for cause in Cause:
-        for topic in (cause.id, cause.title, cause.title.upper()):
-            result = CliRunner().invoke(cli, ["help", topic], catch_exceptions=False)
+        event = f"2.7 s  knee: {cause.title}: node 1"
+        for topics in ([cause.id], [cause.title], [cause.title.upper()], cause.title.split(), [event]):
+            result = CliRunner().invoke(cli, ["help", *topics], catch_exceptions=False)
             assert cause.remedy in " ".join(result.output.split())
 
 

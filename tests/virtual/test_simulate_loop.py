@@ -160,7 +160,7 @@ def test_a_push_moves_a_joint_that_can(tmp_path: Path) -> None:
         ("--set", "compensation@2", "is not NAME=VALUE@T"),
         ("--set", "compensation=nan@2", "is not NAME=VALUE@T"),
         ("--set", "speed=1@0.5", "no parameter 'speed'"),
-        ("--set", "compensation=7@0.5", "out of bounds"),
+        ("--set", "compensation=7@0.5", "compensation 7 is out of bounds; allowed is 0 to 1.2"),
         ("--set", "hip.slew=7@0.5", "no axis 'hip'"),
         ("--fault", "torn_tendon", "is not LINE@T"),
         ("--fault", "torn_tendon@-1", "is not LINE@T"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import sys
 import textwrap
 from pathlib import Path
@@ -38,11 +39,12 @@ TOPICS = {
 
 
 @click.command("help", epilog="Example: tsa help rig", context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("topic", required=False)
+@click.argument("topics", metavar="[TOPIC]", nargs=-1)
 @click.pass_context
-def command(ctx: click.Context, topic: str | None) -> None:
+def command(ctx: click.Context, topics: tuple[str, ...]) -> None:
     """Show a page of the manual, the help of a command, or the remedy of a fault; without TOPIC, list all topics."""
-    if topic is None:
+    topic = " ".join(topics)
+    if not topic:
         for name in TOPICS:
             click.echo(f"{name:10s}{TOPICS[name][1]}")
         click.echo("and every command: tsa help diagnose shows tsa diagnose --help")
@@ -72,10 +74,11 @@ def command(ctx: click.Context, topic: str | None) -> None:
 
 
 def _identifier(topic: str) -> str:
-    """Return the id of a cause from its id or from its title, as printed by status and events."""
+    """Return the id of a cause from its id, its title, or an event with its title, as printed by status and events."""
     words = topic.strip().lower()
-    by_title = {cause.title.lower(): cause.id for cause in Cause}
-    return by_title.get(words, words.replace(" ", "_").replace("-", "_"))
+    titles = {cause.title.lower(): cause.id for cause in Cause}
+    contained = [title for title in titles if re.search(rf"\b{re.escape(title)}\b", words)]
+    return titles[max(contained, key=len)] if contained else words.replace(" ", "_").replace("-", "_")
 
 
 def _page(text: str) -> None:

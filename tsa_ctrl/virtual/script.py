@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
+from tsa_ctrl.ipc.parameters import check_bounds
 from tsa_ctrl.log.mcap_file import RUN
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.plant.faults import FaultKind, nothing, parse_fault
@@ -140,11 +141,7 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
         known = parameters[number]
         if known.low is None or known.high is None:
             raise UsageError(f"'{name}' cannot be set on this axis: {known.doc}")
-        if not known.low <= change.value <= known.high:
-            raise UsageError(
-                f"{name} {change.value:g} {known.unit} is out of bounds; "
-                f"allowed is {known.low:g} to {known.high:g} {known.unit}"
-            )
+        check_bounds(name, change.value, known.low, known.high, known.unit)
         release = known.restores and change.value == known.high
         found.append((Command(place, RELEASE if release else number, change.value), change.at))
     return found
