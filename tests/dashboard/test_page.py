@@ -159,6 +159,8 @@ def test_the_newest_values_are_shown_without_a_pointer_over_a_chart(page: Page) 
         abs(e - (got - want)) < 1e-9 for want, got, e in zip(desired, delivered, error, strict=False) if got is not None
     )
     page.until("document.querySelector('.errors').textContent.includes('while sliding')")
+    span = "(([t]) => Math.min(20, Math.round(t[t.length - 1] - t[0])))(axes.get('knee').data['tracking error'])"
+    page.until(f"document.querySelector('.errors').textContent.includes(`of the last ${{{span}}} s:`)")
 
 
 def test_a_switch_is_a_switch(page: Page, daemon: Played) -> None:

@@ -364,8 +364,9 @@ function showErrors(shown) { // of the seconds in the charts
   });
   const known = errors.filter((error) => error !== null);
   const peak = known.length ? Math.max(...known.map(Math.abs)) : null;
+  const span = times.length ? Math.min(SECONDS, Math.round(times[times.length - 1] - times[0])) : 0;
   shown.article.querySelector(".errors").textContent = known.length
-    ? `Tracking error of the last ${SECONDS} s: RMS ${milli(rms(known))}; while sliding ${milli(rms(sliding))}, ` +
+    ? `Tracking error of the last ${span} s: RMS ${milli(rms(known))}; while sliding ${milli(rms(sliding))}, ` +
       `at reversals and at rest ${milli(rms(turning))}; peak ${milli(peak)}`
     : "Tracking error: the delivered torque is not measured";
 }
