@@ -85,6 +85,14 @@ def test_a_written_file_has_the_same_routing(tmp_path: Path, routing: str) -> No
         (TABLE.replace("knee", "ankle"), r"joint 'ankle' has a gain and a table; keep one of them"),
         ("[routing]\ntable.hip = [[0.0, 0.0]]\n", r"table.hip = \[\[0.0, 0.0\]\]; give two or more points"),
         ("[routing]\ntable.hip = [[0.0, 0.0], [0.0, 1.0]]\n", r"give two or more points .* increasing"),
+        (
+            "[routing]\ntable.hip = [[-0.5, -0.4], [0.5, 40.0]]\n",
+            r"table.hip changes by 40.4 rad from -0.5 to 0.5 rad; allowed is a slope of -10 to 10 rad/rad",
+        ),
+        (
+            "[routing]\ntable.hip = [[-30.0, 0.4], [20.0, -0.4]]\n",
+            r"table.hip has a joint angle of -30 rad; allowed is at most 18.85 rad either way",
+        ),
     ],
 )
 def test_what_is_no_routing_is_refused_in_one_line(tmp_path: Path, routing: str, words: str) -> None:
@@ -128,5 +136,31 @@ def test_a_sheath_that_would_be_bent_less_than_straight_is_refused_with_place_an
         routing.check_travel(2.6, {"hip": (-4.0, 1.0)}, "plant.toml")
     assert str(caught.value) == (
         "plant.toml: [routing] tendon a has a wrap angle of -0.6 rad over the travel (hip from -4 to 1 rad); "
-        "allowed is 0 or more; correct gains, tables or [sheath] bending_angle, or narrow the travel"
+        "allowed is 0 to 18.85 rad; correct gains, tables or [sheath] bending_angle, or the travel"
     )
+
+
+def test_a_sheath_wound_by_more_than_three_turns_is_refused(tmp_path: Path) -> None:
+    """A table with wrap angles in degrees gives 2.6 + 23 rad, without any travel."""
+    routing = routed(tmp_path, "[routing]\ntable.hip = [[-0.5, -2.0], [2.5, 23.0]]\n")
+    with pytest.raises(UsageError, match=r"tendon a has a wrap angle of 25.6 rad; allowed is 0 to 18.85 rad"):
+        routing.check_travel(2.6, {}, "plant.toml")
+
+
+def test_a_wrap_angle_outside_its_range_in_a_log_is_refused_with_the_ranges_of_the_joints(tmp_path: Path) -> None:
+    """The angles of both joints compensate each other, so the sums of their extremes do not count."""
+    routing = routed(tmp_path, "[routing]\njoints = { hip = 2.0, knee = -2.0 }\n")
+    angle = np.linspace(-1.0, 1.0, 5)
+    routing.check_log(2.6, {"hip": angle, "knee": angle}, "run.csv: model.toml")
+    with pytest.raises(UsageError) as caught:
+        routing.check_log(2.6, {"hip": angle, "knee": -angle}, "run.csv: model.toml")
+    assert str(caught.value) == (
+        "run.csv: model.toml: [routing] tendon a has a wrap angle of -1.4 rad over the columns q_j.NAME (hip from -1 "
+        "to 1 rad, knee from -1 to 1 rad); allowed is 0 to 18.85 rad; correct gains, tables or [sheath] bending_angle, "
+        "or the columns q_j.NAME"
+    )
+
+
+@pytest.mark.parametrize("routing", ["[routing]\n", "[routing]\njoints = {}\n[routing.tendon_b]\n"])
+def test_a_routing_without_joints_is_none(tmp_path: Path, routing: str) -> None:
+    assert loaded(tmp_path, routing).routing is None

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from tsa_ctrl.model.routing import RoutingSection
+from tsa_ctrl.model.routing import TURNS, RoutingSection
 
 # The description of a range is part of the error: the unit, the reason for the range, and the likely mistake.
 Radius = Annotated[
@@ -35,7 +34,6 @@ Friction = Annotated[
         description="1; dry steel on steel has 0.8; x is this times bending_angle",
     ),
 ]
-TURNS = 6.0 * math.pi  # rad, three turns
 Angle = Annotated[
     float, Meta(ge=0.0, le=TURNS, description="rad; a sheath is wound by three turns at most; degrees times 0.01745")
 ]

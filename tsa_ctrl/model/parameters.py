@@ -261,7 +261,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         pretension_uncertainty=file.uncertainty.pretension,
         axial_stiffness_uncertainty=file.uncertainty.axial_stiffness,
         bending_centre_uncertainty=file.uncertainty.bending_centre,
-        routing=None if file.routing is None else Routing.of(file.routing),
+        routing=Routing.of(file.routing),
         source=where,
         half_loop_low=interval_low(file.provenance, "half_loop_torque"),
         origin=origin_of(file.provenance, where),

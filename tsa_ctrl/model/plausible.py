@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.actuator_file import TURNS
+from tsa_ctrl.model.routing import TURNS
 
 MODULUS = (0.3e9, 1000e9)  # Pa; a soft polymer has 0.5 GPa, the stiffest carbon fibre 900 GPa
 STRENGTH = 3e9  # Pa, of the strongest steel wire; fibres are stronger, but fill only a part of a tendon's diameter

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
 
 MOST_GAIN = 10.0  # rad/rad; no sheath bends by ten times the joint angle, so a larger gain is in degrees
+TURNS = 6.0 * math.pi  # rad, three turns: most of a sheath; a larger angle is in degrees
 Points = tuple[tuple[float, float], ...]  # (rad of the joint, rad of wrap angle beyond [sheath] bending_angle)
 Span = tuple[float, float]  # rad, lowest and highest angle of a joint
 
@@ -48,6 +50,18 @@ class RouteSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
                 raise ValueError(
                     f"table.{name} = {[list(point) for point in points]}; give two or more points "
                     "[rad of the joint, rad of wrap angle] with increasing first numbers"
+                )
+            for (q, theta), (q_next, theta_next) in itertools.pairwise(points):
+                if abs(theta_next - theta) > MOST_GAIN * (q_next - q):
+                    raise ValueError(
+                        f"table.{name} changes by {theta_next - theta:g} rad from {q:g} to {q_next:g} rad; allowed is "
+                        f"a slope of -{MOST_GAIN:g} to {MOST_GAIN:g} rad/rad; correct the unit or the points"
+                    )
+            widest = max(points[-1], points[0], key=lambda point: abs(point[0]))[0]
+            if abs(widest) > TURNS:
+                raise ValueError(
+                    f"table.{name} has a joint angle of {widest:g} rad; allowed is at most {TURNS:.4g} rad either "
+                    "way; degrees times 0.01745"
                 )
 
 
@@ -138,9 +152,13 @@ class Routing:
     b: Route
 
     @classmethod
-    def of(cls, section: RoutingSection) -> Routing:
+    def of(cls, section: RoutingSection | None) -> Routing | None:
+        """Return the routing of a file; None if no joint bends a sheath."""
+        if section is None:
+            return None
         first = Route.of(section)
-        return cls(first, first if section.tendon_b is None else Route.of(section.tendon_b))
+        made = cls(first, first if section.tendon_b is None else Route.of(section.tendon_b))
+        return made if made.joints else None
 
     @classmethod
     def sum_of(cls, routing: Routing | None, gains: Mapping[str, float]) -> Routing | None:
@@ -180,17 +198,32 @@ class Routing:
                 )
 
     def check_travel(self, bending_angle: float, travel: Mapping[str, Span], where: str) -> None:
-        """Raise UsageError if a wrap angle is below 0 within the joints' travel; a straight sheath has 0."""
+        """Raise UsageError if a wrap angle is below 0 or above three turns within the joints' travel."""
         for name, route in (("a", self.a), ("b", self.b)):
-            least = bending_angle + route.extremes(travel)[0]
-            if least < 0.0:
-                crossed = [(joint, travel[joint]) for joint in route.joints if joint in travel]
-                spans = ", ".join(f"{joint} from {low:.4g} to {high:.4g} rad" for joint, (low, high) in crossed)
-                over = f" over the travel ({spans})" if spans else ""
-                raise UsageError(
-                    f"{where}: [routing] tendon {name} has a wrap angle of {least:.4g} rad{over}; "
-                    "allowed is 0 or more; correct gains, tables or [sheath] bending_angle, or narrow the travel"
-                )
+            low, high = route.extremes(travel)
+            spans = {joint: travel[joint] for joint in route.joints if joint in travel}
+            _check_range(name, (bending_angle + low, bending_angle + high), spans, f"{where}: [routing]", "the travel")
+
+    def check_log(self, bending_angle: float, angles: Mapping[str, Array], where: str) -> None:
+        """Raise UsageError if a wrap angle is below 0 or above three turns in a log; `angles`: rad, (n,) by joint."""
+        for name, route in (("a", self.a), ("b", self.b)):
+            theta = bending_angle + route.added_over(angles)
+            spans = {joint: (float(np.min(angles[joint])), float(np.max(angles[joint]))) for joint in route.joints}
+            span = float(np.min(theta)), float(np.max(theta))
+            _check_range(name, span, spans, f"{where}: [routing]", "the columns q_j.NAME")
+
+
+def _check_range(tendon: str, theta: Span, spans: Mapping[str, Span], where: str, source: str) -> None:
+    """Raise UsageError if the wrap angle of a tendon, which joints within `spans` give, leaves its range (rad)."""
+    low, high = theta
+    if low >= 0.0 and high <= TURNS:
+        return
+    joints = ", ".join(f"{joint} from {low:.4g} to {high:.4g} rad" for joint, (low, high) in spans.items())
+    over = f" over {source} ({joints})" if joints else ""
+    raise UsageError(
+        f"{where} tendon {tendon} has a wrap angle of {low if low < 0.0 else high:.4g} rad{over}; allowed is 0 to "
+        f"{TURNS:.4g} rad; correct gains, tables or [sheath] bending_angle, or {source}"
+    )
 
 
 def _between(points: Points, angle: float) -> float:
