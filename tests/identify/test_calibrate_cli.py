@@ -52,6 +52,19 @@ def folder(recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  
     return tmp_path
 
 
+def test_the_angles_of_other_joints_are_not_reported_as_unused(
+    folder: Path, recorded: tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They are not used in a log that measures the wrap angle, because the file has no routing."""
+    low = {**recorded[1], "q_j.hip": 0.3 * np.sin(recorded[1]["t"])}
+    low.pop("theta", None)
+    bent = load_tendon_sheath(folder / "a.toml").bending_angle
+    for columns, unused in ((low, False), ({**low, "theta": np.full(low["t"].size, bent)}, True)):
+        write_csv(folder / "two.csv", columns)
+        assert tsa("two.csv", "--model", "a.toml") == 0
+        assert ("q_j.hip" in capsys.readouterr().out.partition("not used by calibrate")[2].partition("\n")[0]) is unused
+
+
 def test_json_has_exactly_the_public_keys(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa("low.csv", "--model", "a.toml", "--json") == 0
     data = json.loads(capsys.readouterr().out)

@@ -18,6 +18,7 @@ from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.routing import fit_routing, of_elongation
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from, save_model
+from tsa_ctrl.model.routing import Routing
 
 
 def logs_of(name: str, seed: int) -> tuple[list[Dataset], TendonSheath, Gains]:
@@ -50,6 +51,20 @@ def test_right_gains_and_joints_without_effect_stay_as_they_are() -> None:
     """The second joint of this rig moves without changing the wrap angle."""
     logs, model, gains = logs_of("right", 2)
     assert gains_of(calibrate(logs, model)) == gains.file
+
+
+def test_a_small_error_of_a_gain_in_the_file_does_not_shift_the_gains_of_other_joints() -> None:
+    """The file's gain of the ankle is 0.2 rad/rad too large, less than a joint outside the file may have.
+
+    All gains are relative to x. A wrong gain that counts as exact would give x, and every other gain, the same error.
+    """
+    logs, model, gains = logs_of("two", 2)
+    small = gains.true["ankle"] + 0.2
+    model = dataclasses.replace(model, routing=Routing.sum_of(None, {"ankle": small}))
+    result = calibrate(logs, model)
+    for joint, true in gains.true.items():
+        found = result.routing[f"gain.{joint}"]
+        assert found.low < true < found.high
 
 
 def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]], TendonSheath]:

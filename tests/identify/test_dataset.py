@@ -146,6 +146,12 @@ def test_an_angle_that_is_wrapped_to_one_turn_is_unwrapped() -> None:
     assert any("column q_j is wrapped" in note for note in found.notes)
 
 
+def test_the_angle_of_another_joint_is_unwrapped_too() -> None:
+    angle = 3.0 + np.sin(2.0 * np.pi * 3.0 * T)
+    found = Dataset.from_arrays(columns(**{"q_j.hip": (angle + np.pi) % (2.0 * np.pi) - np.pi}))
+    np.testing.assert_allclose(np.diff(found["q_j.hip"]), np.diff(angle), atol=1e-9)
+
+
 def test_unknown_columns_are_accepted_and_named(tmp_path: Path) -> None:
     path = as_csv(tmp_path / "a.csv", columns(current=np.ones(N)))
     assert load_log(path).left_out == ("current",)
@@ -471,6 +477,7 @@ def test_a_bad_log_is_one_line(tmp_path: Path, table: Columns, said: str) -> Non
     ("table", "said"),
     [
         (columns(omega_j=None, q_j=30.0 * np.sin(40.0 * T)), "column q_j swings over"),
+        (columns(**{"q_j.hip": 10.0 * np.sin(40.0 * T)}), r"column q_j.hip swings over 20 rad.* in degrees"),
         (columns(omega_j=400.0 * np.sin(5.0 * T)), "omega_j, t = 0.314 s: 400 rad/s cannot be right"),
     ],
 )

@@ -77,6 +77,7 @@ def command(
 ) -> None:
     """Estimate friction angle and pretension from LOG files with honest intervals."""
     from tsa_ctrl.identify.calibrate import calibrate
+    from tsa_ctrl.identify.calibrate.routing import joint_columns
     from tsa_ctrl.identify.calibrate.stretch import fit_stretch
     from tsa_ctrl.identify.dataset import load_logs, notes_of
     from tsa_ctrl.identify.provenance import provenance
@@ -88,7 +89,10 @@ def command(
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = _loaded(model)
     used = "t1", "t3", *(("q_m", "q_j") if stretch else ())
-    datasets = [with_unused(log, nominal, "calibrate", *used) for log in load_logs(logs, strict, cutoff)]
+    datasets = [
+        with_unused(log, nominal, "calibrate", *used, *joint_columns(log, nominal))
+        for log in load_logs(logs, strict, cutoff)
+    ]
     fit = fit_stretch(datasets, nominal) if stretch else None
     if fit is not None:
         if not as_json:

@@ -207,7 +207,9 @@ class Dataset(Displayed):
                 f"{model.source or 'the model'} names joint '{lacking[0]}'; log its angle (rad), name the axis "
                 "of a log of all joints (run.mcap:AXIS), or add column theta"
             )
-        a, b = routing.wrap_angles({joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints})
+        angles = {joint: self.columns[f"{JOINT_ANGLE}{joint}"] for joint in routing.joints}
+        routing.check_log(model.bending_angle, angles, f"{self.label or self.name}: {model.source or 'the model'}")
+        a, b = routing.wrap_angles(angles)
         bent = {"theta": model.bending_angle + 0.5 * (a + b)}
         if not routing.alike:
             bent["theta_difference"] = 0.5 * (a - b)
@@ -557,9 +559,7 @@ def _without_bursts(table: Table) -> Table:
 def _unwrapped(columns: dict[str, Array], notes: list[str]) -> dict[str, Array]:
     """Return the columns after removing jumps of one turn from wrapped angles."""
     out = dict(columns)
-    for name in ("q_j", "q_m"):
-        if name not in columns:
-            continue
+    for name in [name for name in columns if name in ("q_j", "q_m") or name.startswith(JOINT_ANGLE)]:
         steps = np.diff(columns[name])
         jumps = np.abs(steps) > TURN / 2.0
         if not jumps.any() or float(np.ptp(columns[name])) > TURN * (1.0 + WRAPS):

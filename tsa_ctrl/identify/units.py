@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.signals import JOINT_ANGLE
 
 Array = NDArray[np.float64]
 
@@ -33,6 +34,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, probable
 # Limit for joints that tendons move; a joint behind a gear may turn faster
 FASTEST_JOINT: Mapping[str, tuple[float, str, str]] = {"omega_j": (100.0, "rad/s", "degrees per second or rpm")}
 WIDEST_SWING = 20.0  # rad: if a joint moves back and forth over a larger range, its angle is in degrees
+WIDEST_BEND = 2.0 * np.pi  # rad, the same of a joint that may bend the sheath: no limb turns once around
 DEGREES = 180.0 / np.pi  # per radian: factor by which an angle in degrees is too large
 INVERSE = 0.05  # relative distance from 1 / ratio below which the two ends' columns count as swapped
 TORQUES = (  # number of units in one N*m
@@ -88,15 +90,18 @@ def check_sizes(
 
 
 def check_joint(label: str, columns: Mapping[str, Array]) -> None:
-    """Raise UsageError if a joint moves faster or further than tendons can move it."""
+    """Raise UsageError if a joint moves faster or further than tendons can move it, or bend with it."""
     check_sizes(label, columns, lambda row: f"t = {columns['t'][row]:.6g} s", FASTEST_JOINT)
-    q = columns.get("q_j")
-    if q is not None and ("omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING):
-        swing = float(np.ptp(q))
-        if swing > WIDEST_SWING and float(np.sum(np.abs(np.diff(q)))) > 1.5 * swing:
+    widest = {name: WIDEST_BEND for name in columns if name.startswith(JOINT_ANGLE)}
+    if "omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING:
+        widest["q_j"] = WIDEST_SWING
+    for name, most in widest.items():
+        q = columns.get(name)
+        swing = 0.0 if q is None else float(np.ptp(q))
+        if q is not None and swing > most and float(np.sum(np.abs(np.diff(q)))) > 1.5 * swing:
             raise UsageError(
-                f"{label}: column q_j swings over {swing:g} rad, forth and back, which cannot be right (allowed are up "
-                f"to {WIDEST_SWING:g}); it seems to be in degrees: convert it to rad"
+                f"{label}: column {name} swings over {swing:.4g} rad, back and forth, which cannot be right (allowed "
+                f"is up to {most:.3g}); it seems to be in degrees: convert it to rad"
             )
 
 

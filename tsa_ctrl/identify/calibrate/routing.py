@@ -31,6 +31,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict, stretch
 from tsa_ctrl.model.routing import MOST_GAIN, Route, Routing
 from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.signals import JOINT_ANGLE
 
 FloatArray = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ LARGEST_STEP = 0.3  # largest step of a logarithm, and of a gain in rad/rad: fro
 SMALLEST_STEP = 1e-5  # smaller steps end the iteration: files have fewer digits
 SETTLED = 0.02  # smaller steps do not update the instruments, which need not be exact
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
-NEGLIGIBLE = 0.01  # share of Theta_0: a joint that changes the wrap angle by less does not bend the sheath
+NEGLIGIBLE = 0.01  # share of Theta_0: a joint outside [routing] that changes the wrap angle by less does not bend it
 EXACT = 1e-3  # least standard deviation of a logarithm of the file: [uncertainty] may be 0
 # Indices of the parameters: four logarithms, then two gains for each joint
 X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4
@@ -58,6 +59,7 @@ class RoutingFit:
         friction_angle, pretension: x (1) and T_p0 (N) at Theta_0.
         joints: names of the joints that bend a sheath.
         straight: names of logged joints that moved but bend no sheath.
+        kept: names of joints whose gain or table in the file agrees with the logs.
     """
 
     model: TendonSheath
@@ -67,6 +69,7 @@ class RoutingFit:
     pretension: Quantity
     joints: tuple[str, ...]
     straight: tuple[str, ...]
+    kept: tuple[str, ...]
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -80,7 +83,8 @@ class RoutingFit:
         for name, gain in self.gains.items():
             kind, _, joint = name.partition(".")
             words.append(f"{joint}{f' (tendon {kind[-1]})' if kind != 'gain' else ''} {gain}")
-        others = f"; no effect of {', '.join(self.straight)}" if self.straight else ""
+        others = f"; {', '.join(self.kept)} as in the file" if self.kept else ""
+        others += f"; no effect of {', '.join(self.straight)}" if self.straight else ""
         return f"wrap angle by other joints: {', '.join(words)}{others}. Gains refer to [sheath] bending_angle"
 
 
@@ -93,6 +97,17 @@ def bent_by(log: PreparedLog, model: TendonSheath) -> PreparedLog:
     apart = None if routing.alike else 0.5 * (a - b)
     signals = dataclasses.replace(log.signals, theta=model.bending_angle + 0.5 * (a + b), theta_difference=apart)
     return dataclasses.replace(log, signals=signals)
+
+
+def joint_columns(log: Dataset, model: TendonSheath) -> tuple[str, ...]:
+    """Return the columns q_j.NAME from which `fit_routing` finds gains; none if the log has a measured wrap angle."""
+    if _measures_theta(model, "theta" in log):
+        return ()
+    return tuple(name for name in log.columns if name.startswith(JOINT_ANGLE))
+
+
+def _measures_theta(model: TendonSheath, has_theta: bool) -> bool:
+    return has_theta and model.routing is None  # with a routing, the column theta is derived from it
 
 
 def moving_joints(logs: Sequence[PreparedLog]) -> dict[str, float]:
@@ -252,11 +267,12 @@ def fit_routing(
     with a measured wrap angle (column theta).
     """
     moved = moving_joints(logs) if logs else {}
-    measured = model.routing is None and any(log.signals.theta is not None for log in logs)
+    measured = any(_measures_theta(model, log.signals.theta is not None) for log in logs)
     if not moved or measured or model.bending_angle <= 0.0:
         return None
     problem = _Problem(logs, model, tuple(moved), by_elongation)
     fixed = {GAIN} if certified_gain and not by_elongation else set[int]()
+    given = () if model.routing is None else model.routing.joints
     found = None
     halves = set(range(JOINTS + 1, problem.size, 2))
     while True:  # remove the gains that the logs do not determine, the least certain one first
@@ -268,9 +284,12 @@ def fit_routing(
         for place in free:
             if JOINTS <= place < problem.size:
                 low, high = estimate.interval(free.index(place))
-                reach = moved[problem.joints[(place - JOINTS) // 2]] / model.bending_angle
+                joint = problem.joints[(place - JOINTS) // 2]
                 half = 0.5 * (high - low)
-                shares[place] = min(abs(p[place]) / max(half, 1e-12), abs(p[place]) * reach / NEGLIGIBLE)
+                shares[place] = abs(p[place]) / max(half, 1e-12)
+                if joint not in given:  # the file's gain would count as exact and fix the scale of all others
+                    reach = moved[joint] / model.bending_angle
+                    shares[place] = min(shares[place], abs(p[place]) * reach / NEGLIGIBLE)
         # A joint whose tendons differ bends the sheath, so its mean gain is kept.
         removable = {place: share for place, share in shares.items() if place in halves or place + 1 in fixed}
         least = min(removable, key=lambda place: removable[place], default=None)
@@ -314,7 +333,8 @@ def _result(
         friction_angle=logarithms[X],
         pretension=logarithms[T],
         joints=bending,
-        straight=tuple(name for name in problem.joints if name not in bending),
+        straight=tuple(name for name in problem.joints if name not in {*bending, *before.joints}),
+        kept=tuple(name for name in problem.joints if name not in bending and name in before.joints),
     )
 
 
