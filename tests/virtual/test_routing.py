@@ -12,6 +12,7 @@ from tests.virtual import joints
 from tests.virtual.knees import GAIN, SECONDS, SWING, apart, files
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.daemon.build import routing_notes
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_log
@@ -130,6 +131,46 @@ def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: P
     after = (t[1:] > 3.1) & (t[1:] < 3.3) & (np.diff(log["sigma"]) == 0.0)
     assert gearing * np.abs(np.diff(log["tau_m_cmd"]))[after].max() <= 0.05
     assert any("angle of joint hip" in str(event) for event in result.summary.events)
+
+
+@pytest.mark.slow
+def test_a_bus_that_tolerates_lost_answers_does_not_delay_the_fallback(tmp_path: Path) -> None:
+    """The fallback begins after 7 ms, not after the 100 ms without answers that are a fault of this bus."""
+    paths = files(tmp_path, "imposed", 0.4, travel=True)
+    tables = tomlkit.parse(paths[0].read_text(encoding="utf-8")).unwrap()
+    tables["bus"] = {**tables.get("bus", {}), "supervision": {"tolerated_misses": 50, "lost_share": 0.5}}
+    paths[0].write_text(tomlkit.dumps(tables), encoding="utf-8")
+    result = simulate_loop(*paths, 3.18, faults=["missing_tpdo axis=hip node=encoder@3.1"])
+    log = result.axes[0].log
+    lowest = joints.NOMINAL.bending_angle - GAIN * 1.2 * SWING
+    assert log["theta"][log["t"] > 3.152] == pytest.approx(lowest, abs=0.001)
+    assert not result.axes[0].faults
+
+
+@pytest.mark.parametrize(
+    ("travel", "encoder", "words"),
+    [
+        (1.0, True, ()),
+        (2.0, True, ("wrap angle that [routing] gives over the joints' travel, 1 rad, the pretension would be -11 N",)),
+        (1.0, False, ("joint 'hip', which bends this sheath, has no encoder: its angle is that of its motor",)),
+    ],
+)
+def test_limitations_of_a_routing_are_notes(
+    tmp_path: Path, travel: float, encoder: bool, words: tuple[str, ...]
+) -> None:
+    """A pretension of 45 N ends at a wrap angle that is 1.29 rad smaller."""
+    controller, _ = files(tmp_path, "imposed", 0.4)
+    tables = tomlkit.parse(controller.read_text(encoding="utf-8")).unwrap()
+    hip = tables["axis"][1]
+    hip["limits"]["travel"] = [-travel, travel]
+    if not encoder:
+        del hip["encoder"], hip["estimator"]
+    controller.write_text(tomlkit.dumps(tables), encoding="utf-8")
+    configuration = load_configuration(controller)
+    notes = routing_notes(configuration.file.axes[0], configuration.models[0], configuration.file)
+    assert len(notes) == len(words)
+    for note, word in zip(notes, words, strict=True):
+        assert word in note
 
 
 @pytest.mark.slow

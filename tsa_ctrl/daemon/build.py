@@ -11,9 +11,9 @@ import msgspec
 
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
+from tsa_ctrl.config import AxisSettings, Configuration, ControllerFile, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
-from tsa_ctrl.control.bending import Bending, routing_of
+from tsa_ctrl.control.bending import Bending, Reading, routing_of
 from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
 from tsa_ctrl.control.direction import OVERSHOOT, UNSURE, Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
@@ -83,6 +83,10 @@ class LoopPhase(Enum):
 # that was not tuned on this joint may belong to a worn joint, so it has the credit of that class until the friction
 # confirms it.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
+# An older angle of another joint counts as missing, however many lost PDOs the bus tolerates: the friction must be that
+# of the least wrap angle 50 ms after the loss, and 44 ms of them are the transition.
+OLDEST_ANGLE = 6e-3  # s
+LEAST_PERIODS = 3.5  # periods; three lost PDOs
 AT_JOINT = 0.025  # 1, distance of the centre of bending from the joint over the length; no file is more precise
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the ringing of the motor that remains after averaging is slower
 STATES = tuple(PowerState)
@@ -114,7 +118,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
             supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
         )
         limit = CompensationLimit(
-            bound_for(settings, model, joint_torque, reason_for_fixed),
+            bound_for(settings, model, joint_torque, reason_for_fixed, routing_notes(settings, model, file)),
             friction_proof_of(settings, model, joint_torque, plan.inertia, period),
             UNPROVEN_ENERGY[file.safety.use_class],
             model.joint_pulley_radius / model.motor_pulley_radius,
@@ -146,7 +150,8 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     travel = joint_ranges(file.axes)
     for settings, axis, plan in zip(file.axes, axes, configuration.plans, strict=True):
         unmeasured, ahead = settings.bending.unmeasured, plan.delay + period  # the estimate acts from the next cycle on
-        measured = {name: other.present_motion for name, other in by_name.items() if name not in unmeasured}
+        oldest = min(most_age, max(OLDEST_ANGLE, LEAST_PERIODS * period))
+        measured = {name: _motion_of(other, oldest) for name, other in by_name.items() if name not in unmeasured}
         axis.bending.connect(measured, {**travel, **unmeasured}, period, ahead)
         if settings.bending.source == "sensor":
             axis.bending.measure(_measured_bending(axis))
@@ -333,8 +338,14 @@ def friction_proof_of(
     return FrictionProof(by_sensor, by_elongation, evidence)
 
 
-def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, reason_for_fixed: str) -> Bound:
-    """Return the bound on the friction that this axis may compensate.
+def bound_for(
+    settings: AxisSettings,
+    model: TendonSheath,
+    joint_torque: JointTorque,
+    reason_for_fixed: str,
+    more: Sequence[str] = (),
+) -> Bound:
+    """Return the bound on the friction that this axis may compensate, with notes, to which `more` is added.
 
     `reason_for_fixed` is the reason why the estimator does not use the tendon elongation; empty if it does.
     """
@@ -347,12 +358,41 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         sees=settings.has_torque_sensor or joint_torque.stretch is not None,
         compensation=settings.law.compensation,
     )
-    notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
+    notes = [*bound.notes, *unmeasured_notes(settings.bending, model), *more]
     if reason_for_fixed and not joint_torque.unsupported_reason:  # the latter has the same effect and is reported
         notes.append(reason_for_fixed)
     if settings.oscillation is not None:
         notes.append("[axis.oscillation] no longer has an effect: the guard of [axis.passivity] replaces it; remove it")
     return Bound(bound.seen, bound.unseen, tuple(notes))
+
+
+def _motion_of(axis: ControlAxis, oldest: float) -> Reading:
+    """Return the function that reads the joint of an axis for the sheaths of others; older than `oldest` s is nan."""
+    return lambda: axis.present_motion() if axis.image.pdo_age <= oldest else (math.nan, math.nan)
+
+
+def routing_notes(settings: AxisSettings, model: TendonSheath, file: ControllerFile) -> tuple[str, ...]:
+    """Return notes on joints that bend the sheaths but have no encoder, and on slack tendons within the travel."""
+    routing = routing_of(settings.bending, model.routing)
+    if routing is None:
+        return ()
+    unmeasured = settings.bending.unmeasured
+    notes = [
+        f"joint '{other.name}', which bends this sheath, has no encoder: its angle is that of its motor. The friction "
+        "is wrong unless the motor's position is 0 where the joint's angle is 0; an encoder at that joint measures it"
+        for other in file.axes
+        if other.name in routing.joints and other.encoder is None and other.name not in unmeasured
+    ]
+    travel = {**joint_ranges(file.axes), **unmeasured}
+    least = 0.5 * sum(route.extremes(travel)[0] for route in (routing.a, routing.b))
+    pretension = model.pretension + model.pretension_slope * least
+    if pretension <= 0.0:
+        notes.append(
+            f"at the least wrap angle that [routing] gives over the joints' travel, {model.bending_angle + least:.3g} "
+            f"rad, the pretension would be {pretension:.3g} N: the tendons go slack and transmit no torque; narrow the "
+            "travel, or correct gains or pretension"
+        )
+    return tuple(notes)
 
 
 def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
