@@ -13,8 +13,9 @@ import re
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator
+from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -210,6 +211,10 @@ def explain(message: str, kind: type, data: object = None) -> str:
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
         return f"{key}: key '{missing.group(1)}' is missing; add it"
+    if text.startswith("Invalid enum value"):
+        text += (
+            f"; allowed are {', '.join(str(value) for part in _parts(_hint(kind, place)) for value in _choices(part))}"
+        )
     found, description = _number_at(data, place), _description(kind, place)
     value = f", found {found:g}" if found is not None else ""
     return f"{key}: {text[:1].lower()}{text[1:]}{value}{f' ({description})' if description else ''}"
@@ -243,6 +248,13 @@ def _hint(kind: object, place: str) -> object:
         hints = get_type_hints(struct, include_extras=True)
         hint = next((hints[f.name] for f in msgspec.structs.fields(struct) if f.encode_name == name), None)
     return hint
+
+
+def _choices(hint: object) -> tuple[object, ...]:
+    """Return the values of a Literal or an Enum; () of another type hint."""
+    if get_origin(hint) is Literal:
+        return get_args(hint)
+    return tuple(member.value for member in hint) if isinstance(hint, type) and issubclass(hint, Enum) else ()
 
 
 def _parts(hint: object) -> Iterator[object]:

@@ -181,7 +181,7 @@ def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
         (("low.csv", "--model", "slack.toml"), "must be above 0"),
         (("low.csv",), "Missing option '--model'"),
         (("--model", "a.toml"), "Missing argument"),
-        (("low.csv", "low.csv", "--model", "a.toml"), "hold the same data"),
+        (("low.csv", "low.csv", "--model", "a.toml"), "low.csv and low.csv are the same file"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=nan"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=1e300"), "at most 20000 N"),

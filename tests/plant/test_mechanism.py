@@ -226,7 +226,11 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
         ({"kind": "joints", "model": "leg.xml"}, {}, r'\[mechanism\] kind "joints" has no model; remove model'),
         ({"kind": "mujoco"}, {"joint": {"load": "free"}}, r"\[axis.joint\] describes a separate joint.*the rest"),
         ({"kind": "mujoco"}, {"motion": HIP}, r"\[axis.motion\] describes a separate joint"),
-        ({"kind": "mujoco"}, {"name": "elbow"}, r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give"),
+        (
+            {"kind": "mujoco"},
+            {"name": "elbow"},
+            r"no joint 'elbow'.* with names are cart, rail, hip, knee, ankle",
+        ),
         ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is not a hinge; an axis drives a hinge"),
         (
             {"kind": "mujoco", "model": "actuator.toml"},

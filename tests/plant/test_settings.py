@@ -44,7 +44,7 @@ def test_the_example_is_valid() -> None:
             "[[axis]]\nname='a'\njoint.load='held'\njoint.hand=[[0,1,1,0]]\n",
             'hand cannot move a joint with load "held".*choose a load that moves',
         ),
-        ("[[axis]]\nname='a'\njoint.load='limp'\n", "load: invalid enum value 'limp'"),
+        ("[[axis]]\nname='a'\njoint.load='limp'\n", "load: invalid enum value 'limp'; allowed are imposed, held"),
         (
             "[[axis]]\nname='a'\ndrive.absent=[0x6040]\n",
             "plant.toml: axis 'a': .* the PDO 0x1400 contains 0x6040 at power-on; remove it from absent",

@@ -106,6 +106,15 @@ def test_the_plant_may_list_its_buses_in_another_order(tmp_path: Path) -> None:
         simulate_loop(*write(tmp_path, on_buses(controller(), TWO), tables), 0.5)
 
 
+def test_a_name_that_means_another_drive_in_the_plant_is_one_line(tmp_path: Path) -> None:
+    """The plant numbers its nodes by the order of its axes. The hip's controller would drive the knee."""
+    still = on_buses(plant(joint={"load": "held"}), TWO)
+    for axis, name in zip(still["axis"], reversed(TWO), strict=True):
+        axis["name"] = name
+    with pytest.raises(UsageError, match=r"'knee' .* has drive node 1, which belongs to axis 'hip' of the plant"):
+        simulate_loop(*write(tmp_path, on_buses(controller(), TWO), still), 0.5)
+
+
 def changed(number: int, **keys: Any) -> list[dict[str, Any]]:
     return [each | keys if place == number else each for place, each in enumerate(BUSES)]
 

@@ -425,7 +425,10 @@ def check_distinct(command: str, logs: Sequence[Dataset]) -> None:
     for log in logs:
         piece = log.sha256, float(log.columns["t"][0])  # a piece of one file between two gaps
         if log.sha256 and piece in seen:
-            raise UsageError(f"{command}: {seen[piece]} and {log.name} hold the same data; give each log once")
+            raise UsageError(
+                f"{command}: {seen[piece]} and {log.name} are the same file; give each log once, and only "
+                "the axis that the model describes"
+            )
         seen[piece] = log.name
     names = [log.name for log in logs]
     doubled = sorted({name for name in names if names.count(name) > 1})

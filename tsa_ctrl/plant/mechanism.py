@@ -48,8 +48,8 @@ class Limb:
         for name in names:
             if name not in joints:
                 raise UsageError(
-                    f"{path}: no joint '{name}' for the axis of that name; the joints are {', '.join(joints)}; "
-                    "give axes and joints the same names"
+                    f"{path}: no joint '{name}' for the axis of that name; the joints with names are "
+                    f"{', '.join(filter(None, joints)) or 'none'}; give axes and joints the same names"
                 )
             if model.jnt_type[joints[name]] != mujoco.mjtJoint.mjJNT_HINGE:
                 raise UsageError(f"{path}: joint '{name}' is not a hinge; an axis drives a hinge: choose another joint")

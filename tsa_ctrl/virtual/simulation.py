@@ -327,6 +327,25 @@ def _places(file: ControllerFile, plant: PlantSettings) -> list[int]:
     return [channels.index(channel) for channel in theirs]
 
 
+def _check_names(file: ControllerFile, plant: PlantSettings, places: Sequence[int]) -> None:
+    """Raise UsageError if the drive of a controller's axis belongs to another of its axes in the plant."""
+    ours = {axis.name for axis in file.axes}
+    theirs = {
+        (places[plant.bus_number(axis)], axis.drive.node_id, axis.drive.slot): axis.name
+        for axis in plant.axis
+        if axis.name in ours
+    }
+    for axis in file.axes:
+        node = file.buses.index(file.bus_of(axis)), axis.drive.node_id, axis.drive.slot
+        name = theirs.get(node, axis.name)
+        if name != axis.name:
+            raise UsageError(
+                f"axis '{axis.name}' of the controller has drive node {axis.drive.node_id}, which belongs to axis "
+                f"'{name}' of the plant; write the same node_id or the same name in both files (the default of the "
+                "plant is 1 + place of the axis)"
+            )
+
+
 class Run:
     """Hold the parts of one run, assembled as in the daemon and `tsa plant`: `machine`, `rig`, `axes` and `loop`."""
 
@@ -347,7 +366,9 @@ class Run:
         self._record = None if record is None else Path(record)
         self._wire = Wire(file.bus.bitrate)
         wires = [self._wire, *(FurtherWire(bus.bitrate, self._wire) for bus in file.other_buses)]
-        theirs = [wires[place] for place in _places(file, plant)]  # in the order of the plant
+        places = _places(file, plant)
+        _check_names(file, plant, places)
+        theirs = [wires[place] for place in places]  # in the order of the plant
         for place, wire in enumerate(theirs if len(theirs) > 1 else ()):
             wire.place = (place,)
         first, *others = [wire.plant for wire in theirs]
