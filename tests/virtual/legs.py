@@ -35,8 +35,15 @@ TORQUES = {"hip": (0.1, 0.8, 0.0), "knee": (0.0, 0.6, 0.3), "ankle": (-0.1, 0.4,
 CROSSED = {"knee": "hip", "ankle": "knee"}
 
 
+ONE_BUS = 400.0  # Hz, highest rate of three axes with encoders and torque sensors on one bus
+BUSES = ("thigh", "shank")
+
+
 def files(folder: Path, rate: float, compensation: float = 1.0) -> tuple[Path, Path]:
-    """Write the controller and plant files. The controller's models contain the routing gains."""
+    """Write the controller and plant files. The controller's models contain the routing gains.
+
+    Above ONE_BUS, the hip has a bus of its own, and the drives use few PDOs ("lean").
+    """
     paths = joints.files(folder, "imposed", {"kind": "constant"}, compensation=compensation)
     controller, plant = (tomlkit.parse(path.read_text(encoding="utf-8")).unwrap() for path in paths)
     (axis,), (machine,) = controller["axis"], plant["axis"]
@@ -44,6 +51,13 @@ def files(folder: Path, rate: float, compensation: float = 1.0) -> tuple[Path, P
     controller["axis"] = [_axis(axis, name, rate, place) for place, name in enumerate(ANGLES)]
     plant["mechanism"] = {"kind": "mujoco"}
     plant["axis"] = [_machine(folder, machine, name) for name in ANGLES]
+    if rate > ONE_BUS:
+        for tables in (controller, plant):
+            tables["bus"] = [{**tables.get("bus", {}), "name": name, "channel": name} for name in BUSES]
+            for each, place in zip(tables["axis"], (0, 1, 1), strict=True):
+                each["bus"] = BUSES[place]
+        for each in controller["axis"]:
+            each["drive"]["pdo"] = "lean"
     for path, tables in zip(paths, (controller, plant), strict=True):
         path.write_text(tomlkit.dumps(tables), encoding="utf-8")
     return paths
