@@ -42,6 +42,7 @@ SMALLEST_STEP = 1e-5  # smaller steps end the iteration: files have fewer digits
 SETTLED = 0.02  # smaller steps do not update the instruments, which need not be exact
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # share of Theta_0: a joint outside [routing] that changes the wrap angle by less does not bend it
+PATHS = 0.02  # 1, deviation of a difference found from path lengths: friction changes the elongation of both tendons
 EXACT = 1e-3  # least standard deviation of a logarithm of the file: [uncertainty] may be 0
 # Indices of the parameters: four logarithms, then two gains for each joint
 X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4
@@ -210,6 +211,21 @@ class _Problem:
             columns += [by_mean * angle, by_half * angle]
         return level, np.column_stack(columns)
 
+    def observe_paths(self, estimate: Estimate, free: list[int]) -> bool:
+        """Add the differences of gains that path lengths show as observations; return False if none is added.
+
+        The torques determine the products of mu and the gains much better than the gains. Only a difference within the
+        interval of the torques is added. Another one has another cause, such as a creeping tendon.
+        """
+        shown = {} if self.by_elongation else _differences(self.logs, self.model, self.joints)
+        for joint, (half, deviation) in shown.items():
+            place = JOINTS + 1 + 2 * self.joints.index(joint)
+            if place in free:
+                low, high = estimate.interval(free.index(place))
+                if low - 2.0 * deviation < half < high + 2.0 * deviation:
+                    self.start[place], self.precision[place] = half, deviation**-2.0
+        return bool(np.any(self.precision[JOINTS : self.size]))
+
     def solve(self, fixed: set[int], start: FloatArray | None = None) -> tuple[FloatArray, Estimate, list[int]] | None:
         """Return all parameters, the estimate of the free ones, and the indices of the free ones; None if it fails.
 
@@ -244,6 +260,40 @@ class _Problem:
             if size < SMALLEST_STEP:
                 break
         return p, dataclasses.replace(found, value=p[free]), free
+
+
+def _differences(
+    logs: Sequence[PreparedLog], model: TendonSheath, joints: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """Return half the difference of the tendons' gains by joint, beyond the file, and its standard deviation, rad/rad.
+
+    Tendons with different routings have different path lengths, so that motor and joint differ by
+
+        r_M q_M - r_J q_J = zero + (p + d/2) (Theta_a - Theta_b) / 2 + (elongation by the torques)          (m; (3.52))
+
+    The result is empty without both angles.
+    """
+    rows, y = [], []
+    for log in logs:
+        s = log.signals
+        if s.q_m is None or s.q_j is None or model.lever == 0.0:
+            return {}
+        given = 0.0 if s.theta_difference is None else s.theta_difference
+        length = model.motor_pulley_radius * s.q_m - model.joint_pulley_radius * s.q_j
+        y.append((length - model.lever * given)[log.mask])
+        rows.append(np.column_stack([*(s.joints[name] for name in joints), s.tau_m, log.tau_j, s.q_j])[log.mask])
+    ones = [np.tile(np.arange(len(logs)) == k, (len(part), 1)) for k, part in enumerate(rows)]
+    x = np.column_stack([np.concatenate(rows), np.concatenate(ones)])
+    try:
+        found = solve(x, x, np.concatenate(y), np.concatenate([log.labels[log.mask] for log in logs]))
+    except np.linalg.LinAlgError:
+        return {}
+    halves = {}
+    for k, name in enumerate(joints):
+        low, high = (end / model.lever for end in found.interval(k))
+        half, deviation = 0.5 * (low + high), 0.25 * (high - low)
+        halves[name] = half, math.hypot(deviation, PATHS * half)
+    return halves
 
 
 def of_elongation(logs: Sequence[Dataset], model: TendonSheath) -> list[PreparedLog]:
@@ -296,6 +346,11 @@ def fit_routing(
         if least is None or removable[least] > 1.0:
             break
         fixed.add(least)
+    if problem.observe_paths(estimate, free):
+        found = problem.solve(fixed, p)
+        if found is None:
+            return None
+        p, estimate, free = found
     bending = tuple(name for k, name in enumerate(problem.joints) if JOINTS + 2 * k not in fixed)
     if not bending:
         return None
