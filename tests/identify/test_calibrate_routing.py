@@ -18,7 +18,7 @@ from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.routing import fit_routing, of_elongation
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from, save_model
-from tsa_ctrl.model.routing import Routing
+from tsa_ctrl.model.routing import Route, Routing
 
 
 def logs_of(name: str, seed: int) -> tuple[list[Dataset], TendonSheath, Gains]:
@@ -125,6 +125,21 @@ def test_path_lengths_show_the_difference_of_the_gains_and_thereby_all_gains() -
         assert found.low < true < found.high
         assert found.high - found.low < 0.8 * (wide.high - wide.low)
         assert unused.routing[f"gain_{tendon}.hip"].value == pytest.approx(wide.value, rel=0.01)
+
+
+def test_gains_are_totals_for_each_tendon_and_changes_of_a_table() -> None:
+    """The file's gains of both tendons are 0.2 rad/rad too small, or its table has that slope."""
+    log, model = rig_of(0.9, -0.3)
+    del log["q_m"]
+    apart = Routing(Route({"hip": 0.7}, {}), Route({"hip": -0.5}, {}))
+    found = calibrate([Dataset.from_arrays(log, "run")], dataclasses.replace(model, routing=apart)).routing
+    assert found["gain_a.hip"].value == pytest.approx(0.9, abs=0.05)
+    assert found["gain_b.hip"].value == pytest.approx(-0.3, abs=0.05)
+    log, model = rig_of(0.9, 0.9)
+    table = Route({}, {"hip": ((-0.6, -0.42), (0.6, 0.42))})
+    result = calibrate([Dataset.from_arrays(log, "run")], dataclasses.replace(model, routing=Routing(table, table)))
+    assert result.routing["change_of_table.hip"].value == pytest.approx(0.2, abs=0.05)
+    assert any("beyond its table" in note for note in result.notes)
 
 
 @pytest.mark.parametrize("exact", ["friction_angle", "pretension"])

@@ -98,6 +98,10 @@ class Route:
                 sums[name] = sums.get(name, 0.0) + gain
         return Route(sums, tables)
 
+    def only(self, joint: str) -> tuple[float, Points]:
+        """Return the gain (rad/rad; 0 without one) and the table (empty without one) of one joint."""
+        return self.gains.get(joint, 0.0), self.tables.get(joint, ())
+
     def added(self, angles: Mapping[str, float]) -> float:
         """Return the wrap angle (rad) minus its value with all joints at 0; `angles`: rad of all joints, by name."""
         bent = 0.0

@@ -55,7 +55,7 @@ class RoutingFit:
     Attributes:
         model: the model with the gains in its [routing], and with the corresponding x, T_p0 and dT_p/dTheta.
         gains: rad/rad of wrap angle, by "gain.JOINT", or by "gain_a.JOINT" and "gain_b.JOINT" where the tendons differ.
-            They are total gains, not changes of the file's gains.
+            They are total gains, not changes of the file's gains. A joint with a table has "change_of_table.JOINT".
         slope: dT_p/dTheta, N/rad.
         friction_angle, pretension: x (1) and T_p0 (N) at Theta_0.
         joints: names of the joints that bend a sheath.
@@ -83,7 +83,8 @@ class RoutingFit:
         words = []
         for name, gain in self.gains.items():
             kind, _, joint = name.partition(".")
-            words.append(f"{joint}{f' (tendon {kind[-1]})' if kind != 'gain' else ''} {gain}")
+            tendon = f" (tendon {kind[-1]})" if kind.endswith(("_a", "_b")) else ""
+            words.append(f"{joint}{tendon} {gain}{' beyond its table' if kind.startswith('change') else ''}")
         others = f"; {', '.join(self.kept)} as in the file" if self.kept else ""
         others += f"; no effect of {', '.join(self.straight)}" if self.straight else ""
         return f"wrap angle by other joints: {', '.join(words)}{others}. Gains refer to [sheath] bending_angle"
@@ -367,16 +368,18 @@ def _result(
     gains = {}
     for name in bending:
         mean = JOINTS + 2 * problem.joints.index(name)
-        alike = mean + 1 not in free
+        alike = routing.a.only(name) == routing.b.only(name)
         tendons = (("", routing.a, 0.0),) if alike else (("_a", routing.a, 1.0), ("_b", routing.b, -1.0))
         for suffix, route, sign in tendons:
             gradient = np.zeros(len(free))
             gradient[free.index(mean)] = 1.0
-            if not alike:
+            if mean + 1 in free:
                 gradient[free.index(mean + 1)] = sign
             low, high = estimate.interval_of(gradient)
-            half, value = 0.5 * (high - low), route.gains.get(name, (a if sign >= 0.0 else b)[name])
-            gains[f"gain{suffix}.{name}"] = Quantity(value, value - half, value + half, "rad/rad")
+            half, tabled = 0.5 * (high - low), name in route.tables
+            value = (b if sign < 0.0 else a)[name] if tabled else route.gains[name]
+            key = f"{'change_of_table' if tabled else 'gain'}{suffix}.{name}"
+            gains[key] = Quantity(value, value - half, value + half, "rad/rad")
     logarithms = {}
     for place, unit in ((X, "1"), (T, "N"), (SLOPE, "N/rad")):
         low, high = estimate.interval(free.index(place))
