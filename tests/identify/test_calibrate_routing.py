@@ -67,7 +67,7 @@ def test_a_small_error_of_a_gain_in_the_file_does_not_shift_the_gains_of_other_j
         assert found.low < true < found.high
 
 
-def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]], TendonSheath]:
+def rig_of(gain_a: float, gain_b: float, curve: float = 0.0) -> tuple[dict[str, NDArray[np.float64]], TendonSheath]:
     """Return a log of two tendons by the capstan equation, and a file without routing and with wrong friction."""
     rng = np.random.default_rng(5)
     t = np.arange(0.0, 60.0, 0.004)
@@ -76,7 +76,7 @@ def rig_of(gain_a: float, gain_b: float) -> tuple[dict[str, NDArray[np.float64]]
     sigma = np.sign(speed)
     tau_m = 0.5 * np.sin(3.7 * t) + 0.2 * np.sin(0.31 * t)
     mu, theta, pretension, slope, r_m, r_j = 0.1, 3.0, 50.0, 30.0, 0.02, 0.025
-    bent_a, bent_b = theta + gain_a * hip, theta + gain_b * hip
+    bent_a, bent_b = theta + gain_a * hip + curve * hip**2, theta + gain_b * hip + curve * hip**2
     tension = pretension + slope * (0.5 * (bent_a + bent_b) - theta)
     t1, t3 = tension - tau_m / (2.0 * r_m), tension + tau_m / (2.0 * r_m)
     tau_j = r_j * (t3 * np.exp(-sigma * mu * bent_b) - t1 * np.exp(sigma * mu * bent_a))
@@ -140,6 +140,23 @@ def test_gains_are_totals_for_each_tendon_and_changes_of_a_table() -> None:
     result = calibrate([Dataset.from_arrays(log, "run")], dataclasses.replace(model, routing=Routing(table, table)))
     assert result.routing["change_of_table.hip"].value == pytest.approx(0.2, abs=0.05)
     assert any("beyond its table" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("curve", [0.0, -1.5])
+def test_a_wrap_angle_that_is_not_proportional_is_reported_with_a_table(curve: float) -> None:
+    """The wrap angle has its maximum at 0.2 rad of the hip. The proposed table leaves the noise of the sensors."""
+    log, model = rig_of(0.6, 0.6, curve)
+    del log["q_m"]
+    data = Dataset.from_arrays(log, "run")
+    result = calibrate([data], model)
+    proposed = [note for note in result.notes if "not proportional to the angle of hip" in note]
+    assert len(proposed) == bool(curve)
+    if proposed:
+        table = tomllib.loads(proposed[0].partition("Write ")[2].partition(" in [routing]")[0])["table"]["hip"]
+        route = Route({}, {"hip": tuple((q, theta) for q, theta in table)})
+        again = calibrate([data], dataclasses.replace(result.model, routing=Routing(route, route)))
+        assert again.rms_written < 0.3 * result.rms_written
+        assert again.rms_written < 0.01
 
 
 @pytest.mark.parametrize("exact", ["friction_angle", "pretension"])

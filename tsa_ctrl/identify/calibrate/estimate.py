@@ -27,7 +27,7 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, of
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import Estimate, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.calibrate.routing import bent_by, fit_routing
+from tsa_ctrl.identify.calibrate.routing import bent_by, curved_routing, fit_routing
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
@@ -361,8 +361,8 @@ def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
 
 
 def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:
-    notes: list[str] = []
-    routed = fit_routing(logs, model, certified_gain)
+    routed, curved = fit_routing(logs, model, certified_gain), curved_routing(logs, model)
+    notes = [curved] if curved else []
     if routed is not None:
         notes.append(routed.sentence)
         model = routed.model

@@ -43,6 +43,9 @@ SETTLED = 0.02  # smaller steps do not update the instruments, which need not be
 DERIVATIVE = 1e-4  # step of numerical derivatives: its errors are far below an interval
 NEGLIGIBLE = 0.01  # share of Theta_0: a joint outside [routing] that changes the wrap angle by less does not bend it
 PATHS = 0.02  # 1, deviation of a difference found from path lengths: friction changes the elongation of both tendons
+ORDERS = (2, 3)  # of the polynomial in a joint's angle that gains are compared with
+CURVED = 0.7  # 1, error of that polynomial over the error of gains, below which a table is proposed
+POINTS = 7  # of the proposed table
 EXACT = 1e-3  # least standard deviation of a logarithm of the file: [uncertainty] may be 0
 # Indices of the parameters: four logarithms, then two gains for each joint
 X, T, GAIN, SLOPE, JOINTS = 0, 1, 2, 3, 4
@@ -196,6 +199,14 @@ class _Problem:
         if self.by_elongation:
             return math.exp(-p[GAIN]) * stretch(variant, bent)
         return predict(variant, bent)
+
+    def error(self, p: FloatArray) -> float:
+        """Return the RMS error of the response with these parameters over the admitted samples, N*m or m."""
+        errors = []
+        for log, own in zip(self.logs, self.zero, strict=True):
+            level = self.response(log, p, log.signals.tau_m) + own @ p[self.size :]
+            errors.append((log.tau_j - level)[log.mask])
+        return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
 
     def derivatives(self, log: PreparedLog, p: FloatArray, tau_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the response (n,) and its derivatives (n, `size`) with respect to the parameters."""
@@ -393,6 +404,53 @@ def _result(
         joints=bending,
         straight=tuple(name for name in problem.joints if name not in {*bending, *before.joints}),
         kept=tuple(name for name in problem.joints if name not in bending and name in before.joints),
+    )
+
+
+def curved_routing(logs: list[PreparedLog], model: TendonSheath) -> str:
+    """Return a sentence with a table for [routing] if the wrap angle is clearly not proportional to a joint's angle.
+
+    The table is a polynomial of third order over the measured range. The sentence is empty if gains describe the logs
+    nearly as well, and for a model with a table. The result of `fit_routing` is not used: it may be that no joint bends
+    the sheath, if the wrap angle has an extremum within the motion.
+    """
+    joints, given = tuple(moving_joints(logs) if logs else {}), model.routing
+    tables = given is not None and (given.a.tables or given.b.tables)
+    measured = any(_measures_theta(model, log.signals.theta is not None) for log in logs)
+    if not joints or tables or measured or model.bending_angle <= 0.0:
+        return ""
+    terms = {name: (name, *(f"{name}^{order}" for order in ORDERS)) for name in joints}
+    curved = []
+    for log in logs:
+        angles = {term: log.signals.joints[name] ** (k + 1) for name in joints for k, term in enumerate(terms[name])}
+        signals = dataclasses.replace(log.signals, joints=angles, theta=None, theta_difference=None)
+        curved.append(dataclasses.replace(log, signals=signals))
+    model = dataclasses.replace(model, routing=None)
+    problem = _Problem(curved, model, tuple(term for each in terms.values() for term in each), by_elongation=False)
+    fixed = {GAIN, *range(JOINTS + 1, problem.size, 2)}
+    powers = {JOINTS + 2 * k for k, term in enumerate(problem.joints) if term not in joints}
+    found, line = problem.solve(fixed), problem.solve(fixed | powers)
+    if found is None or line is None:
+        return ""
+    share = problem.error(found[0]) / problem.error(line[0])
+    if share > CURVED:
+        return ""
+    gains, _ = problem.gains_at(found[0])
+    lines = {}
+    for name in joints:
+        angle = stack([log.signals.joints[name] for log in logs], logs)
+        bent = np.polynomial.Polynomial([0.0, *(gains[term] for term in terms[name])])
+        if float(np.std(bent(angle))) < NEGLIGIBLE * model.bending_angle:
+            continue
+        q = np.linspace(float(angle.min()), float(angle.max()), POINTS)
+        points = ", ".join(f"[{a:.3g}, {b:.3g}]" for a, b in zip(q.tolist(), bent(q).tolist(), strict=True))
+        lines[name] = f"table.{name} = [{points}]"
+    if not lines:
+        return ""
+    return (
+        f"the wrap angle is not proportional to the angle of {', '.join(lines)}: a curve leaves {100.0 * share:.0f} % "
+        f"of the error of a line. Write {' and '.join(lines.values())} in [routing] instead of gains, and calibrate "
+        "again"
     )
 
 
