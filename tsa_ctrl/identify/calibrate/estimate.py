@@ -27,7 +27,7 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, of
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import Estimate, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.calibrate.routing import bent_by, curved_routing, fit_routing
+from tsa_ctrl.identify.calibrate.routing import bent_by, curved_routing, fit_routing, moving_joints
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import ThreeErrors, three_errors
@@ -367,6 +367,10 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         notes.append(routed.sentence)
         model = routed.model
         logs = [bent_by(log, model) for log in logs]
+    elif model.routing is not None and (
+        moved := [name for name in moving_joints(logs) if name in model.routing.joints]
+    ):
+        notes.append(f"the logs show no other routing by {', '.join(moved)} than the file: it is kept")
     lag = instrument_lag(logs)
     several = varied(logs, model)
     joint = joint_fit(logs, model, lag, certified_gain) if several or certified_gain else None
@@ -446,7 +450,7 @@ def _experiment(model: TendonSheath) -> str:
     return (
         f"record the same motion once more with the tensioner set {force:.0f} N higher (a known change of the "
         f"pretension), or with the sheath bent by {angle:.1f} rad more (column theta): "
-        "the half loop at both settings parts friction angle and pretension"
+        "the friction torque at both settings separates friction angle and pretension"
     )
 
 
