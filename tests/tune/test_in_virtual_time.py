@@ -20,7 +20,8 @@ from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.tune import procedure
 from tsa_ctrl.tune.estimate import Estimate
-from tsa_ctrl.tune.run import RigRunner, Run, TrippedError
+from tsa_ctrl.virtual import simulation
+from tsa_ctrl.virtual.script import Fault
 
 RATE = 500.0  # Hz
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
@@ -78,24 +79,23 @@ def test_a_file_that_a_fault_stops_is_not_better_and_the_tuning_goes_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The given file and the first new file cause a fault. The second new file is written."""
-    play = RigRunner.play
+    loop = simulation.simulate_loop
 
-    def tripping(runner: RigRunner, name: str, *given: Any, **more: Any) -> Run:
-        if name in ("before", "after"):
-            raise TrippedError(name, "over-speed of the joint")
-        return play(runner, name, *given, **more)
+    def tripping(controller: Path, *given: Any, **more: Any) -> Any:
+        faults = [Fault("emcy", 2.0)] if controller.stem in ("controller-before", "controller-after") else []
+        return loop(controller, *given, **more, faults=faults)
 
     def same(logs: object, model: object, plain: Estimate) -> Estimate:
         return dataclasses.replace(plain, effects=("gravity_load",), plain=plain)
 
-    monkeypatch.setattr(RigRunner, "play", tripping)
+    monkeypatch.setattr(simulation, "simulate_loop", tripping)
     monkeypatch.setattr(procedure, "extended", same)
     rig.write(tmp_path, VIRTUAL, RATE)
     assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *BRIEF) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["verification"]["rms"]["before"] is None
     assert data["verification"]["reduction_percent"]["after"] > 85.0
-    assert any("over-speed of the joint" in note for note in data["notes"])
+    assert any("0x2310" in note for note in data["notes"])
     assert (tmp_path / "out" / rig.MODEL).exists()
 
 

@@ -450,7 +450,7 @@ class Session:
             return daemon
         from tsa_ctrl.virtual.simulation import play  # the loop and the plant in this process
 
-        return functools.partial(play, plant=self._plant)
+        return functools.partial(play, plant=self._plant, must_succeed=False)
 
     def check_ready(self) -> None:
         """Check that the joint torque is measured or can be estimated from the tendon elongation, and check the bus.
