@@ -49,7 +49,16 @@ class Rig:
             measured = error + noise * float(rng.standard_normal())
             if self.feedback.used:
                 self.feedback.update(
-                    measured, force, turning, moving, False, RATIO * wanted, LOOP * force + correction, correction, LOOP
+                    measured,
+                    force,
+                    turning,
+                    moving,
+                    False,
+                    False,
+                    RATIO * wanted,
+                    LOOP * force + correction,
+                    correction,
+                    LOOP,
                 )
         return np.array(errors)
 
@@ -82,11 +91,13 @@ def test_the_term_is_raised_by_no_more_than_is_proven() -> None:
         assert max(rig.raised) == pytest.approx(most * LOOP)
 
 
-def fed(error: float, cycles: int = 1000, feedback: TorqueFeedback | None = None) -> TorqueFeedback:
+def fed(
+    error: float, cycles: int = 1000, feedback: TorqueFeedback | None = None, limited: bool = False
+) -> TorqueFeedback:
     """Return the feedback after cycles in which the sensor of a moving joint shows `error` (N*m)."""
     found = feedback or TorqueFeedback(3.0, RATIO, PERIOD)
     for _ in range(cycles):
-        found.update(error, 1.0, False, True, False, 0.0, LOOP, 0.0, LOOP)
+        found.update(error, 1.0, False, True, False, limited, 0.0, LOOP, 0.0, LOOP)
     return found
 
 
@@ -103,6 +114,12 @@ def test_without_its_sensor_the_correction_fades() -> None:
     before = feedback.torque(1.0, LOOP, MORE * LOOP)
     assert before > 0.02
     assert abs(fed(math.nan, 2000, feedback).torque(1.0, LOOP, MORE * LOOP)) < 0.01 * before
+
+
+def test_a_limited_friction_term_is_reduced_but_not_raised() -> None:
+    """The limit causes a lack of torque. A correction of it would be too large when the limit ends."""
+    assert fed(-0.05, limited=True).torque(1.0, LOOP, MORE * LOOP) == 0.0
+    assert fed(0.05, limited=True).torque(1.0, LOOP, MORE * LOOP) < -0.01
 
 
 def test_a_correction_belongs_to_its_direction() -> None:
@@ -125,7 +142,7 @@ def test_a_fade_in_ends_at_the_friction_of_a_locked_joint(true: float, offset: f
             delivered = max(delivered, term + offset - true * LOOP)
             if feedback.used:
                 measured = delivered / RATIO + 0.005 * float(rng.standard_normal())
-                feedback.update(measured, 1.0, False, False, fade < 1.0, 0.0, term, correction, LOOP)
+                feedback.update(measured, 1.0, False, False, fade < 1.0, False, 0.0, term, correction, LOOP)
         return delivered
 
     assert overshoot(3.0) < 0.3 * overshoot(0.0)

@@ -334,8 +334,7 @@ class ControlAxis:
             counts = image.fresh and self.ramp == 1.0 and law.compensation > 0.0
             excess = self._sensed - terms.tau_j_des if counts else math.nan
             self.direction.measure(excess, law.reversal.turning)
-            if self.compensation_limit.reason is Reason.NONE:  # otherwise the limit causes the error
-                law.learn(excess)
+            law.learn(excess, self.compensation_limit.reason is not Reason.NONE)
         lost = self._lost_commands.update(now)
         if lost is not None:
             self.supervisor.trip(lost, now)

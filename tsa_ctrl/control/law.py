@@ -325,11 +325,12 @@ class Law:
             self.half_loop = self._inverse.half_loop()
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
-    def learn(self, excess: float) -> None:
+    def learn(self, excess: float, limited: bool = False) -> None:
         """Update the correction with the joint torque sensor's result of this cycle.
 
         Args:
             excess: delivered minus desired joint torque, N*m; nan without a measurement.
+            limited: True if the compensation limit reduces the friction term.
         """
         reversal = self.reversal
         if self.feedback.used and not self.beyond:
@@ -339,6 +340,7 @@ class Law:
                 reversal.turning,
                 self.direction.moving,
                 not self.faded,
+                limited,
                 self.ideal,
                 self.friction_term,
                 self._correction,

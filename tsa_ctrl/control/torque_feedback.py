@@ -87,6 +87,7 @@ class TorqueFeedback:
         turning: bool,
         moving: bool,
         fading: bool,
+        limited: bool,
         ideal: float,
         term: float,
         correction: float,
@@ -101,6 +102,8 @@ class TorqueFeedback:
             moving: True if the joint moves.
             fading: True while the friction term is faded in. Then the correction is 0 or less, and a joint must have
                 rested since the last reversal.
+            limited: True if a limit reduces the friction term. The correction then only decreases, until `WAIT` after the
+                limit: it would grow by the error that the limit causes.
             ideal: motor torque for the set-point without friction, N*m.
             term, correction: friction term of this cycle, and its part that `torque` returned, N*m.
             half_loop: friction torque, N*m at the motor.
@@ -140,6 +143,9 @@ class TorqueFeedback:
         if not -LARGEST * half_loop < error < LARGEST * half_loop:
             return
         step = self._step * error
+        if limited and step * sigma > 0.0:
+            self._mean, self._since = math.nan, 0.0
+            return
         if not moving:
             near = FARTHEST * half_loop
             if along < self._farthest - near or wanted < self._peak - near:
