@@ -63,7 +63,7 @@ class Target:
             bus.close()
 
 
-def target_options(function: Callable[..., None]) -> Callable[..., None]:
+def target_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that select a drive: controller file and axis, or interface, channel and node id."""
     options = (
         click.option("--config", type=click.Path(), help="Controller file with bus, drive and profile."),
@@ -118,7 +118,7 @@ def find_target(
     axes = configuration.file.axes
     names = [axis.name for axis in axes]
     if axis_name is None and len(axes) > 1:
-        raise UsageError(f"{config}: has several axes; give --axis {', --axis '.join(names)}")
+        raise UsageError(f"{config}: has several axes; give --axis {' or --axis '.join(names)}")
     if axis_name is not None and axis_name not in names:
         raise UsageError(f"{config}: no axis '{axis_name}'; its axes are {', '.join(names)}")
     number = 0 if axis_name is None else names.index(axis_name)
@@ -187,8 +187,8 @@ def restore_command(backup_file: str, **options: Any) -> None:
 @click.argument("backup_file", metavar="[FILE]", type=click.Path(), required=False)
 @target_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
-def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None:
-    """Compare the drive with FILE or with the configuration, and change nothing.
+def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> int:
+    """Compare the drive with FILE or with the configuration, and change nothing. Exit code 1 when objects differ.
 
     The notes list the drive's own limits and ramps of the torque, if they act.
     """
@@ -222,12 +222,13 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
         ]
         result = {"schema": 1, "node": target.node_id, "compared": compared, "differences": found, "notes": notes}
         click.echo(json.dumps(result, allow_nan=False))
-        return
+        return int(bool(differences))
     for difference in differences:
         click.echo(str(difference))
     for note in notes:
         click.echo(note)
     click.echo(f"node {target.node_id}: {compared} objects compared, {len(differences)} differ")
+    return int(bool(differences))
 
 
 def bus_options(function: Callable[..., None]) -> Callable[..., None]:

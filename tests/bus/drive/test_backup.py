@@ -15,6 +15,7 @@ from tsa_ctrl.bus.drive.backup import Backup, StoredObject, load_backup, restore
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.cli import main
 from tsa_ctrl.cli.drive import command
 from tsa_ctrl.errors import TsaError
 
@@ -133,6 +134,19 @@ def test_diff_as_json_is_one_object(nodes: Bench) -> None:
     assert {"index": 0x6072, "subindex": 0, "name": "max torque", "wanted": 1000, "found": 3000} in result[
         "differences"
     ]
+
+
+@pytest.mark.parametrize("option", [[], ["--json"]])
+def test_diff_exits_1_if_objects_differ(nodes: Bench, option: list[str]) -> None:
+    channel = nodes.bus.name.partition(":")[2]
+    line = ["drive", "diff", "--node", "1", "--interface", "virtual", "--channel", channel, *option]
+    with pytest.raises(SystemExit) as ended:
+        main(line)
+    assert ended.value.code == 1
+    configure(nodes)
+    with pytest.raises(SystemExit) as ended:
+        main(line)
+    assert ended.value.code == 0
 
 
 def test_nothing_is_written_by_dump_and_diff(nodes: Bench) -> None:
