@@ -21,8 +21,10 @@ from tests.blind import case
 from tests.dashboard.chromium import chromium
 from tests.identify.diagnosis.nominal import T, diagnosed, model
 from tsa_ctrl.identify import Diagnosis, diagnose
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
-from tsa_ctrl.identify.diagnosis.report.words import told_torque
+from tsa_ctrl.identify.diagnosis.report.words import captions, told_torque
+from tsa_ctrl.identify.simulate import simulate
 from tsa_ctrl.model.parameters import load_model
 
 
@@ -77,6 +79,17 @@ def of_simple_log() -> Diagnosis:
 @pytest.mark.slow
 def test_the_same_input_gives_the_same_json() -> None:
     assert diagnose([simple_log()], model()).to_json() == of_simple_log().to_json()
+
+
+def test_the_errors_of_the_nominal_model_equal_those_of_simulate() -> None:
+    """The diagnosis replaces a noisy velocity, so that the error of its own signals is much smaller."""
+    log = simple_log()
+    log["omega_j"] += 0.05 * np.random.default_rng(1).normal(size=T.size)
+    found, simulated = diagnose([log], model()), simulate(Dataset.from_arrays(log), model())
+    assert simulated.rms is not None
+    assert found.rms.simulated == pytest.approx(simulated.rms)
+    assert found.nominal_errors == simulated.errors
+    assert f"while sliding {told_torque(simulated.errors.sliding)} nominal" in " ".join(captions(found).values())
 
 
 def test_the_json_has_the_public_keys() -> None:

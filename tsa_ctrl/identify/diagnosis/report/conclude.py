@@ -9,7 +9,6 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
 from tsa_ctrl.identify.diagnosis.parameters.formula import LEAST_GAIN, Formula
 from tsa_ctrl.identify.diagnosis.parameters.proportion import SPLIT, at_bounds, parted
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
@@ -65,8 +64,9 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     formula = _formula(outcome, worse)
     runs = outcome.data.frame.runs
     logs = [run.raw for run in runs]
-    residuals = [log[runs[0].target_name] - predict(extended, log.signals()) for log in logs]
-    parts = three_errors(logs, residuals, runs[0].target_name)
+    target = runs[0].target_name
+    nominal = [log[target] - predict(model, log.signals()) for log in logs]
+    residuals = [log[target] - predict(extended, log.signals()) for log in logs]
     verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     result = Diagnosis(
         verdict=verdict,
@@ -85,11 +85,12 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
             errors.extended,
             errors.noise_floor,
             errors.refitted,
-            _simulated(outcome, model),
+            float(np.sqrt(np.mean(np.square(np.concatenate(nominal))))),
         ),
         gain=min(errors.sliding_gain, 1.0) if by_torque else 0.0,
         gain_all=min(errors.gain, 1.0) if by_torque else 0.0,
-        errors=parts,
+        errors=three_errors(logs, residuals, target),
+        nominal_errors=three_errors(logs, nominal, target),
         model=_with_more(extended, beside.effects),
         at_bounds={} if worse else held,
         stretch=None if beside.rms is None else StretchRms(*beside.rms),
@@ -114,12 +115,6 @@ def insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[
         gain=0.0,
         model=model,
     )
-
-
-def _simulated(outcome: Outcome, model: Model) -> float:
-    """Return the RMS error of the nominal model over all samples of all logs, N*m, as `tsa simulate` prints it."""
-    squares = [np.square(residual) for residual in full_residuals(outcome.data.frame, model)]
-    return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _formula(outcome: Outcome, worse: bool) -> Formula | None:

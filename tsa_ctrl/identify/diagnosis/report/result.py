@@ -70,7 +70,7 @@ class Rms:
     extended: float | None = None
     noise_floor: float | None = None  # the sensor noise
     refitted: float | None = None  # the extended model after a fit to the held-out samples
-    simulated: float | None = None  # the nominal model over all samples, held out or not
+    simulated: float | None = None  # the nominal model over all samples, as `tsa simulate` prints
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,7 @@ class Diagnosis(Displayed):
     formula: Formula | None = None  # of the residual; None if no formula describes it
     stretch: StretchRms | None = None  # None if the elongation could not be tested, for example without an angle
     errors: ThreeErrors = field(default_factory=ThreeErrors)  # of `model` over all samples, as `tsa simulate` prints
+    nominal_errors: ThreeErrors = field(default_factory=ThreeErrors)  # the same of the nominal model
     gain_all: float = 0.0  # same as `gain`, but on all held-out samples
     details: Details | None = field(default=None, compare=False, repr=False)  # curves for `report.pictures.plot`
 

@@ -331,7 +331,8 @@ def captions(result: Diagnosis) -> dict[str, str]:
 def _fallen(result: Diagnosis) -> str:
     """Return the errors of the nominal and of the written model while sliding."""
     name = "extended" if result.causes else "recalibrated"
-    return f"{told_torque(result.rms.as_given)} nominal, {told_torque(result.errors.sliding)} {name} while sliding"
+    before, after = (told_torque(errors.sliding) for errors in (result.nominal_errors, result.errors))
+    return f"while sliding {before} nominal, {after} {name}"
 
 
 def _fall(result: Diagnosis) -> str:
