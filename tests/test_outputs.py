@@ -137,6 +137,16 @@ def test_the_terminal_shows_text_as_it_is(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().out.count(text) == 4
 
 
+def test_a_narrow_terminal_cuts_no_cell(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    path = "/rig/logs/tsa-20261128-183544.mcap"
+    table = Table("file", "records")
+    table.add_row(path, "2781")
+    terminal().print(table)
+    lines = [line.split("│") for line in capsys.readouterr().out.splitlines() if "│" in line]
+    assert "".join(line[1].strip() for line in lines) == path
+
+
 def test_every_console_is_that_terminal() -> None:
     package = Path(outputs.__file__).parent
     found = {path.name for path in package.rglob("*.py") if "import Console" in path.read_text(encoding="utf-8")}

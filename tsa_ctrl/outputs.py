@@ -27,10 +27,20 @@ LOCK = ".tsa.lock"  # file in a folder while files are written to it
 
 
 def terminal(stderr: bool = False) -> Console:
-    """Return a console that prints text as it is: no names such as [axis.law] as markup, no ":b:" as an emoji."""
-    from rich.console import Console  # not loaded by a daemon
+    """Return a console that prints text as it is: no names such as [axis.law] as markup, no ":b:" as an emoji.
 
-    return Console(stderr=stderr, markup=False, emoji=False, highlight=False)
+    It folds a table cell that is too long for the terminal, instead of cutting it. Columns without wrapping are cut.
+    """
+    from rich.console import Console  # not loaded by a daemon
+    from rich.table import Table
+
+    class Whole(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            for column in (column for shown in objects if isinstance(shown, Table) for column in shown.columns):
+                column.overflow = "fold"
+            super().print(*objects, **options)
+
+    return Whole(stderr=stderr, markup=False, emoji=False, highlight=False)
 
 
 def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> None:

@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from tsa_ctrl.daemon.notices import MOST, Events
-from tsa_ctrl.daemon.summary import NodeCount, Summary
+from tsa_ctrl.daemon.summary import BAR, NodeCount, Summary
 from tsa_ctrl.daemon.torque_error import SENSOR, UNKNOWN, TorqueError
 from tsa_ctrl.ipc.mailbox import TEXT
 from tsa_ctrl.ipc.protocol import Event
@@ -60,9 +60,9 @@ def summary() -> Summary:
     )
 
 
-def shown(found: Summary) -> str:
+def shown(found: Summary, width: int = 100) -> str:
     stream = io.StringIO()
-    found.show(Console(file=stream, width=100, markup=False))
+    found.show(Console(file=stream, width=width, markup=False))
     return stream.getvalue()
 
 
@@ -91,6 +91,12 @@ def test_tables_show_everything_that_matters() -> None:
     assert "unproven: the sensors confirm less friction" in text
     assert "rate: " not in text  # a limit that hardly acted is not explained
     assert "p99" not in shown(replace(summary(), late=0, skipped=0))  # a run on time needs no histogram
+
+
+def test_the_bars_keep_their_lengths_in_a_terminal_of_80_characters() -> None:
+    text = shown(summary(), 80)
+    assert "…" not in text
+    assert any("█" * BAR in line for line in text.splitlines())
 
 
 def test_each_limit_that_may_act_on_a_torque_is_explained() -> None:

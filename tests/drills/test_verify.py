@@ -17,9 +17,20 @@ from click.testing import CliRunner
 
 from tests.virtual.files import controller, merged, plant, write
 from tsa_ctrl.cli import cli
+from tsa_ctrl.cli.verify_safety import _show
 from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.drills.listener import Pull, Timing, Watchdog
 from tsa_ctrl.drills.loop import under_trial
-from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial, trial_torque, verify
+from tsa_ctrl.drills.trials import (
+    Outcome,
+    Trial,
+    Verification,
+    leave_in_order,
+    listening,
+    run_trial,
+    trial_torque,
+    verify,
+)
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.process_supervisor import plant as plant_process
 
@@ -98,6 +109,32 @@ def test_a_limit_above_the_time_outs_is_accepted(folder: Path) -> None:
     edit(folder, "controller.toml", ("# zero_torque_within = 0.25 ", "zero_torque_within = 0.3 "))
     done = CliRunner().invoke(cli, ["run", "--check", str(folder / "controller.toml")])
     assert done.exit_code == 0, done.output
+
+
+def test_the_result_of_a_trial_is_one_line_in_a_narrow_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "40")
+    timing = Timing(torque_before=0.102, last_torque=0.09, zero_after=0.097, source="sdo")
+    acted = Watchdog(acted="heartbeat", after=0.088, warning="")
+    pull = Pull(stretch=None, sensor=None, gain=None, geared=1.25)
+    ended: dict[str, Any] = {
+        "axis": "ankle_left",
+        "node": 1,
+        "limit": 0.25,
+        "watchdog": acted,
+        "pull": pull,
+        "samples": [],
+    }
+    late = Outcome(trial="hang", safe=False, timing=msgspec.structs.replace(timing, zero_after=None), **ended)
+    outcomes = [Outcome(trial="withheld", safe=True, timing=timing, **ended), late]
+    words = {"date": "", "version": "", "configuration": "", "sha256": "", "bus": ""}
+    _show(Verification(**words, rate=100.0, limit=0.25, torque=0.1, outcomes=outcomes, nodes={}))
+    facts = "0.102 N·m before, {} by SDO, allowed 250 ms; stopped by: heartbeat, 88 ms; motor pulls: not shown"
+    assert capsys.readouterr().out.splitlines() == [
+        f"heartbeat withheld, axis 'ankle_left': in time, {facts.format('zero after 97 ms')}",
+        f"loop hung: SIGSTOP, axis 'ankle_left': NOT SAFE, {facts.format('never zero')}",
+    ]
 
 
 class Rig:

@@ -194,7 +194,7 @@ def write(done: Understood, out: Path, stem: str, kind: str) -> Imported:
 
 def show(done: Understood) -> None:
     """Print the interpretation of the table before anything is written."""
-    from rich.table import Column, Table
+    from rich.table import Table
 
     shape, console = done.table.shape, terminal()
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
@@ -217,7 +217,7 @@ def show(done: Understood) -> None:
         console.print(f"note: {done.dropped} rows with a missing number are omitted and leave gaps")
     if done.table.ignored:
         console.print(f"note: {done.table.ignored} lines that are not table rows are ignored")
-    view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
+    view = Table("column", "from", "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
         unit = COLUMNS[column.name].unit

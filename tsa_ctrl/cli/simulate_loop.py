@@ -169,8 +169,9 @@ def _show(simulation: Simulation) -> None:
     from rich.table import Table
 
     data = simulation.to_dict()
-    columns = ("axis", "RMS error (mN·m)", "99 %", "peak", "joint speed RMS (rad/s)", "peak", "state")
-    table = Table(*columns, title=f"{simulation.seconds:g} s in virtual time", title_justify="left")
+    columns = ("axis", "RMS error", "99 %", "peak error", "RMS speed", "peak speed", "state")
+    title = f"{simulation.seconds:g} s in virtual time; error of the joint torque in mN·m, joint speed in rad/s"
+    table = Table(*columns, title=title, title_justify="left")
     for axis in data["axes"]:
         errors = ("-" if axis[key] is None else f"{1e3 * axis[key]:.1f}" for key in ("rms", "p99", "peak"))
         speeds = ("-" if axis[key] is None else f"{axis[key]:.3f}" for key in ("joint_speed_rms", "joint_speed_peak"))

@@ -100,28 +100,24 @@ def _confirm(torque: float, axes: int, question: str = "three times. Is the join
 
 
 def _show(found: Verification) -> None:
-    from rich.table import Table
+    """Print one line for each trial and axis: its columns do not fit a terminal of 80 characters as a table."""
     from rich.text import Text
 
     from tsa_ctrl.drills.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
-    table = Table(
-        "trial", "axis", "torque before", "zero after", "allowed", "measured by", "stopped by", "motor pulls", ""
-    )
-    for column in table.columns:
-        column.overflow = "fold"  # a narrow terminal must not cut a word
     for outcome in found.outcomes:
         timing = outcome.timing
-        before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
-        zero = "never" if timing.zero_after is None else f"{1e3 * timing.zero_after:.0f} ms"
-        verdict = Text("in time", style="green") if outcome.safe else Text("NOT SAFE", style="bold red")
-        allowed = f"{1e3 * outcome.limit:.0f} ms"
-        seen = (timing.source or "-").upper()
-        table.add_row(
-            words[outcome.trial], outcome.axis, before, zero, allowed, seen, _acted(outcome), str(outcome.pull), verdict
+        before = "no torque" if timing.torque_before is None else f"{timing.torque_before:.3f} N·m"
+        zero = "never zero" if timing.zero_after is None else f"zero after {1e3 * timing.zero_after:.0f} ms"
+        seen = "" if timing.source is None else f" by {timing.source.upper()}"
+        facts = (
+            f", {before} before, {zero}{seen}, allowed {1e3 * outcome.limit:.0f} ms; stopped by: {_acted(outcome)}; "
+            f"motor pulls: {outcome.pull}"
         )
-    terminal().print(table)
+        verdict = ("in time", "green") if outcome.safe else ("NOT SAFE", "bold red")
+        line = Text.assemble(f"{words[outcome.trial]}, axis '{outcome.axis}': ", verdict, facts)
+        terminal().print(line, soft_wrap=True)
     for outcome in found.outcomes:
         if outcome.watchdog.warning:
             click.echo(f"warning: {words[outcome.trial]}, axis '{outcome.axis}': {outcome.watchdog.warning}")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 SHOWN = 0.005  # share of the cycles from which a limit is listed
-BAR = 40  # characters of the longest bar
+BAR = 20  # characters of the longest bar: both fit into 80 columns
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,8 @@ class Summary:
 def _torque(errors: tuple[TorqueError, ...]) -> Table:
     from rich.table import Table
 
-    columns = ("axis", "RMS error (mN·m)", "mean", "peak", "RMS desired", "measured by", "limited")
-    table = Table(*columns, title="joint torque, from the end of the fade-in on", title_justify="left")
+    columns = ("axis", "RMS error", "mean error", "peak error", "RMS desired", "measured by", "limited")
+    table = Table(*columns, title="joint torque in mN·m, from the end of the fade-in on", title_justify="left")
     for error in errors:
         values = (error.rms, error.mean, error.peak, error.desired_rms)
         limits = [f"{name.lower()} {100 * share:.0f} %" for name, share in error.limited.items() if share >= SHOWN]
