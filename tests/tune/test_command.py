@@ -160,6 +160,10 @@ def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_
     assert (law["keys"]["damping"], law["gain_margin"]) == (0.02, 3.1)
     assert law["quantities"]["motor_inertia"]["low"] == 1.0e-4
     assert ("motor inertia", "", "0.000102", "0.0001 to 0.000104", "kg·m²") in parameter_rows(outcome)
+    stiffness = {"axial_stiffness": Quantity(5.5e4, 5.4e4, 5.6e4, "N")}
+    stiff = dataclasses.replace(outcome, estimate=dataclasses.replace(outcome.estimate, parameters=stiffness))
+    file = f"{outcome.nominal.axial_stiffness:.4g}"
+    assert ("axial stiffness", file, "5.5e+04", "5.4e+04 to 5.6e+04", "N") in parameter_rows(stiff)
     assert set(session.write(outcome)) == {Path("actuator.toml"), Path("controller.toml")}
     assert load_configuration(folder / "controller.toml").file.axes[0].law.damping == 0.02
 

@@ -75,13 +75,18 @@ def headline(outcome: Outcome) -> str:
 def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
     """Return a row for each parameter: quantity, given value, new value, interval and unit."""
     nominal, result = outcome.nominal, outcome.estimate.calibration
+    of_file = {
+        "axial_stiffness": nominal.axial_stiffness,
+        "radius_ratio": nominal.joint_pulley_radius / nominal.motor_pulley_radius,
+        "centre of the bending": nominal.bending_centre,
+    }
     rows: list[tuple[str, float | None, Quantity]] = [
         ("friction angle", nominal.friction_angle, result.friction_angle),
         ("pretension", nominal.pretension, result.pretension),
         ("friction torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
         *((name.replace("_", " "), None, found) for name, found in result.routing.items()),
-        *((name.replace("_", " "), None, found) for name, found in outcome.estimate.parameters.items()),
+        *((name.replace("_", " "), of_file.get(name), found) for name, found in outcome.estimate.parameters.items()),
     ]
     if outcome.law is not None:
         rows += [(name.replace("_", " "), None, found) for name, found in outcome.law.quantities.items()]
