@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.log.logs import write_log
+from tests.log.logs import HEADER, write_log
 from tsa_ctrl.cli import main
 
 MODEL = Path(__file__).resolve().parents[2] / "config/actuator.toml"
@@ -39,12 +40,21 @@ def test_info_prints_the_keys_that_programs_rely_on(log: str, capsys: pytest.Cap
     assert found["problems"] == []
 
 
+def test_a_log_of_virtual_time_has_no_date(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    write_log(Path("virtual.mcap"), header=replace(HEADER, started=0.0))
+    assert tsa("log", "info", "virtual.mcap") == 0
+    out = capsys.readouterr().out
+    assert "simulated in virtual time by tsa-ctrl" in out
+    assert "1970" not in out
+
+
 def test_info_and_convert_for_people(log: str, capsys: pytest.CaptureFixture[str]) -> None:
     """The information contains axes, columns and units, and a log that was cut off. A table has no axes."""
     assert tsa("log", "info", log) == 0
     out = capsys.readouterr().out
     for words in ("axis knee: 400 rows, 0.399 s at 1000 Hz", "rad/s", "operation_enabled"):
         assert words in out
+    assert "recorded 2023-11-14T22:13:20Z by tsa-ctrl" in out
     Path("cut.mcap").write_bytes(Path(log).read_bytes()[:-300])
     assert tsa("log", "info", "cut.mcap") == 0
     assert "cut off" in capsys.readouterr().out

@@ -15,6 +15,8 @@ from tsa_ctrl.cli.options import Finite
 if TYPE_CHECKING:
     from tsa_ctrl.log.foreign.mapping import Imported
 
+_VIRTUAL = "1970-01-01T00:00:00Z"  # start of each log of virtual time, so that two runs give the same bytes
+
 
 @click.group(
     "log",
@@ -38,7 +40,9 @@ def info(log: str, as_json: bool) -> None:
         return
     click.echo(f"{found.path}  sha256 {found.sha256[:16]}")
     if found.about:
-        click.echo(f"recorded {found.about.get('started', '?')} by tsa-ctrl {found.about.get('version', '?')}")
+        started = found.about.get("started", "?")
+        how = "simulated in virtual time" if started == _VIRTUAL else f"recorded {started}"
+        click.echo(f"{how} by tsa-ctrl {found.about.get('version', '?')}")
     for problem in found.problems:
         click.echo(f"note: {problem}")
     for axis in found.axes:

@@ -166,10 +166,10 @@ def _progress() -> Iterator[Callable[[float], None]]:
 
 
 def _show(simulation: Simulation) -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
     data = simulation.to_dict()
-    columns = ("axis", "RMS error", "99 %", "peak error", "RMS speed", "peak speed", "state")
+    columns = ("axis", "RMS error", "99 %", "peak error", "RMS speed", "peak speed", Column("state", no_wrap=True))
     title = f"{simulation.seconds:g} s in virtual time; error of the joint torque in mN·m, joint speed in rad/s"
     table = Table(*columns, title=title, title_justify="left")
     for axis in data["axes"]:
