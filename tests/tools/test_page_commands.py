@@ -16,7 +16,7 @@ import pytest
 from tests.cli.test_verbs import commands
 from tests.conftest import ROOT
 from tools.manual.write import PAGES
-from tsa_ctrl.cli import cli
+from tsa_ctrl.cli import cli, main
 
 BLOCK = re.compile(r"^```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 INLINE = re.compile(r"`([^`\n]+(?:\n[^`\n]+)?)`")
@@ -67,6 +67,15 @@ def test_a_verb_of_a_page_takes_what_the_page_writes(line: str, page: str) -> No
         parsed(line)
     except click.UsageError as error:
         pytest.fail(f"{page}: `{line}`: {error.format_message()}")
+
+
+def test_the_check_prints_what_the_commissioning_page_expects(capsys: pytest.CaptureFixture[str]) -> None:
+    page = (ROOT / "config/README.md").read_text(encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["run", "--check", str(ROOT / "config/controller.toml")])
+    printed = capsys.readouterr().out.strip().removeprefix(f"{ROOT}/config/")
+    assert f"`{printed}`" in page
+    assert f"The check prints `{printed.split()[1].rstrip(';')}`" in page
 
 
 @pytest.mark.parametrize(("line", "page"), [pair for pair in shown() if pair[0].startswith("tools/run ")])

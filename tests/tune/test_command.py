@@ -10,9 +10,12 @@ import math
 import shutil
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.blind import tendon_logs
 from tsa_ctrl.cli import main
@@ -25,7 +28,7 @@ from tsa_ctrl.model.parameters import load_tendon_sheath
 from tsa_ctrl.tune import report
 from tsa_ctrl.tune.mechanics import Key, LawTuning
 from tsa_ctrl.tune.report import parameter_rows
-from tsa_ctrl.tune.session import Plan, Session
+from tsa_ctrl.tune.session import Plan, Session, draw
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 COMMENT = "# measured with a calliper\n"
@@ -229,3 +232,30 @@ def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
     assert said in captured.err
     assert captured.err.count("\n") == 1
     assert files(folder) == before
+
+
+def test_the_pictures_have_one_unit_of_the_error_one_zero_of_the_time_and_legends_beside_the_data(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Figure] = []
+    saved = Figure.savefig
+
+    def keep(figure: Figure, *places: Any, **how: Any) -> None:
+        figures.append(figure)
+        saved(figure, *places, **how)
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    t, zero = np.linspace(1.0, 9.0, 81), np.zeros(81)
+    run = SimpleNamespace(t=t, wanted=zero, delivered=zero + 0.05, rms=0.05)
+    verification = SimpleNamespace(without=run, before=None, after=run)
+    outcome = Session(Path("controller.toml"), None, Plan()).from_logs(["a.csv"])
+    draw(dataclasses.replace(outcome, verification=cast(Any, verification)), Path())
+    fit, residual, verified = figures
+    error = verified.axes[1]
+    assert error.get_ylabel() == "torque error (mN·m)"
+    assert error.lines[0].get_ydata() == pytest.approx(50.0)
+    assert residual.axes[0].lines[0].get_xdata()[0] == 0.0
+    for panel in (axes for figure in (fit, residual, verified) for axes in figure.axes):
+        legend = panel.get_legend()
+        assert legend is not None
+        assert not legend.get_window_extent().overlaps(panel.get_window_extent().shrunk(0.99, 0.99))

@@ -114,7 +114,8 @@ def _residual(log: Dataset, outcome: Outcome, file: Path) -> Path:
     for name, model, colour in _models(outcome):
         residual = 1e3 * (log["tau_j"] - predict(model, log.signals()))
         for place, column in zip(axes.flat[:3], ("t", "omega_j", "tau_m"), strict=True):
-            place.plot(log[column], residual, ".", ms=0.8, color=colour, label=name)
+            shown = log["t"] - log["t"][0] if column == "t" else log[column]
+            place.plot(shown, residual, ".", ms=0.8, color=colour, label=name)
             place.set_xlabel(axis_label(column))
         axes.flat[3].hist(residual, bins=80, color=colour, alpha=0.6, label=name)
     for place in axes.flat[:3]:
@@ -140,9 +141,9 @@ def _verification(verification: Verification, file: Path) -> Path:
         part = run.t <= run.t[0] + SHOWN
         torque.plot(run.t[part], run.delivered[part], colour, lw=0.9, label=name)
         shown = f"{name}: RMS {1e3 * run.rms:.1f} mN·m"
-        error.plot(run.t[part], (run.delivered - run.wanted)[part], colour, lw=0.9, label=shown)
+        error.plot(run.t[part], 1e3 * (run.delivered - run.wanted)[part], colour, lw=0.9, label=shown)
     torque.set_ylabel(axis_label("tau_j"))
-    error.set(xlabel="time since the enable (s)", ylabel="torque error (N·m)")
+    error.set(xlabel="time since the enable (s)", ylabel="torque error (mN·m)")
     without, new = 1e3 * verification.without.rms, 1e3 * verification.after.rms
     figure.suptitle(f"RMS torque error: {without:.1f} mN·m without compensation, {new:.1f} mN·m with the new file")
     return _saved(figure, file)
@@ -152,7 +153,8 @@ def _saved(figure: Figure, file: Path) -> Path:
     for axes in figure.axes:
         axes.grid(alpha=0.3)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper right", fontsize=8, markerscale=6.0)
+            above = (1.0, 1.0)  # so that the legend hides no data
+            axes.legend(loc="lower right", bbox_to_anchor=above, ncols=4, frameon=False, fontsize=8, markerscale=6.0)
     figure.savefig(file, dpi=DPI)
     return file
 
