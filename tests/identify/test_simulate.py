@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.identify.diagnosis.nominal import MODEL
 from tests.identify.diagnosis.nominal import model as tendons
+from tsa_ctrl import outputs
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
@@ -85,6 +87,17 @@ def test_text_ends_with_one_line_per_model_and_keeps_the_digits_of_a_small_error
     write_csv(bench / "y.csv", t=T, tau_m=TAU_M, tau_j=expected() + 1.234e-6, omega_j=OMEGA)
     assert tsa("y.csv", "--model", "a.toml") == 0
     assert capsys.readouterr().out.splitlines()[-1] == "RMS error: 0.00000123 N*m (a.toml)"
+
+
+def test_the_legends_of_the_picture_hide_no_data(bench: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(outputs, "save_picture", lambda figure, path, **how: figures.append(figure))
+    assert tsa("x.csv", "--model", "a.toml", "--model", "b.toml", "--picture", "x.png") == 0
+    figures[0].draw_without_rendering()
+    legends = [(axes, legend) for axes in figures[0].axes if (legend := axes.get_legend()) is not None]
+    assert len(legends) == 2
+    for axes, legend in legends:
+        assert not legend.get_window_extent().overlaps(axes.get_window_extent().shrunk(0.99, 0.99))
 
 
 def test_json_is_one_object_with_the_keys_that_programs_rely_on(

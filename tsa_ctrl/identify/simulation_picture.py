@@ -64,12 +64,13 @@ def _draw_time(torque: Any, residual: Any, dataset: Dataset, simulations: Sequen
             label = f"{simulation.name}: RMS {simulation.rms:.4g} N·m"
             residual.plot(*_thinned(dataset["t"], simulation.residual), color=colour, lw=1.0, label=label)
     torque.set_ylabel(axis_label(quantity))
-    torque.legend(loc="upper right", framealpha=0.85)
+    above = (1.0, 1.0)  # so that the legends hide no data
+    torque.legend(loc="lower right", bbox_to_anchor=above, ncols=2, frameon=False)
     residual.axhline(0.0, color=MEASURED, lw=0.6)
     residual.set_ylabel("residual (N·m)")
     residual.set_xlabel(TIME)
     if quantity in dataset:
-        residual.legend(loc="upper right", framealpha=0.85, fontsize="small")
+        residual.legend(loc="lower right", bbox_to_anchor=above, ncols=2, frameon=False, fontsize="small")
     else:
         residual.text(0.5, 0.6, f"the log has no column {quantity}", transform=residual.transAxes, ha="center")
     for axis in (torque, residual):
