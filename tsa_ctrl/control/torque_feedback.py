@@ -102,8 +102,8 @@ class TorqueFeedback:
             moving: True if the joint moves.
             fading: True while the friction term is faded in. Then the correction is 0 or less, and a joint must have
                 rested since the last reversal.
-            limited: True if a limit reduces the friction term. Until `WAIT` after it, the correction then only decreases: it
-                would grow by the error that the limit causes.
+            limited: True if a limit reduces the friction term. Until `WAIT` later, the correction then only decreases:
+                it would grow by the error that the limit causes.
             ideal: motor torque for the set-point without friction, N*m.
             term, correction: friction term of this cycle, and its part that `torque` returned, N*m.
             half_loop: friction torque, N*m at the motor.

@@ -160,7 +160,7 @@ class Cause(Enum):
     )
     TORQUE_SENSOR_STUCK = (
         "joint torque sensor is stuck",
-        "check the sensor, its amplifier and its cable, and any device that repeats old values; then recover",
+        f"check the sensor, its amplifier and its cable, and any device that repeats old values; {_RECOVER}",
     )
     JOINT_TORQUE = (
         "joint torque sensor contradicts the model",
