@@ -43,6 +43,16 @@ def test_noise_is_told_whatever_the_model_misses(seed: int) -> None:
     assert found.sliding > 5.0 * NOISE
 
 
+def test_friction_that_follows_another_joint_is_no_noise() -> None:
+    """The estimate was three times the noise."""
+    hip = 0.5 * np.sin(2.0 * np.pi * 0.9 * T)
+    missed = 0.1 * hip * np.sign(OMEGA)
+    columns = {name: log(noise(0) + missed)[name] for name in ("t", "tau_m", "omega_j", "tau_j")}
+    moving = Dataset.from_arrays({**columns, "q_j.hip": hip}, "by hand")
+    found = three_errors([moving], [missed + noise(0)], "tau_j")
+    assert found.sensor_noise == pytest.approx(NOISE, rel=0.25)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_burst_after_each_reversal_is_no_noise(seed: int) -> None:
     """The torque is lost for 60 ms of motion after each reversal, as by a backlash."""

@@ -163,10 +163,10 @@ def _freed(signals: Signals, part: slice, target: Array, used: Mask) -> Array:
     ]
     if target is not tau and not np.array_equal(target, tau):
         shapes += [tau, np.abs(tau)]
-    for more in (signals.theta, signals.temperature):
+    for more in (signals.theta, *signals.joints.values(), signals.temperature):
         if more is not None and np.ptp(more[part]) > 0.0:
             own = (more[part] - more[part].mean()) / np.std(more[part])
-            shapes += [own, own**2, own * tau] if more is signals.theta else [own]
+            shapes += [own] if more is signals.temperature else [own, own**2, own * tau]
     columns = np.column_stack([*shapes, *(sigma * shape for shape in shapes)])
     columns /= np.maximum(np.sqrt(np.mean(columns[used] ** 2, axis=0)), np.finfo(np.float64).tiny)
     factors: Array = np.linalg.lstsq(columns[used], target[used], rcond=None)[0]
