@@ -87,6 +87,7 @@ NOT_INVERTIBLE = {
     "backlash",
     "velocity_lag",
     "routing_by_joint",  # is handled as [routing]
+    "pretension_per_joint_angle",  # the loop has no angles of other joints
 }
 
 

@@ -68,3 +68,13 @@ def test_a_joint_that_moves_as_this_one_bends_the_sheath_as_this_one() -> None:
             log = columns(state)
             found = predict(ACTUATOR.with_effects(effects), Signals(**log, joints={"hip": log["q_j"]}))[0]
             assert found == pytest.approx(reference, abs=1e-9)
+
+
+def test_another_joint_that_changes_the_pretension_changes_only_the_loss() -> None:
+    """T_p changes by c q, so the torque changes by -2 r_J c q sinh(sigma x)."""
+    log = columns(STATES[0])
+    plain = predict(ACTUATOR, Signals(**log))[0]
+    changed = ACTUATOR.with_effects({"pretension_per_joint_angle": {"hip": 12.0}})
+    found = predict(changed, Signals(**log, joints={"hip": np.array([0.5])}))[0]
+    loss = 2.0 * ACTUATOR.joint_pulley_radius * 12.0 * 0.5 * np.sinh(ACTUATOR.friction_angle)
+    assert found - plain == pytest.approx(-np.sign(STATES[0]["omega_j"]) * loss, abs=1e-9)

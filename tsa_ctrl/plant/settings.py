@@ -277,6 +277,9 @@ def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
     return msgspec.structs.replace(mechanism, model=str(model))
 
 
+ABSENT = frozenset({"pretension_per_joint_angle"})  # effects of model files that the plant does not simulate
+
+
 def _completed(axis: AxisSettings, place: int, path: Path, on_limb: bool) -> AxisSettings:
     where = f"{path}: axis '{axis.name}'"
     if axis.motion.kind == "file" and axis.motion.file is None and axis.joint.load != "held":
@@ -298,6 +301,8 @@ def _numbered(node: N, node_id: int) -> N:
 
 
 def _check_tables(axis: AxisSettings, where: str, on_limb: bool) -> None:
+    for name in ABSENT.intersection(axis.effects):
+        raise UsageError(f"{where}: [axis.effects.{name}] is not simulated by the plant; remove it")
     for name in ("bending", "temperature"):
         table = getattr(axis.environment, name)
         if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):

@@ -19,7 +19,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candid
 from tsa_ctrl.identify.diagnosis.parameters.claims import claims
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.proportion import in_proportion
-from tsa_ctrl.identify.diagnosis.parameters.refit import refit
+from tsa_ctrl.identify.diagnosis.parameters.refit import refit, with_companions
 from tsa_ctrl.identify.diagnosis.refusals import (
     UNSUITED,
     InsufficientError,
@@ -94,7 +94,7 @@ def _diagnose(logs: Logs, model: Model, hold_out: str | None, seed: int, say: Pr
         say("parameters")
         beside = by_stretch(selection, scales)
         shipped = dataclasses.replace(selection.problem, mask=data.shipped)
-        refitted = refit(shipped, selection.fitted, share > 0.0)
+        refitted = with_companions(shipped, refit(shipped, selection.fitted, share > 0.0), testable.catalogue)
         reported = in_proportion(data.frame, profile_refined(shipped, refitted))
         limits = detection_limits(selection, share)
         refuse_unrelated(problem, data.held, errors, share, formula)

@@ -32,10 +32,10 @@ from tsa_ctrl.model.effects.motor import (
     TorqueSaturation,
     VelocityLag,
 )
+from tsa_ctrl.model.effects.other_joints import PretensionPerJointAngle, RoutingByJoint
 from tsa_ctrl.model.effects.pretension import (
     ConfigurationDependentBending,
     PretensionRelaxation,
-    RoutingByJoint,
     StiffnessNonlinearity,
 )
 from tsa_ctrl.model.effects.stretch import JointPlay, PulleySlip, SeriesSpring, TendonCreep
@@ -49,6 +49,7 @@ EFFECTS: tuple[type[Any], ...] = (
     MotorSideFriction,
     ConfigurationDependentBending,
     RoutingByJoint,
+    PretensionPerJointAngle,
     StiffnessNonlinearity,
     PretensionRelaxation,
     StribeckFriction,

@@ -24,7 +24,6 @@ from tsa_ctrl.model.effects.specification import (
     positive,
 )
 from tsa_ctrl.model.functions import Array, F, Functions
-from tsa_ctrl.model.routing import MOST_GAIN
 
 LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less does not show the stiffness
 
@@ -48,50 +47,6 @@ class ConfigurationDependentBending:
 
     def bending(self, theta: F, state: State[F]) -> F:
         return theta + self.bending_per_joint_angle * state.q_j
-
-
-def _routes(name: str, s: Scales) -> list[Variant]:
-    """Return one variant with a gain for each of the other joints."""
-
-    def parameters(u: Array) -> dict[str, Value]:
-        return {joint: float(value) / reach for (joint, reach), value in zip(s.joints.items(), u, strict=True)}
-
-    coordinates = [Coordinate(joint, -MOST_GAIN * reach, MOST_GAIN * reach, 1e-3) for joint, reach in s.joints.items()]
-    zero = (0.0,) * len(coordinates)
-    return [Variant(name, tuple(coordinates), (zero,), tuple(range(len(coordinates))), parameters)]
-
-
-def _no_other_joint(s: Scales) -> str:
-    return "" if s.joints else "no column q_j.NAME of another joint that moves"
-
-
-@dataclass(frozen=True)
-class RoutingByJoint:
-    """Theta += sum of g_j q_j over other joints, beyond [routing]; path length and T_p follow by (3.50), (3.56).
-
-    In a model file with this effect, the gains are added to those of [routing] when the file is read.
-    """
-
-    constants: tuple[tuple[str, float], ...] = ()  # g_j by joint, rad/rad
-
-    specification: ClassVar = Specification(
-        name="routing_by_joint",
-        stage=Stage.BENDING,
-        summary="another joint changes the wrap angle, but not as [routing] states",
-        search=_routes,
-        constants=Parameter("rad/rad", low=-MOST_GAIN, high=MOST_GAIN),
-        untestable=_no_other_joint,
-        live_columns=lambda parameters: tuple((f"q_j.{joint}",) for joint in parameters),
-        twins=(Twins(("configuration_dependent_bending", "parameter_error"), (Motion.JOINTS,)),),
-        asks=Motion.JOINTS,
-        kinds=(Kind.TENDON_SHEATH,),
-        equation="Θ ← Θ + Σ g_j q_j",
-    )
-
-    def bending(self, theta: F, state: State[F]) -> F:
-        for joint, gain in self.constants:
-            theta = theta + gain * state.joints[joint]
-        return theta
 
 
 def _bent_alike(s: Scales) -> str:

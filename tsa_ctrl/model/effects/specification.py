@@ -182,6 +182,8 @@ class Specification:
         untestable: the reason why a log with certain signals cannot show it; empty if it can.
         asks: the motion to record in that case.
         twins: effects with the same appearance in some logs; only one effect of each pair lists the other.
+        companion: another effect that often acts together with this one. The intervals of the parameters include the
+            values that they have if it acts as well.
         columns: columns that a log must have.
         live_columns: signals that the loop must measure, from the effect's parameters, if they differ from `columns`.
         feedforward: the limit of the live inverse, with {parameter} in the text; empty if the inverse is exact.
@@ -197,6 +199,7 @@ class Specification:
     unresolved: str = "the log does not resolve the scale on which it acts"
     untestable: Callable[[Scales], str] = _always
     asks: Motion | None = None
+    companion: str = ""
     columns: Columns = ()
     live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()

@@ -7,9 +7,10 @@ simulation error.
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless
+from tsa_ctrl.identify.diagnosis.selection.step import companion_steps
 from tsa_ctrl.identify.quantity import NOISE, Quantity, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Value
@@ -49,6 +53,8 @@ class Refit:
         learned: least-squares coordinates, (p,), if `fitted` moves x and T_p together from the file's values
             (`proportion`); otherwise None. Slope and friction torque are computed from these coordinates, because the
             logs determine only these two combinations.
+        companions: fits with the companion of an effect (catalogue) by the name of the effect, if the logs do not show
+            the companion. The intervals of this effect's parameters include the intervals of these fits.
     """
 
     fitted: Fit
@@ -56,6 +62,7 @@ class Refit:
     factor: float
     structured: bool = False
     learned: Array | None = None
+    companions: Mapping[str, Sequence[Refit]] = field(default_factory=dict)
 
     def quantity(self, value: float, variance: float, unit: str, low: float, high: float) -> Quantity:
         """Return a derived value with its interval, limited to `low` .. `high`.
@@ -87,6 +94,19 @@ def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
     return Refit(best, covariance, half_width(NOISE), structured)
 
 
+def with_companions(problem: Problem, result: Refit, catalogue: Catalogue) -> Refit:
+    """Return `result` with the fits that have the companion of one of its effects.
+
+    Of several minima, all are kept that noise alone does not exclude.
+    """
+    found: dict[str, list[Refit]] = {}
+    for name, fits in companion_steps(problem, result.fitted, catalogue).items():
+        least = min((each.rss for each in fits), default=0.0)
+        near = [each for each in fits if each.rss < least + BY_NOISE and not meaningless(problem, each)]
+        found[name] = [refit(problem, each, result.structured) for each in near]
+    return dataclasses.replace(result, companions=found)
+
+
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, structured: bool) -> Array:
     """Return the covariance (k, k) of the coordinates of `jacobian` (m, k) under coloured noise.
 
@@ -113,6 +133,20 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
 
     The interval is infinite if these logs do not determine the parameter.
     """
+    out = _own_quantities(result)
+    for effect, others in result.companions.items():
+        for other in others:
+            wider = _own_quantities(other)[effect]
+            for name, own in out[effect].items():
+                more = wider.get(name)
+                if isinstance(own, Quantity) and isinstance(more, Quantity):
+                    low, high = min(own.low, more.low), max(own.high, more.high)
+                    out[effect][name] = dataclasses.replace(own, low=low, high=high)
+    return out
+
+
+def _own_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
+    """Return the result of `effect_quantities` without companions."""
     out: dict[str, dict[str, Quantity | str]] = {}
     hypothesis, point = result.fitted.hypothesis, result.fitted.point
     for variant, place in zip(hypothesis.variants, hypothesis.places, strict=True):

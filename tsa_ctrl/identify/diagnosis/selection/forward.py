@@ -36,6 +36,7 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     backward_step,
     best_scores,
     best_steps,
+    companion_steps,
     forward_step,
     step_from_nominal,
     step_with_late_reversals,
@@ -148,6 +149,7 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
         if hidden or leaves_more_than_noise(problem, fitted):
             tried = step_with_late_reversals if late else step_from_nominal
             steps += [tried(problem, fitted, variant, start) for start in variant.full_strength]
+    steps += chain.from_iterable(companion_steps(problem, fitted, catalogue).values())
     ranked = [found for found in steps if found is not None and found.rss < fitted.rss]
     ranked.sort(key=lambda found: found.rss + PER_COORDINATE * len(found.point))
     return Round(fitted, tuple(_simpler_first(ranked)), tuple(best), tuple(found), entry_threshold(rng, scored))

@@ -23,6 +23,9 @@ FITTED = 5  # number of best candidates that are refined and fitted: one enters,
 NEAR_BEST = 0.25  # least share of the best gain at which a candidate is fitted
 # Golden section: the interval that remains after each step already contains one of its two points
 SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)
+# Factors of an effect's amplitude at which a fit with its companion starts: the minima differ by the ratio of the
+# relative changes of wrap angle and pretension, which is near 2 for typical tendons
+COMPANION_STARTS = (0.4, 1.0, 2.5)
 STEPS = 9  # golden-section steps: 1 % of the first interval remains
 
 
@@ -36,6 +39,28 @@ def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Se
     base = fitted.hypothesis.base.start()
     begin = np.concatenate([base, fitted.point[len(base) :], np.array(start)])
     return fit_or_none(problem, fitted.hypothesis.plus(variant), begin)
+
+
+def companion_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> dict[str, list[Fit]]:
+    """Return the fits with the companion (catalogue) of each effect of `fitted`, by the name of the effect.
+
+    The companion can replace a part of the effect, so such a fit may have several minima. It therefore starts from the
+    nominal base and several amplitudes of the effect.
+    """
+    hypothesis = fitted.hypothesis
+    found: dict[str, list[Fit]] = {}
+    for name, place in zip(hypothesis.names, hypothesis.places, strict=True):
+        companion = CATALOGUE[name].companion
+        if companion not in catalogue or companion in hypothesis.names:
+            continue
+        for variant in catalogue[companion]:
+            for scale in COMPANION_STARTS:
+                start = np.concatenate([fitted.point, variant.starts[0]])
+                start[: hypothesis.places[0].start] = hypothesis.base.start()
+                start[place] *= scale
+                step = fit_or_none(problem, hypothesis.plus(variant), start)
+                found.setdefault(name, []).extend([] if step is None else [step])
+    return found
 
 
 def step_with_late_reversals(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
