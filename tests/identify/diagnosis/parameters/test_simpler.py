@@ -40,7 +40,7 @@ def test_a_recalibration_that_is_worse_than_as_given_is_told_and_not_shipped() -
     assert result.rms.as_given is not None
     assert result.rms.recalibrated is not None
     assert result.rms.as_given < 0.5 * result.rms.recalibrated
-    assert "as given, the simulation is off by 11" in result.sentence
+    assert "with the parameters of the model file, the simulation is off by 11" in result.sentence
     told = next(remark for remark in remarks(result) if remark.startswith("Recalibration alone makes it worse"))
     assert told.endswith("the file's parameters are kept.")
     assert result.model == DRIVE

@@ -9,7 +9,7 @@ import pytest
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.experiment import _parting_most
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import four_lines, insufficient_sentence, sentence, spoken
+from tsa_ctrl.identify.diagnosis.report.words import four_lines, insufficient_sentence, remarks, sentence, spoken
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.three_errors import ThreeErrors
 from tsa_ctrl.model.effects.specification import Motion
@@ -99,7 +99,8 @@ def test_four_lines_state_error_cause_rest_and_next_step() -> None:
     found = four(Verdict.EXPLAINED, PLAIN)
     assert list(found) == ["Error", "Cause", "Rest", "Next"]
     expected = (
-        "55 mN·m RMS as given; with extended.toml 11 mN·m while sliding, 30 mN·m in reversals; the sensor noise is"
+        "55 mN·m RMS with the model file; with extended.toml 11 mN·m while sliding, 30 mN·m in reversals; "
+        "the sensor noise is"
     )
     assert found["Error"] == f"{expected} 9 mN·m"
     assert found["Cause"] == "torque offset, offset 0.0003487 N·m (0.00029 to 0.000407)"
@@ -122,6 +123,31 @@ def test_with_alternatives_the_next_step_is_the_experiment() -> None:
     found = four(Verdict.EXPLAINED, LONG)
     assert found["Next"] == "move in both directions"
     assert "direction asymmetric friction, load dependent friction" in found["Cause"]
+
+
+def test_the_first_sentence_and_the_gain_use_the_same_samples() -> None:
+    """The error over all samples fell, while the printed gain was -168 %."""
+    rms = Rms(0.06, 0.05, 0.01, 0.009, 0.06, 0.055, (0.009, 0.012))
+    found = Diagnosis(
+        Verdict.EXPLAINED, "", (PLAIN,), {}, "", {}, {}, Experiment("move"), rms, -1.68, RigidDrive(), gain_all=0.9
+    )
+    assert "the error falls from 50 to 10 mN·m" in sentence(found)
+    (gain,) = [each for each in remarks(found) if "mean square" in each]
+    assert "90% with reversals. They do not reduce the error while the joint slides." in gain
+    slides = dataclasses.replace(found, rms=dataclasses.replace(rms, sliding=(0.04, 0.012)), gain=0.9)
+    assert "the error while sliding falls from 40 to 12 mN·m" in sentence(slides)
+    worse = dataclasses.replace(found, gain_all=-0.2, rms=dataclasses.replace(rms, extended=0.06))
+    assert "the error does not fall on held-out data, 50 and 60 mN·m RMS" in sentence(worse)
+    assert "The causes do not reduce the error on held-out data." in remarks(worse)
+    assert "extended.toml" not in four_lines(worse)["Next"]
+
+
+def test_a_rest_of_noise_names_a_parameter_at_its_limit() -> None:
+    bound = {"pretension": (24.0, 24.0, 37.5, "N")}
+    rms = Rms(0.06, 0.05, 0.01, 0.009, 0.06, 0.055)
+    found = Diagnosis(Verdict.PARTLY_EXPLAINED, "", (PLAIN,), {}, "", {}, {}, Experiment(""), rms, 0.9, RigidDrive())
+    rest = four_lines(dataclasses.replace(found, at_bounds=bound))["Rest"]
+    assert rest == "noise, but the pretension reached the limit of [uncertainty] and may hide an error"
 
 
 def test_without_a_cause_the_lines_say_so() -> None:

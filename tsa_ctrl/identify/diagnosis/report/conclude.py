@@ -86,6 +86,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
             errors.noise_floor,
             errors.refitted,
             float(np.sqrt(np.mean(np.square(np.concatenate(nominal))))),
+            errors.sliding,
         ),
         gain=min(errors.sliding_gain, 1.0) if by_torque else 0.0,
         gain_all=min(errors.gain, 1.0) if by_torque else 0.0,

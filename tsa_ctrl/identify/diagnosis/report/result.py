@@ -71,6 +71,8 @@ class Rms:
     noise_floor: float | None = None  # the sensor noise
     refitted: float | None = None  # the extended model after a fit to the held-out samples
     simulated: float | None = None  # the nominal model over all samples, as `tsa simulate` prints
+    # On held-out samples with a known direction: the better of nominal and recalibrated model, and the extended model
+    sliding: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

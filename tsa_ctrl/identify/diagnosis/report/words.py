@@ -62,7 +62,7 @@ def sentence(result: Diagnosis) -> str:
     """
     rms = result.rms
     best = rms.as_given if recalibration_is_worse(rms) else rms.recalibrated
-    how = "as given" if recalibration_is_worse(rms) else "recalibrated"
+    how = "with the parameters of the model file" if recalibration_is_worse(rms) else "recalibrated"
     off = f"the simulation is off by {told_torque(best)} RMS on held-out data"
     if result.verdict is Verdict.CONSISTENT:
         return f"Nothing is wrong with the model beyond its parameters: {how}, {off}; noise is {noise_of(result)}."
@@ -74,13 +74,23 @@ def sentence(result: Diagnosis) -> str:
         return _short(f"{noise}: {result.unexplained.split(';')[0]}.", f"{noise}.")
     if not result.of_torque and result.stretch is not None:
         return _of_the_stretch(result)
+    return _with_causes(result, f"{_change(result)}, the sensor noise is {noise_of(result)}")
+
+
+def _change(result: Diagnosis) -> str:
+    """Return the change of the error on held-out data by the causes, from the samples that the gain counts.
+
+    If the causes do not reduce the error while sliding, all samples count: a delay acts only in reversals.
+    """
+    rms = result.rms
+    best = rms.as_given if recalibration_is_worse(rms) else rms.recalibrated
+    pairs = [("the error while sliding", *(rms.sliding or (0.0, 0.0))), ("the error", best or 0.0, rms.extended or 0.0)]
     factor, unit = torque_scale(rms)
-    before, after, floor = (factor * (each or 0.0) for each in (best, rms.extended, rms.noise_floor))
-    gained = (
-        f"the error on held-out data falls from {before:.3g} to {after:.3g} {unit} RMS, noise is {floor:.3g} {unit}"
-    )
-    left = "; more is left" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
-    return _with_causes(result, f"{gained}{left}")
+    for what, before, after in pairs:
+        if after < before:
+            return f"{what} falls from {factor * before:.3g} to {factor * after:.3g} {unit} RMS on held-out data"
+    what, before, after = pairs[-1]
+    return f"{what} does not fall on held-out data, {factor * before:.3g} and {factor * after:.3g} {unit} RMS"
 
 
 def four_lines(result: Diagnosis) -> dict[str, str]:
@@ -97,7 +107,8 @@ def four_lines(result: Diagnosis) -> dict[str, str]:
     written = "with extended.toml" if result.causes else "recalibrated"
     causes = "; ".join(_with_intervals(cause) for cause in result.causes)
     return {
-        "Error": f"{given} RMS as given; {written} {now}; the sensor noise is {told_torque(errors.sensor_noise)}",
+        "Error": f"{given} RMS with the model file; {written} {now}; the sensor noise is "
+        f"{told_torque(errors.sensor_noise)}",
         "Cause": causes or ("none" if result.verdict is Verdict.CONSISTENT else "none in the catalogue"),
         "Rest": _rest(result),
         "Next": _next(result),
@@ -111,7 +122,8 @@ def _with_intervals(cause: Cause) -> str:
 
 def _rest(result: Diagnosis) -> str:
     if not result.unexplained:
-        return "noise"
+        held = listed([f"the {spoken(name)}" for name in result.at_bounds])
+        return f"noise, but {held} reached the limit of [uncertainty] and may hide an error" if held else "noise"
     sliding, noise = result.errors.sliding, result.errors.sensor_noise
     first = result.unexplained.split(";")[0].removeprefix("the residual ")
     if sliding is not None and noise is not None and sliding < MORE_THAN_NOISE * noise:
@@ -121,12 +133,31 @@ def _rest(result: Diagnosis) -> str:
     return f"more than noise: it {first}"
 
 
+def improves(result: Diagnosis) -> bool:
+    """Return True if the causes reduce the error on held-out data, or explain the tendon elongation alone."""
+    return max(result.gain, result.gain_all) > 0.0 or not result.of_torque
+
+
 def _next(result: Diagnosis) -> str:
     if any(cause.alternatives for cause in result.causes):
         return result.experiment.text
-    if result.causes:
+    if result.causes and improves(result):
         return f"use extended.toml in place of the model file; then {result.experiment.text}"
     return result.experiment.text
+
+
+def _gained(result: Diagnosis) -> str:
+    """Return the gain of the causes; a gain below 0 is stated as such and not as a share."""
+    places = (("while the joint slides", result.gain), ("with reversals", result.gain_all))
+    removed = [f"{gain:.0%} {where}" for where, gain in places if gain > 0.0]
+    none = [where for where, gain in places if gain <= 0.0]
+    if not removed:
+        return "The causes do not reduce the error on held-out data."
+    less = f" They do not reduce the error {none[0]}." if none else ""
+    return (
+        f"Of the mean square error above the sensor noise on held-out data, the causes in extended.toml remove "
+        f"{listed(removed)}.{less}"
+    )
 
 
 def noise_of(result: Diagnosis) -> str:
@@ -138,10 +169,7 @@ def _of_the_stretch(result: Diagnosis) -> str:
     """Return the first line if only the tendon elongation shows the causes."""
     assert result.stretch is not None
     without, extended = (f"{1e6 * each:.3g}" for each in (result.stretch.without, result.stretch.extended))
-    left = "; the torque has more" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
-    return _with_causes(
-        result, f"the residual of the tendon elongation falls from {without} to {extended} µm RMS{left}"
-    )
+    return _with_causes(result, f"the residual of the tendon elongation falls from {without} to {extended} µm RMS")
 
 
 def _with_causes(result: Diagnosis, gained: str) -> str:
@@ -176,10 +204,7 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
     if result.verdict is Verdict.CONSISTENT and result.detection_limit:
         out.append(_visible(result))
     if result.of_torque:
-        out.append(
-            f"The causes gain {result.gain:.0%} of the explainable error above the sensor noise while the joint "
-            f"slides, {result.gain_all:.0%} with reversals; extended.toml has them."
-        )
+        out.append(_gained(result))
     if result.unexplained:
         out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")
     for name, (value, low, high, unit) in result.at_bounds.items():
@@ -329,10 +354,9 @@ def captions(result: Diagnosis) -> dict[str, str]:
 
 
 def _fallen(result: Diagnosis) -> str:
-    """Return the errors of the nominal and of the written model while sliding."""
+    """Return the error of the written model while sliding."""
     name = "extended" if result.causes else "recalibrated"
-    before, after = (told_torque(errors.sliding) for errors in (result.nominal_errors, result.errors))
-    return f"while sliding {before} nominal, {after} {name}"
+    return f"{told_torque(result.errors.sliding)} while sliding with the {name} model"
 
 
 def _fall(result: Diagnosis) -> str:
