@@ -82,16 +82,71 @@ def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
     `structured` has the same meaning as in `Refit`.
     """
     plain = on_simulation_error(problem, models_reversals(found))
-    best = fit(plain, found.hypothesis, found.point)
+    best = _nearest_to_nominal(plain, fit(plain, found.hypothesis, found.point))
     count = len(best.point)
     covariance = np.zeros((count, count))
-    base = len(best.hypothesis.base.coordinates())
-    index = np.flatnonzero(best.free | (np.arange(count) < base))  # A bound does not determine x and T_p.
+    index = _freed(best)
     if index.size and plain.count:
-        covariance[np.ix_(index, index)] = _covariance(
-            problem, plain, best, gradients(plain, best)[:, index], structured
-        )
+        jacobian = gradients(plain, best)[:, index]
+        covariance[np.ix_(index, index)] = _covariance(problem, plain, best, jacobian, structured)
+        free, precision = undetermined(jacobian), _precision(best)[index]
+        held = free.T * precision @ free
+        covariance[np.ix_(index, index)] += free @ np.linalg.pinv(held, rcond=RANK) @ free.T
     return Refit(best, covariance, half_width(NOISE), structured)
+
+
+# Logs of one configuration do not determine all of x, T_p and the torque gain: some direction of the coordinates
+# changes nothing. Least squares then ends anywhere along it, and its variance by least squares is 0. There the model
+# file decides, whose [uncertainty] is an interval of 95 %.
+RANK = 1e-10  # ratio of the eigenvalues of J'J, in units of each coordinate, below which a direction changes nothing
+NEARER = 3  # steps towards the file's values: the direction is curved
+
+
+def _freed(found: Fit) -> NDArray[np.int64]:
+    """Return the indices of the base coordinates and of all coordinates that no bound holds.
+
+    A bound does not determine x and T_p.
+    """
+    base = len(found.hypothesis.base.coordinates())
+    return np.flatnonzero(found.free | (np.arange(len(found.point)) < base))
+
+
+def _precision(found: Fit) -> Array:
+    """Return the inverse variance of each coordinate by the model file, (p,); 0 without a bound."""
+    base = np.arange(len(found.point)) < len(found.hypothesis.base.coordinates())
+    half = 0.5 * (found.hypothesis.high - found.hypothesis.low)
+    return np.where(base, (half_width(NOISE) / half) ** 2, 0.0)
+
+
+def undetermined(jacobian: Array) -> Array:
+    """Return the directions (p, k) of the coordinates that do not change the prediction; `jacobian` is (m, p)."""
+    size = np.linalg.norm(jacobian, axis=0)
+    known = size > 0.0
+    values, vectors = np.linalg.eigh((jacobian[:, known] / size[known]).T @ (jacobian[:, known] / size[known]))
+    out = np.zeros((len(size), int(np.sum(values < RANK * values[-1:]))))
+    out[known] = vectors[:, values < RANK * values[-1:]] / size[known, None]
+    return out
+
+
+def _nearest_to_nominal(problem: Problem, found: Fit) -> Fit:
+    """Return the fit with the same error whose base is nearest to the file's values."""
+    base = found.hypothesis.base.start()
+    for _ in range(NEARER):
+        index = _freed(found)
+        free = undetermined(gradients(problem, found)[:, index]) if index.size and problem.count else np.zeros((0, 0))
+        if not free.shape[1]:
+            break
+        precision = _precision(found)[index]
+        away = np.zeros(len(found.point))
+        away[: len(base)] = found.point[: len(base)] - base
+        back = free @ np.linalg.pinv(free.T * precision @ free, rcond=RANK) @ (free.T * precision @ away[index])
+        point = found.point.copy()
+        point[index] -= back
+        nearer = fit(problem, found.hypothesis, point)
+        if nearer.rss > found.rss + BY_NOISE:
+            break
+        found = nearer
+    return found
 
 
 def with_companions(problem: Problem, result: Refit, catalogue: Catalogue) -> Refit:
