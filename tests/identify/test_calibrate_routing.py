@@ -144,7 +144,7 @@ def test_gains_are_totals_for_each_tendon_and_changes_of_a_table() -> None:
     assert any("beyond its table" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("curve", [0.0, -1.5])
+@pytest.mark.parametrize("curve", [0.0, -1.5, 0.9])
 def test_a_wrap_angle_that_is_not_proportional_is_reported_with_a_table(curve: float) -> None:
     """The wrap angle has its maximum at 0.2 rad of the hip. The proposed table leaves the noise of the sensors."""
     log, model = rig_of(0.6, 0.6, curve)
@@ -153,6 +153,8 @@ def test_a_wrap_angle_that_is_not_proportional_is_reported_with_a_table(curve: f
     result = calibrate([data], model)
     proposed = [note for note in result.notes if "not proportional to the angle of hip" in note]
     assert len(proposed) == bool(curve)
+    assert bool(result.routing) is not bool(curve)
+    assert result.model.routing == (model.routing if curve else result.model.routing)
     if proposed:
         table = tomllib.loads(proposed[0].partition("Write ")[2].partition(" in [routing]")[0])["table"]["hip"]
         route = Route({}, {"hip": tuple((q, theta) for q, theta in table)})

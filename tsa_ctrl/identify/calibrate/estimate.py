@@ -361,16 +361,18 @@ def errors_of(logs: Sequence[Dataset], model: TendonSheath) -> ThreeErrors:
 
 
 def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:
-    routed, curved = fit_routing(logs, model, certified_gain), curved_routing(logs, model)
-    notes = [curved] if curved else []
+    routed = fit_routing(logs, model, certified_gain)
+    curved = curved_routing(logs, model, routed)
+    notes = []
+    if curved:  # Gains fitted to a curve are not properties of the rig, nor is a difference between the tendons.
+        notes, routed = [curved], None
+    elif routed is None and model.routing is not None:
+        moved = [name for name in moving_joints(logs) if name in model.routing.joints]
+        notes += [f"the logs show no other routing by {', '.join(moved)} than the file: it is kept"] if moved else []
     if routed is not None:
         notes.append(routed.sentence)
         model = routed.model
         logs = [bent_by(log, model) for log in logs]
-    elif model.routing is not None and (
-        moved := [name for name in moving_joints(logs) if name in model.routing.joints]
-    ):
-        notes.append(f"the logs show no other routing by {', '.join(moved)} than the file: it is kept")
     lag = instrument_lag(logs)
     several = varied(logs, model)
     joint = joint_fit(logs, model, lag, certified_gain) if several or certified_gain else None

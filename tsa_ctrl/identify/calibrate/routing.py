@@ -64,6 +64,7 @@ class RoutingFit:
         joints: names of the joints that bend a sheath.
         straight: names of logged joints that moved but bend no sheath.
         kept: names of joints whose gain or table in the file agrees with the logs.
+        error: RMS error of the fit over the admitted samples, N*m, or m for the elongation.
     """
 
     model: TendonSheath
@@ -74,6 +75,7 @@ class RoutingFit:
     joints: tuple[str, ...]
     straight: tuple[str, ...]
     kept: tuple[str, ...]
+    error: float
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -404,15 +406,16 @@ def _result(
         joints=bending,
         straight=tuple(name for name in problem.joints if name not in {*bending, *before.joints}),
         kept=tuple(name for name in problem.joints if name not in bending and name in before.joints),
+        error=problem.error(p),
     )
 
 
-def curved_routing(logs: list[PreparedLog], model: TendonSheath) -> str:
+def curved_routing(logs: list[PreparedLog], model: TendonSheath, routed: RoutingFit | None) -> str:
     """Return a sentence with a table for [routing] if the wrap angle is clearly not proportional to a joint's angle.
 
     The table is a polynomial of third order over the measured range. The sentence is empty if gains describe the logs
-    nearly as well, and for a model with a table. The result of `fit_routing` is not used: it may be that no joint bends
-    the sheath, if the wrap angle has an extremum within the motion.
+    nearly as well, and for a model with a table. The gains are those of a line and of `routed`, the result of
+    `fit_routing`, whose tendons may differ. It is None if the wrap angle has an extremum in the middle of the motion.
     """
     joints, given = tuple(moving_joints(logs) if logs else {}), model.routing
     tables = given is not None and (given.a.tables or given.b.tables)
@@ -432,7 +435,8 @@ def curved_routing(logs: list[PreparedLog], model: TendonSheath) -> str:
     found, line = problem.solve(fixed), problem.solve(fixed | powers)
     if found is None or line is None:
         return ""
-    share = problem.error(found[0]) / problem.error(line[0])
+    gains_error = min(problem.error(line[0]), math.inf if routed is None else routed.error)
+    share = problem.error(found[0]) / gains_error
     if share > CURVED:
         return ""
     gains, _ = problem.gains_at(found[0])
