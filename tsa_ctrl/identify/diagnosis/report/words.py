@@ -354,9 +354,10 @@ def captions(result: Diagnosis) -> dict[str, str]:
 
 
 def _fallen(result: Diagnosis) -> str:
-    """Return the error of the written model while sliding."""
+    """Return the errors of the nominal and of the written model while sliding."""
     name = "extended" if result.causes else "recalibrated"
-    return f"{told_torque(result.errors.sliding)} while sliding with the {name} model"
+    before, after = (told_torque(errors.sliding) for errors in (result.nominal_errors, result.errors))
+    return f"while sliding {before} nominal, {after} {name}"
 
 
 def _fall(result: Diagnosis) -> str:
