@@ -48,9 +48,7 @@ class HeldOut:
         as_given: error of the nominal model.
         recalibrated: error of the recalibrated model.
         extended: error of the model with all causes.
-        lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause. It is the larger
-            of the loss over all samples and the loss where the direction is known. The scatter of reversals hides a
-            cause that acts while sliding, and a lag acts only in reversals.
+        lost: loss of gain without each cause, as a share of the gain, 0 to 1; 1 for a single cause.
 
     The held-out samples may show no loss because they hardly show the cause, or because a cause shifts the reversals in
     time. `lost` is then computed by cross-validation on the other samples.
@@ -99,7 +97,7 @@ class HeldOut:
         A single cause is worthless if the extended model is not better than the recalibrated one.
         """
         if len(self.lost) == 1:
-            return None if self.extended < self.recalibrated or self.sliding[1] < self.sliding[0] else 0
+            return None if self.extended < self.recalibrated else 0
         return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
 
 
@@ -125,27 +123,23 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
     }
     floor = rms_over(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
     floor *= np.sqrt(1.0 - min(structure_share, MOST_STRUCTURE))
-    logs = [run.raw for run in frame.runs]
-    directed = [known_direction(log) for log in logs]
-    slides = split.held & np.concatenate([_whole_bins(*each) for each in zip(frame.runs, directed, strict=True)])
-    models = [base.hypothesis.base.given, *(each.hypothesis.model(each.point) for each in (recalibrated, extended))]
-    sliding = [rms_over(frame, model, slides) for model in models]
-    masks = (split.held, slides)
-    bare, full = (rms["recalibrated"], sliding[1]), (rms["extended"], sliding[2])
+    won = max(rms["recalibrated"] ** 2 - rms["extended"] ** 2, 1e-300)
     lost = []
     for index in range(len(found.names)):
         if len(found.names) == 1:
             lost.append(1.0)
             continue
         smaller = _without(problem, extended, found, index, split)
-        residuals = full_residuals(frame, smaller.hypothesis.model(smaller.point))
-        share = max(
-            (_over(frame, residuals, mask) ** 2 - best**2) / max(before**2 - best**2, 1e-300)
-            for mask, before, best in zip(masks, bare, full, strict=True)
-        )
+        error = rms_over(frame, smaller.hypothesis.model(smaller.point), split.held)
+        share = (error**2 - rms["extended"] ** 2) / won
         if share <= 0.0 and (_is_late(found) or _hardly_shown(problem, extended, smaller, split)):
             share = _among_the_learned(problem, base, found, index)
         lost.append(float(np.clip(share, 0.0, 1.0)))
+    logs = [run.raw for run in frame.runs]
+    directed = [known_direction(log) for log in logs]
+    slides = split.held & np.concatenate([_whole_bins(*each) for each in zip(frame.runs, directed, strict=True)])
+    models = [base.hypothesis.base.given, *(each.hypothesis.model(each.point) for each in (recalibrated, extended))]
+    sliding = [rms_over(frame, model, slides) for model in models]
     noises = [sensor_noise(log, log[problem.base.target], each) for log, each in zip(logs, directed, strict=True)]
     told = pooled(noises, [len(log) for log in logs])
     noise = rms["extended"] if told is None else told
