@@ -48,7 +48,7 @@ from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.system.process_supervisor import tsa
 
 PERIOD = 1e-3  # s, of the loop of these rigs
-KP = 0.5  # 1, proportional gain; larger gains oscillate with the motor on its tendons
+KP = 0.5  # 1, proportional gain of the PI controller on all rigs
 OMEGA = 0.05  # rad/s of the joint, over which the direction changes its sign
 MOST = 2.0  # N*m at the joint, limit of what a feedback may add
 GAINS = {"PI": (5.0, 20.0, 60.0), "observer": (1.0, 3.0, 10.0), "tanh": (2.0, 10.0, 50.0)}  # 1/s; Hz; 1/(N*m s)
@@ -95,8 +95,10 @@ def replaced(name: str, gain: float, limit: float) -> Iterator[None]:
         controlword, torque = own(axis, now)
         terms, sensed = axis.terms, axis.instruments.tau_j
         if terms.permitted and terms.reason not in (Reason.OVER_SPEED, Reason.NOT_FINITE) and sensed == sensed:
-            law = laws.setdefault(axis.name, law_of(name, gain, axis))
-            torque = terms.tau_m_cmd = min(limit, max(-limit, law(terms.tau_j_des, sensed, terms.omega_j)))
+            if axis.name not in laws:
+                laws[axis.name] = law_of(name, gain, axis)
+            wanted = laws[axis.name](terms.tau_j_des, sensed, terms.omega_j)
+            torque = terms.tau_m_cmd = min(limit, max(-limit, wanted))
         return controlword, torque
 
     cycle.command = command_of

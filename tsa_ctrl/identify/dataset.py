@@ -297,7 +297,7 @@ def dataset_of(log: Any, name: str = "log") -> Dataset:
 def _columns_of(log: Any, name: str) -> dict[str, Any] | None:
     """Return the columns of a mapping, a data frame or a structured array by name; None for another type.
 
-    An index of dates or durations, or with the name t, is the column t if there is no such column.
+    Without a column t, an index of dates or durations, or one named t, is used as the time.
 
     Raises:
         UsageError: a data frame has a column of a log twice.
@@ -326,7 +326,7 @@ def _columns_of(log: Any, name: str) -> dict[str, Any] | None:
 
 
 def _plain_names(names: Sequence[Any]) -> list[str]:
-    """Return the names as texts, and those of several levels without equal levels and without their SI unit."""
+    """Return the names as texts. A name of several levels omits levels that are equal in all names, and an SI unit."""
     if not names or not all(isinstance(name, tuple) for name in names):
         return [str(name) for name in names]
     levels = [level for level in zip(*names, strict=True) if len(set(level)) > 1] or list(zip(*names, strict=True))

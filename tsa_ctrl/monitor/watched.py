@@ -1,4 +1,4 @@
-"""Hold what a monitor watches: its findings, the settings of the axes, and the angles and frames of one bus."""
+"""Define the findings of a monitor, the settings of its axes, and the evaluation of angles and received frames."""
 
 from __future__ import annotations
 

@@ -3,8 +3,9 @@
 A torque sensor alone proves nothing: an unplugged, reversed or miscalibrated one shows the compensation itself as
 friction. A second measurement must agree:
 
-* The sensor counts while it follows the changes of the torque by the elongation (`SensorEvidence`). An unplugged
-  sensor shows no changes, and a reversed one the opposite changes.
+* The sensor counts while it follows the changes of the torque by the elongation, or by the motor while the tendons
+  slide (`SensorEvidence`). An unplugged sensor shows no changes, and a reversed one the opposite changes. Its weight
+  fades with the travel since the last change.
 * Without such changes, the sensor counts up to the upper bound of the friction by the elongation. If it shows more, the
   elongation counts instead.
 * Before the sensor has followed a change, and before the tendons have slid in both directions, nothing can contradict
@@ -85,7 +86,7 @@ class SensorEvidence:
 
     @property
     def follows(self) -> bool:
-        """Return True if the sensor has followed the elongation within the last `MEMORY` of travel."""
+        """Return True if the sensor has followed another measurement within the last `MEMORY` of travel."""
         return self._since < MEMORY
 
     def update(
@@ -130,9 +131,10 @@ class SensorEvidence:
         sm += forget * (ds * dm - sm)
         ym += forget * (dy * dm - ym)
         self._products = ss, ee, yy, mm, se, sy, sm, ym
+        motor = self._gearing * tau_m
         if sliding != self._sliding:
-            self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, self._gearing * tau_m, 0.0, 0.0, 0.0)
-        now = sliding != 0 and self._follows_motor(sensor, self._gearing * tau_m)
+            self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, motor, 0.0, 0.0, 0.0)
+        now = sliding != 0 and self._follows_motor(sensor, motor)
         self._since += abs(omega_j) * self._period
         least, faint = self._least, self._faint
         if mm > 0.0:  # the parts of sensor and elongation that the motor torque does not explain

@@ -413,9 +413,9 @@ def _result(
 def curved_routing(logs: list[PreparedLog], model: TendonSheath, routed: RoutingFit | None) -> str:
     """Return a sentence with a table for [routing] if the wrap angle is clearly not proportional to a joint's angle.
 
-    The table is a polynomial of third order over the measured range. The sentence is empty if gains describe the logs
-    nearly as well, and for a model with a table. The gains are those of a line and of `routed`, the result of
-    `fit_routing`, whose tendons may differ. It is None if the wrap angle has an extremum in the middle of the motion.
+    The table is a polynomial of third order over the measured range. It is compared with equal gains of both tendons,
+    and with `routed`, the result of `fit_routing`, which is None if the wrap angle has an extremum in the middle of the
+    motion. The sentence is empty if either describes the logs nearly as well, and for a model with a table.
     """
     joints, given = tuple(moving_joints(logs) if logs else {}), model.routing
     tables = given is not None and (given.a.tables or given.b.tables)

@@ -152,7 +152,7 @@ def _nearest_to_nominal(problem: Problem, found: Fit) -> Fit:
 def with_companions(problem: Problem, result: Refit, catalogue: Catalogue) -> Refit:
     """Return `result` with the fits that have the companion of one of its effects.
 
-    Of several minima, all are kept that noise alone does not exclude.
+    A minimum counts unless its error exceeds the smallest one by more than noise can.
     """
     found: dict[str, list[Refit]] = {}
     for name, fits in companion_steps(problem, result.fitted, catalogue).items():
