@@ -190,6 +190,16 @@ def test_only_a_correct_sensor_follows_the_motor_while_the_tendons_slide(sensor:
     assert evidence.follows is (sensor is correct and sliding != 0)
 
 
+@pytest.mark.parametrize("wrong", sorted(WRONG))
+def test_a_sensor_that_fails_while_the_tendons_slide_stops_counting_before_its_proof_fades(wrong: str) -> None:
+    """The proof by earlier changes lasts for 1.5 rad. The step of the failure itself is forgotten earlier."""
+    evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)
+    compared(evidence, correct, lambda way: 0.5 * FRICTION * math.sin(6.0 * way), 1.0, 1)
+    assert evidence.follows
+    compared(evidence, WRONG[wrong], lambda way: 0.5 * FRICTION * math.sin(6.0 * (way + 1.0)), 0.65, 1)
+    assert not evidence.follows
+
+
 def test_noise_at_the_begin_of_a_stroke_is_no_evidence() -> None:
     """Two samples always have a correlation of 1 or -1."""
     evidence = SensorEvidence(FRICTION / GEARING, PERIOD, 1.0 / GEARING)

@@ -44,7 +44,10 @@ class SensorEvidence:
        friction and stiffness of the file. The rest of s must follow the rest of the sensor. This requires that tau_M
        and tau_J do not change in proportion, as they do until the tendons reverse.
     3. With the motor torque, while the tendons slide in one direction: tau_J = a tau_M - b, whatever the friction. If
-       the set-point is constant, a correct sensor shows the change of the torque when the proof fades.
+       the set-point is constant, a correct sensor shows the change of the torque when the proof fades. A sensor that
+       fails during a motion contradicts the motor within about `BRIEFLY`, before the other comparisons forget it.
+
+    Attributes: `slopes`: a of a joint that moves forward and backward, 1.
     """
 
     def __init__(
@@ -55,14 +58,14 @@ class SensorEvidence:
         Args:
             half_loop: friction torque at the joint, N*m.
             period: s.
-            gearing: r_J/r_M, about the slope a.
+            gearing: r_J/r_M, used as `slopes` until they are set.
             per_angle: joint torque per angle of motor and of joint by the elongation, with constant motor torque,
                 N*m/rad.
         """
         self._least, self._faint = (EVIDENT * half_loop) ** 2, (FAINT * half_loop) ** 2
         self._period = EVERY * period
         self._forget, self._forget_briefly = self._period / LATELY, self._period / BRIEFLY
-        self._gearing = gearing
+        self.slopes = (gearing, gearing)
         self._per_motor, self._per_joint = per_angle
         self.reset()
 
@@ -131,10 +134,10 @@ class SensorEvidence:
         sm += forget * (ds * dm - sm)
         ym += forget * (dy * dm - ym)
         self._products = ss, ee, yy, mm, se, sy, sm, ym
-        motor = self._gearing * tau_m
+        motor = self.slopes[sliding < 0] * tau_m
         if sliding != self._sliding:
             self._sliding, self._slid, self._brief = sliding, 0.0, (sensor, motor, 0.0, 0.0, 0.0)
-        now = sliding != 0 and self._follows_motor(sensor, motor)
+        follows = self._follows_motor(sensor, motor) if sliding != 0 else 0
         self._since += abs(omega_j) * self._period
         least, faint = self._least, self._faint
         if mm > 0.0:  # the parts of sensor and elongation that the motor torque does not explain
@@ -142,12 +145,17 @@ class SensorEvidence:
             yy -= ym * ym / mm
             sy -= sm * ym / mm
         clear = (yy > faint or ss > faint) and sy * sy > ALIKE * ALIKE * ss * yy > 0.0
-        if now or (clear and sy > SHOWN * yy) or (ee > least and se > SHOWN * ee and not (clear and sy < 0.0)):
+        if follows < 0:
+            self._since = math.inf
+        elif (
+            follows > 0 or (clear and sy > SHOWN * yy) or (ee > least and se > SHOWN * ee and not (clear and sy < 0.0))
+        ):
             self._since = 0.0
         elif (clear and sy < 0.0) or (ee > least and confirmed):
             self._since = math.inf
 
-    def _follows_motor(self, sensor: float, motor: float) -> bool:
+    def _follows_motor(self, sensor: float, motor: float) -> int:
+        """Return 1 if the sensor follows the motor torque, -1 if it does not, and 0 without evidence."""
         forget = self._forget_briefly
         s, m, ss, mm, sm = self._brief
         ds, dm = sensor - s, motor - m
@@ -156,7 +164,11 @@ class SensorEvidence:
         sm += forget * (ds * dm - sm)
         self._brief = s + forget * ds, m + forget * dm, ss, mm, sm
         self._slid += self._period
-        return self._slid > 0.5 * BRIEFLY and mm > self._faint and sm > SHOWN * mm and sm * sm > ALIKE * ALIKE * ss * mm
+        if not self._slid > 0.5 * BRIEFLY:
+            return 0
+        if mm > self._faint and sm > SHOWN * mm and sm * sm > ALIKE * ALIKE * ss * mm:
+            return 1
+        return -1 if mm > self._least and sm < SHOWN * mm else 0
 
 
 class FrictionProof:
@@ -227,6 +239,7 @@ class FrictionProof:
         """Use d tau_J / d tau_M of a joint that moves forward and backward, 1."""
         if self._sensor is not None:
             self._sensor.slopes = slopes
+            self.evidence.slopes = slopes
 
     def reset(self) -> None:
         """Forget all measurements, including the zero of the elongation."""
