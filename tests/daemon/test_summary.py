@@ -12,8 +12,7 @@ import pytest
 from rich.console import Console
 
 from tsa_ctrl.daemon.notices import MOST, Events
-from tsa_ctrl.daemon.summary import BAR, NodeCount, Summary
-from tsa_ctrl.daemon.torque_error import SENSOR, UNKNOWN, TorqueError
+from tsa_ctrl.daemon.summary import BAR, SENSOR, UNKNOWN, NodeCount, Summary, TorqueError
 from tsa_ctrl.ipc.mailbox import TEXT
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.safety.causes import Cause

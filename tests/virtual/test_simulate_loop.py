@@ -18,7 +18,7 @@ from tests.virtual.joints import play, sine
 from tests.virtual.test_sensor_truth import BLIND
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.cli import main
-from tsa_ctrl.daemon.torque_error import ELONGATION, SENSOR
+from tsa_ctrl.daemon.summary import ELONGATION, SENSOR
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.safety.limiter import Reason

@@ -67,7 +67,6 @@ class Lifecycle:
         loop: Loop,
         say: Say = lambda line: None,
         no_loop: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
-        configured: bool = False,
         tell: Callable[[str], None] = lambda stage: None,
         simulated: bool = False,
         admit: Admit = lambda nodes, has_inputs: None,
@@ -81,7 +80,6 @@ class Lifecycle:
             loop: the control loop.
             say: receives each line for the user.
             no_loop: context in which a new bring-up runs.
-            configured: True writes nothing to the nodes, see `daemon.run`.
             tell: receives the stage of a bring-up, and an empty text at its end.
             simulated: True if the nodes are simulated.
             admit: called with the nodes of a bring-up; it may reject them.
@@ -94,7 +92,6 @@ class Lifecycle:
         self.node_notes: list[str] = []  # of the last bring-up: limits of the nodes, and checks that were not possible
         self._say = say
         self._no_loop = no_loop
-        self._configured = configured
         self._tell = tell
         self._simulated = simulated
         self._admit = admit
@@ -141,38 +138,36 @@ class Lifecycle:
         configuration = self._configuration
         file = configuration.file
         self._rig.stand_off()
-        if not self._configured:
-            try:
-                report = bring_up(
-                    self._rig.bus,
-                    file.bus,
-                    file.axes,
-                    configuration.profiles,
-                    configuration.period,
-                    reset_faults,
-                    resets_later,
-                    self._tell,
-                    lambda: self._loop.stop_asked,
-                    self._joint_files.identify,
-                )
-            finally:
-                self._tell("")
-            for line in (*report.lines(), *self._joint_files.notes()):
-                self._say(line)
-            self.node_notes = [f"{node.name}: {text}" for node in report.nodes for text in node.notes]
-            self._admit(self._joint_files.nodes, any(node.digital_inputs for node in report.nodes))
-            self._rig.look_after(report, stop_bit(file.safety))
+        try:
+            report = bring_up(
+                self._rig.bus,
+                file.bus,
+                file.axes,
+                configuration.profiles,
+                configuration.period,
+                reset_faults,
+                resets_later,
+                self._tell,
+                lambda: self._loop.stop_asked,
+                self._joint_files.identify,
+            )
+        finally:
+            self._tell("")
+        for line in (*report.lines(), *self._joint_files.notes()):
+            self._say(line)
+        self.node_notes = [f"{node.name}: {text}" for node in report.nodes for text in node.notes]
+        self._admit(self._joint_files.nodes, any(node.digital_inputs for node in report.nodes))
+        self._rig.look_after(report, stop_bit(file.safety))
         for axis in self._axes:
             axis.trusted = self._joint_files.trusted(axis.name)
         self._rig.start()
 
     def _prove(self, period: float) -> None:
-        if not self._configured:
-            self._tell("seeing that every node answers every SYNC")
-            try:
-                check_startup(self._rig, period)
-            finally:
-                self._tell("")
+        self._tell("seeing that every node answers every SYNC")
+        try:
+            check_startup(self._rig, period)
+        finally:
+            self._tell("")
 
     def _recover(self, seconds: float) -> None:
         """Configure all nodes again, as at startup; a failure leaves the fault latched and is logged."""

@@ -16,8 +16,8 @@ from tsa_ctrl.control.live_parameters import Tuner
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.notices import Events, Notices
+from tsa_ctrl.daemon.summary import TorqueErrorCounter
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.daemon.torque_error import TorqueErrorCounter
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
 from tsa_ctrl.safety.causes import REMEDIES, Cause
 from tsa_ctrl.safety.release import ReleaseBudget

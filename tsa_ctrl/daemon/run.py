@@ -41,18 +41,13 @@ class Children:
     The processes are started before the loop, and the loop never waits for them.
     """
 
-    def __init__(
-        self, configuration: Configuration, tuners: Sequence[Tuner], server: ServerProcess | None = None
-    ) -> None:
-        """Start the processes; raise UsageError if the log or the socket cannot be created.
-
-        `server` is a socket server that was started before; None starts one.
-        """
+    def __init__(self, configuration: Configuration, tuners: Sequence[Tuner], server: ServerProcess) -> None:
+        """Start the processes next to the socket server; raise UsageError if the log cannot be created."""
         file = configuration.file
         self.ring: RingWriter | None = None
         self.log: LogProcess | None = None
         self.sensors = AxisSensors(file.axes)
-        self._server = server or server_process(configuration)
+        self._server = server
         self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters), self._server.descriptor)
         try:
             if file.log.enabled:
@@ -97,7 +92,6 @@ def run(
     configuration: Configuration,
     seconds: float = math.inf,
     say: Say = lambda line: None,
-    configured: bool = False,
     reset_faults: bool = False,
     watch: Callable[[Rig], None] = lambda rig: None,
     allow_simulated: bool = False,
@@ -107,7 +101,6 @@ def run(
 
     Args:
         say: receives each line for the user.
-        configured: True if the nodes are operational and mapped; nothing is written to them.
         reset_faults: True resets drives found in fault at startup.
         watch: receives the rig before anything is sent.
         allow_simulated: True permits model files with simulated numbers on hardware.
@@ -118,7 +111,7 @@ def run(
         BusError: the bus or a node failed before the first cycle.
     """
     configuration = admitted(configuration, allow_simulated)
-    return Daemon(configuration, say, configured, reset_faults, watch, server).run(seconds)
+    return Daemon(configuration, say, reset_faults, watch, server).run(seconds)
 
 
 class Daemon:
@@ -128,14 +121,12 @@ class Daemon:
         self,
         configuration: Configuration,
         say: Say,
-        configured: bool = False,
-        reset_faults: bool = False,
-        watch: Callable[[Rig], None] = lambda rig: None,
-        server: ServerProcess | None = None,
+        reset_faults: bool,
+        watch: Callable[[Rig], None],
+        server: ServerProcess | None,
     ) -> None:
         self._server = server
         self._configuration = configuration
-        self._configured = configured
         self._reset_faults = reset_faults
         self._watch = watch
         self._say = say
@@ -194,7 +185,6 @@ class Daemon:
                         loop,
                         self._say,
                         self._notifier.no_loop,
-                        self._configured,
                         lambda stage: children.mailbox.publish_stage(bus.clock(), stage),
                         nodes_simulated(configuration),
                         self._admit,

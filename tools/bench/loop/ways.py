@@ -26,7 +26,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import after_commands, run_cycle
 from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.notices import Events
-from tsa_ctrl.daemon.run import Children
+from tsa_ctrl.daemon.run import Children, server_process
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.sleep import sleep_until
@@ -171,7 +171,7 @@ def _with_children(configuration: Configuration) -> Iterator[tuple[Any, ...]]:
     tuners = tuners_of(axes, configuration.period)
     with contextlib.ExitStack() as stack:
         stack.callback(bus.close)
-        children = Children(configuration, tuners)
+        children = Children(configuration, tuners, server_process(configuration))
         stack.callback(children.end)
         telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, Events())
         rig.start()
